@@ -126,7 +126,7 @@ def test_an_over_long_path_of_a_runs_graph(tmp_path):
     values = json.loads(run.config_path.read_text())
     values["knows"]["graph"] = "a" * 5000
     run.config_path.write_text(json.dumps(values))
-    assert run.config()["knows"]["graph"].startswith(str(run.graphs))
+    assert run.config()["knows"]["graph"].startswith(str(run.path / "graphs"))
     assert load_agent(run.path).step > 0
 
 

@@ -17,7 +17,7 @@ from knowarm.experiment.run_folder import (
     module_for_training,
     provenance,
 )
-from knowarm.experiment.run_graphs import with_graphs
+from knowarm.experiment.run_inputs import with_inputs
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.module import PerceptionModule, digest
@@ -223,10 +223,10 @@ def _describe(
 
 def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which a run and a config differ, each with "field: value | value"."""
-    kept = with_graphs(to_dict(given), run.copy_of)
+    kept = with_inputs(to_dict(given), run.copy_of)
     different = differences(to_dict(run.experiment()), kept).items()
-    copies, hint = str(run.graphs), " (a copy: restore the graph from it, which has changed since)"
+    hint = " (a copy: restore the original from it, which has changed since)"
     return {
-        name: f"{name}: {one!r}{hint * str(one).startswith(copies)} | {other!r}"
+        name: f"{name}: {one!r}{hint * (str(run.path) in str(one))} | {other!r}"
         for name, (one, other) in different
     }

@@ -6,6 +6,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
     knowledge.safetensors  the knowledge table (F, K), one row per facet or query
     graphs/                copies of the user's graphs; the originals are not read again
+    descriptions/          likewise of robots and objects, with their MJCF files and meshes
     perception.safetensors the perception module or grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
@@ -36,7 +37,7 @@ from knowarm.cores import processor
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
-from knowarm.experiment.run_graphs import with_graphs
+from knowarm.experiment.run_inputs import copy_input, is_copy_of, with_inputs
 from knowarm.experiment.summary import Summary
 from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.perception.config import ModuleSpec
@@ -49,7 +50,7 @@ from knowarm.reading import (
     replacing,
     write_json,
 )
-from knowarm.world.description import check_trusted
+from knowarm.world.description import SUFFIX, check_trusted, is_trusted, trust
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -95,7 +96,6 @@ class RunFolder:
 
     def __post_init__(self) -> None:
         self.config_path = self.path / "config.json"
-        self.graphs = self.path / "graphs"
         self.checkpoints = self.path / "checkpoints"
         self.tensorboard = self.path / "tensorboard"
         self.metrics_path = self.path / "metrics.csv"
@@ -151,15 +151,16 @@ class RunFolder:
                 shutil.rmtree(path)
 
     def config(self) -> dict[str, Any]:
-        """Read the resolved configuration as JSON values, with the folder's copies of graphs.
+        """Read the resolved configuration as JSON values, with the folder's copies of inputs.
 
         Raises:
             UserError: it names the description of a robot or object that the user has not named.
         """
         values = read_json(self.config_path)
         with reading(self.config_path, "Restore the file."):  # nested too deep
+            values = with_inputs(values, self._kept_input)
             check_trusted(values, self.config_path)
-            return with_graphs(values, lambda graph: str(self._graph(Path(graph))))
+            return values
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -168,43 +169,46 @@ class RunFolder:
         return from_dict(ExperimentConfig, values)
 
     def write_experiment(self, config: ExperimentConfig) -> None:
-        """Write the configuration and its graphs; a folder with a configuration holds a run.
+        """Write the configuration and its inputs; a folder with a configuration holds a run.
 
-        A run that resumes with its copy of a graph keeps the name of the original.
+        A run that resumes with its copy of an input keeps the name of the original.
         """
         begun = read_json(self.config_path) if self.config_path.exists() else {}
         names: dict[str, str] = {}  # of the originals, by copy
-        with_graphs(begun, lambda graph: names.setdefault(str(self._graph(Path(graph))), graph))
-        values = with_graphs(to_dict(config), lambda graph: self._kept(names.get(graph, graph)))
+        with_inputs(begun, lambda name: names.setdefault(str(self._copy(name)), name))
+        values = with_inputs(to_dict(config), lambda name: self._keep(names.get(name, name)))
         write_json(self.config_path, {"format": FORMAT, **values})
 
-    def _kept(self, graph: str) -> str:
-        """Copy a graph, unless there is a copy; return its path."""
-        path, copy = Path(graph), self._graph(Path(graph))
-        if path.exists() and not copy.exists():
-            temporary = copy.with_name(f".{copy.name}.tmp")
-            with writing(copy):
-                shutil.rmtree(copy.parent, ignore_errors=True)  # what a killed process left
-                copy.parent.mkdir(parents=True)
-                (shutil.copytree if path.is_dir() else shutil.copyfile)(path, temporary)
-                temporary.rename(copy)
-        return graph
+    def _keep(self, name: str) -> str:
+        """Copy a graph or description, unless there is a copy; return its name."""
+        copy_input(name, self._copy(name))
+        return name
 
-    def _graph(self, original: Path) -> Path:
-        """Where the copy of a graph is; graphs of one name lie in folders of their own."""
-        place = hashlib.sha256(str(original).encode()).hexdigest()[:8]
-        return self.graphs / place / original.name
+    def _copy(self, name: str) -> Path:
+        """Where the copy of an input is; inputs of one name lie in folders of their own."""
+        place = hashlib.sha256(str(Path(name)).encode()).hexdigest()[:8]
+        kind = "descriptions" if name.endswith(SUFFIX) else "graphs"
+        return self.path / kind / place / Path(name).name
 
-    def copy_of(self, graph: str) -> str:
-        """Return the path of the copy of a graph; of the graph, where it has no copy or differs."""
-        original, copy = Path(graph), self._graph(Path(graph))
-        files = (file for file in (copy, *copy.rglob("*")) if file.is_file())
-        pairs = ((file, original / file.relative_to(copy)) for file in files)
-        is_equal = copy.exists() and (
-            not original.exists()
-            or all(b.is_file() and a.read_bytes() == b.read_bytes() for a, b in pairs)
-        )
-        return str(copy) if is_equal else graph
+    def _kept_input(self, name: str) -> str:
+        """Return the path of the copy of an input.
+
+        Runs of before have no copies of descriptions. One is trusted that equals its original.
+        """
+        copy = self._copy(name)
+        if not name.endswith(SUFFIX):
+            return str(copy)
+        if not copy.exists():
+            return name
+        if is_trusted(name) and Path(name).exists() and self.copy_of(name) == str(copy):
+            trust(str(copy))
+        return str(copy)
+
+    def copy_of(self, name: str) -> str:
+        """Return the path of the copy of an input; of the input, where it has none or differs."""
+        copy = self._copy(name)
+        is_kept = copy.exists() and (not Path(name).exists() or is_copy_of(copy, name))
+        return str(copy) if is_kept else name
 
     def checkpoint_fact(self, name: str, missing: int) -> int:
         """Return a number that the latest checkpoint states."""

@@ -20,6 +20,7 @@ RUN_FILES = (
     "knowledge.safetensors",
     "perception.safetensors",
     "graphs/**/*",
+    "descriptions/**/*",
     "checkpoints/best/*",
     "evaluation/*/summary.json",
 )

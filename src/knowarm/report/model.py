@@ -115,7 +115,7 @@ class RunData:
 
     path: Path
     config: ExperimentConfig
-    settings: dict[str, Any]  # the same as JSON values, graphs by their content
+    settings: dict[str, Any]  # the same as JSON values, files of the user by their content
     provenance: Provenance  # versions, machine, parameter counts, knowledge; empty if missing
     interim: Curve  # columns of ``evaluations.csv``; empty if missing
     metrics: Curve  # columns of ``metrics.csv``; empty if missing

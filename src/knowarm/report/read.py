@@ -11,7 +11,7 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import number_in, read_csv
 from knowarm.experiment.run_folder import Provenance, RunFolder
-from knowarm.experiment.run_graphs import graph_content, with_graphs
+from knowarm.experiment.run_inputs import input_content, with_inputs
 from knowarm.experiment.summary import Summary
 from knowarm.reading import one_line
 from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
@@ -44,7 +44,7 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     run = RunData(
         path=path,
         config=config,
-        settings=with_graphs(to_dict(config), graph_content),
+        settings=with_inputs(to_dict(config), input_content),
         provenance=provenance,
         interim=read_curve(folder.evaluations_path, problems),
         metrics=read_curve(folder.metrics_path, problems),

@@ -33,6 +33,7 @@ RUN_FILES = (
     "provenance.json",
     "knowledge.safetensors",
     "graphs/**/*",
+    "descriptions/**/*",
     "metrics.csv",
     "evaluations.csv",
     FAILURE,
@@ -93,7 +94,7 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
             except ValueError:  # a name that a header does not hold
                 raise UserError(
                     f"Cannot pack {out / name}: a pack holds file names of at most 100 characters. "
-                    "Shorten it; for a graph, train with a file of a shorter name."
+                    "Shorten it; for a graph or mesh, train with a file of a shorter name."
                 ) from None
     return len(contents)
 

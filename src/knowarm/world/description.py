@@ -1,14 +1,18 @@
 """Description files: TOML files of the fields of a robot or a target, beside their MJCF file."""
 
 import importlib.util
+import json
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import mujoco
+
 from knowarm.config import from_dict
 from knowarm.errors import UserError
-from knowarm.reading import read_toml
+from knowarm.reading import one_line, read_text, read_toml
 from knowarm.world.cache import cache_file, write_arrays
 
 SUFFIX = ".toml"  # A name with this suffix is the path of a description
@@ -34,12 +38,17 @@ def check_trusted(values: Any, where: Path) -> None:
     MuJoCo compiles the MJCF of a description, which names files at any path.
     """
     for name in _named(values):
-        if not _mark(name).exists():
+        if not is_trusted(name):
             raise UserError(
                 f"{where} names the description {name!r}, which is trusted like code, and you have "
                 f"not used it on this machine. If you trust it, name it in a command, such as "
                 f"knowarm doctor --robot {name}, and repeat."
             )
+
+
+def is_trusted(name: str) -> bool:
+    """Tell whether the user has named a description on this machine."""
+    return _mark(name).exists()
 
 
 def _named(values: Any) -> Iterator[str]:
@@ -61,12 +70,41 @@ def read_description(path: Path, kind: type[T]) -> T:
     Python package, and ``"menagerie:folder/file.xml"`` one of a MuJoCo Menagerie checkout.
     """
     values = {"name": path.stem, **read_toml(path)}
+    return from_dict(kind, {**values, "mjcf": _mjcf(values, path)}, where=str(path))
+
+
+def description_files(path: Path) -> dict[str, Path | bytes]:
+    """Return a description, its MJCF files and their meshes and textures, as files of a folder.
+
+    The model's files keep their places relative to each other, below ``model``.
+    """
+    mjcf = _normal(_mjcf(read_toml(path), path))
+    try:
+        files = [_normal(Path(each)) for each in mujoco.mju_getXMLDependencies(str(mjcf))]
+    except (ValueError, mujoco.FatalError) as error:
+        raise UserError(f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}.") from error
+    root = os.path.commonpath([file.parent for file in files])
+    places = {file: (Path("model") / file.relative_to(root)).as_posix() for file in files}
+    text = read_text(path, remedy="Correct the file.")
+    line = f"mjcf = {json.dumps(places[mjcf])}".replace("\\", "\\\\")
+    text = re.sub(r"""(?m)^\s*["']?mjcf["']?\s*=.*$""", line, text, count=1)
+    found: dict[str, Path | bytes] = {path.name: text.encode()}
+    return found | {place: file for file, place in places.items()}
+
+
+def _normal(path: Path) -> Path:
+    """Return an absolute path without "..", whose links are not followed."""
+    return Path(os.path.normpath(path.absolute()))
+
+
+def _mjcf(values: Mapping[str, Any], path: Path) -> Path:
+    """Return the path of the MJCF file of a description."""
     mjcf = values.get("mjcf")
     if not isinstance(mjcf, str):
         raise UserError(
             f"{str(path)!r}: field mjcf must be the path of an MJCF file, got {mjcf!r}."
         )
-    return from_dict(kind, {**values, "mjcf": _resolve(mjcf, path)}, where=str(path))
+    return _resolve(mjcf, path)
 
 
 def menagerie_folder() -> Path:
