@@ -62,7 +62,7 @@ class ClockedRobot(RobotNode):
 
     def __init__(self, config: EnvConfig, topics: Topics, delay_s: float) -> None:
         super().__init__(config, topics, self._wait, delay_s)
-        self._now, self._before, self._topics = 10**9, 0, topics
+        self._now, self._topics = 10**9, topics
         self._clock = self.create_publisher(Clock, "/clock", 1)
         self.executor_ = SingleThreadedExecutor()
         self.executor_.add_node(self)
@@ -72,11 +72,7 @@ class ClockedRobot(RobotNode):
 
     def play_with(self, driver: Watched, episode: Episodes, periods: int) -> bool:
         """Play an episode with a driver."""
-        self.node, self.driver, self._before = (
-            DriverNode(driver, self._topics),
-            driver,
-            self.commands,
-        )
+        self.node, self.driver = DriverNode(driver, self._topics), driver
         self.executor_.add_node(self.node)
         topic = self._topics.trajectory
         self._spin_until(
@@ -102,7 +98,7 @@ class ClockedRobot(RobotNode):
             self._spin_until(lambda: self.node.get_clock().now().nanoseconds == self._now)
             timer = next(iter(self.node.timers))
             self._spin_until(lambda: not timer.is_ready())
-            self._spin_until(lambda: self.commands - self._before == driver.steps)
+            self._spin_until(lambda: self.commands == driver.steps)
         self._now += round(TICK_S * 1e9)
 
 
