@@ -3,7 +3,6 @@
 Everything it knows comes from the run folders, so it can be killed and started again at any time.
 """
 
-import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,7 +19,6 @@ from knowarm.study.ray_executor import RayExecutor
 from knowarm.study.status import FAILURE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
-RUN_GIB = 0.15  # disk space that a run of default length may take
 POLL_S = 0.5  # time between two looks at the workers [s]
 STATUS_S = 2.0  # time between two readings of all run folders [s]
 UNFINISHED = ("waiting", "stalled", "trained")  # states in which a free run is worked on
@@ -47,8 +45,8 @@ def run_study(
         The status of every run at the end.
 
     Raises:
-        UserError: ``out`` holds another study, or a run with another config; it is in use; the
-            machine is too small for one run; or there is too little disk space.
+        UserError: ``out`` holds another study, or a run with another config; it is in use; or the
+            machine is too small for one run.
     """
     out = Path(out)
     check_folder(study, out)
@@ -88,11 +86,9 @@ def check_folder(study: StudyConfig, out: Path) -> None:
                 f"needs: remove the folders of unfinished runs ({len(begun)}) to start these "
                 "again, or choose another folder."
             )
-    missing = 0
     for config in study.runs():
         folder = RunFolder(run_path(out, config))
         if not folder.config_path.exists():
-            missing += 1
             continue
         different: dict[str, str] = {}
         with suppress(UserError):  # damaged: this run alone fails
@@ -102,13 +98,6 @@ def check_folder(study: StudyConfig, out: Path) -> None:
                 f"The run {folder.path} has another config than the study (run | study): "
                 f"{'; '.join(different.values())}. Change the study back, or choose another folder."
             )
-    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
-    free, needed = shutil.disk_usage(there).free / 2**30, RUN_GIB * missing
-    if free < needed:
-        raise UserError(
-            f"{missing} runs may take {needed:.1f} GiB, and {there} has {free:.1f} GiB free: free "
-            "space, or choose a folder on another disk."
-        )
 
 
 def retry(out: Path, names: Sequence[str] = ()) -> list[str]:

@@ -17,9 +17,11 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.speed import measure_training
 from knowarm.study.config import StudyConfig
-from knowarm.study.driver import RUN_GIB, make_executor
+from knowarm.study.driver import make_executor
 from knowarm.study.status import RunStatus, study_status
 
+RUN_GIB = 0.15
+"""Disk space that a run of default length may take [GiB]."""
 SECONDS = 6.0
 """Measuring time, after the first updates [s]."""
 

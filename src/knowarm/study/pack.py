@@ -103,7 +103,7 @@ def unpack_study(file: Path, out: Path) -> Path:
     """Write the files of a pack to a new folder, and compare each with its digest.
 
     Packs of strangers are safe: only regular files of the manifest are written, inside the folder,
-    and none that is larger than the manifest states or than the free disk space.
+    and none that is larger than the manifest states.
 
     Returns:
         ``out``, which `knowarm report` and `knowarm evaluate` read; its runs cannot be resumed.
@@ -148,8 +148,8 @@ def _extract(archive: tarfile.TarFile, folder: Path, most: int) -> None:
         name = member.name
         if name not in sizes or (folder / name).exists():
             raise ValueError(f"{name} is not one of the manifest's files")
-        if member.size > min(sizes[name], shutil.disk_usage(folder).free):
-            raise ValueError(f"{name} is larger than its manifest or the free disk space allows")
+        if member.size > sizes[name]:
+            raise ValueError(f"{name} is larger than its manifest allows")
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
         if name == PACKED:
             manifest = json.loads((folder / PACKED).read_bytes())
