@@ -19,7 +19,7 @@ from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import EnvFactory, Parts, build
+from knowarm.experiment.build import Parts, build
 from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images
@@ -285,7 +285,7 @@ def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worke
         on_metrics=record,
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
-    make_env = EnvFactory(chosen.env, KnowledgeTable(parts.table))
+    make_env = partial(KnowledgeTable(parts.table).make_env, chosen.env)
     policy = parts.new_policy(config.seed)
     trainer = A3CTrainer(a3c, policy, make_env, seed=config.seed, hooks=hooks)
     trainer.train(UNLIMITED)

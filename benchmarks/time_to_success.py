@@ -84,10 +84,8 @@ def refuse_module(experiment: ExperimentConfig) -> None:
 
 def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentConfig:
     """Return the experiment of the same robot, task, agent and colours with another algorithm."""
-    env = experiment.env
-    return experiment_config(
-        str(ExperimentName(env.robot, env.task.kind_of(), experiment.agent, env.colours, algorithm))
-    )
+    env, agent = experiment.env, experiment.agent
+    return ExperimentName(env.robot, env.task.kind_of(), agent, env.colours, algorithm).config()
 
 
 def trainer_of(

@@ -206,7 +206,7 @@ SLOW = {"analogy"}  # trains a graph embedding
     ],
 )
 def test_every_agent_can_be_built(name, task):
-    config = experiment_config(str(ExperimentName("irb120", task, name, "randomized", "ppo")))
+    config = ExperimentName("irb120", task, name, "randomized", "ppo").config()
     parts = build(config)
     table = questions_of(config.env)
     rows = len(parts.facets) if table is None else len(table.queries)

@@ -13,7 +13,7 @@ import torch
 
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.experiment.build import EnvFactory, build
+from knowarm.experiment.build import build
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate, known_in_test
@@ -278,7 +278,7 @@ def test_an_episode_keeps_its_row_until_the_next_begins(files):
     env = replace(env_of(REACH), max_episode_steps=3)
     module = FacetClassifier.read(files[REACH])
     select = NamedFacet(module, env, build(experiment_config(REACH)).table)
-    world = EnvFactory(env, select)(6)
+    world = select.make_env(env, 6)
     world.reset(seed=4)
     start = world.knowledge.clone()
     actions = torch.zeros((6, 6), dtype=torch.int64)
@@ -289,7 +289,7 @@ def test_an_episode_keeps_its_row_until_the_next_begins(files):
         expected = torch.where(fresh[:, None], select(images, world.knowledge_input), start)
         assert torch.equal(world.knowledge, expected)
     state = world.get_state()
-    other = EnvFactory(env, select)(6)
+    other = select.make_env(env, 6)
     other.reset(seed=9)
     other.set_state(state)
     assert torch.equal(other.knowledge, world.knowledge)

@@ -84,7 +84,7 @@ class Train:
             experiment = replace(experiment, task=task_type(task).kind_of())
         if robot is not None:
             values["env"] = {**values.get("env", {}), "robot": robot}
-        config = experiment_config(str(experiment), **values)
+        config = experiment.config(**values)
         prog = f"{prog} {name}"
         rest = answer_help(cls(config=config), prog, rest, FIRST)
 

@@ -40,8 +40,9 @@ class Algorithm:
     config: AlgorithmConfig
     """Default hyperparameters; their literal ``name`` is the registry's name of the trainer."""
     make_trainer: "Callable[..., Trainer]"
-    """Builds a trainer from ``config``, the ``policy`` that it trains in place, and ``make_env``, a
-    picklable `build.EnvFactory`. Further options are those of `knowarm.learn.Trainer`."""
+    """Builds a trainer from ``config``, the ``policy`` that it trains in place, and ``make_env``,
+    which makes a number of environments of the experiment and can be pickled. Further options are
+    those of `knowarm.learn.Trainer`."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)

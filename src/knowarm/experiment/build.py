@@ -11,29 +11,13 @@ from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import INTERIM_SEED, ExperimentConfig, InterimConfig
 from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.knowledge import Embedding
-from knowarm.learn import TorchVectorEnv, Trainer
+from knowarm.learn import Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, robot_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS
-
-
-@dataclass(frozen=True)
-class EnvFactory:
-    """Picklable factory of the training environments of a run."""
-
-    config: EnvConfig
-    knowledge: KnowledgeInput
-
-    def __call__(
-        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
-    ) -> TorchVectorEnv:
-        """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
-        return self.knowledge.make_env(
-            self.config, num_envs, device=device, num_threads=num_threads
-        )
 
 
 def interim_evaluation(
@@ -78,7 +62,7 @@ def make_trainer(
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
     evaluation = partial(interim_evaluation, config.env, config.interim, knowledge)
-    options |= {"make_env": EnvFactory(config.env, knowledge), "make_evaluate": evaluation}
+    options |= {"make_env": partial(knowledge.make_env, config.env), "make_evaluate": evaluation}
     return algorithms()[config.algorithm.name].make_trainer(
         config.algorithm, policy, seed=config.seed, **options
     )

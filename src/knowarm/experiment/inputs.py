@@ -18,9 +18,13 @@ class KnowledgeTable:
     table: np.ndarray
     """(rows, K) float32, one row per `Task.knowledge_rows`; K may be 0."""
 
-    def make_env(self, config: EnvConfig, num_envs: int, **options: Any) -> TorchArmVectorEnv:
+    def make_env(
+        self, config: EnvConfig, num_envs: int, num_threads: int = 0, **options: Any
+    ) -> TorchArmVectorEnv:
         """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-        return TorchArmVectorEnv(config, num_envs, table=self.table, **options)
+        return TorchArmVectorEnv(
+            config, num_envs, table=self.table, num_threads=num_threads, **options
+        )
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """Make an agent with this knowledge; options as `PolicyAgent`."""

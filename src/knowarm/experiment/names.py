@@ -39,14 +39,14 @@ class ExperimentName:
     algorithm: str
 
     def __post_init__(self) -> None:
-        for what, value, known in (
+        for what, value, names in (
             ("robot", self.robot, [*ROBOTS, *KNOWN_ARMS]),
             ("task", self.task, task_names()),
             ("agent", self.agent, AGENTS),
             ("algorithm", self.algorithm, algorithms()),
         ):
-            if value not in known and not (what == "robot" and value.endswith(SUFFIX)):
-                raise unknown_name(f"{what} of the experiment", value, known)
+            if value not in names and not (what == "robot" and value.endswith(SUFFIX)):
+                raise unknown_name(f"{what} of the experiment", value, names)
         if self.task not in (tasks := tasks_of(AGENTS[self.agent])):
             raise UserError(
                 f"The agent {self.agent!r} has no experiment of the task {self.task!r}; it has "
@@ -95,18 +95,43 @@ class ExperimentName:
             raise UserError(f"The experiment {text!r} is named {str(name)!r}; give this name.")
         return name
 
+    def config(self, **overrides: Any) -> ExperimentConfig:
+        """Return the config of the experiment; overrides as in `experiment_config`."""
+        agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
+        task, knows = override(task_type(self.task)(), agent.task), agent.knows
+        policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
+        queries = task.query_source
+        if knows.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
+            # described by the graph of the questions
+            knows = override(knows, {"graph": queries.graph, "aliases": QUERY.aliases})
+        config = ExperimentConfig(
+            name=str(self),
+            agent=self.agent,
+            algorithm_name=self.algorithm,
+            role=agent.role,
+            total_steps=algorithm.total_steps,
+            env=EnvConfig(robot=self.robot, task=task, colours=self.colours),
+            knows=knows,
+            policy=override(agent.policy, policy, where="policy"),
+            algorithm=algorithm.config,
+        )
+        config = override(override(config, task.training.get(self.algorithm, {})), overrides)
+        if "name" in overrides or config.env.robot == self.robot:
+            return config
+        return replace(config, name=str(replace(self, robot=config.env.robot)))
+
 
 def tasks_of(agent: Agent) -> list[str]:
     """Return the tasks in which an agent is an experiment.
 
     Its knowledge describes something in them, and they have the fields that it changes.
     """
-    found = []
+    tasks = []
     for name in agent.tasks or task_names():
         task = task_type(name)
         if agent.knows.fits(task) and {field.name for field in fields(task)}.issuperset(agent.task):
-            found.append(name)
-    return found
+            tasks.append(name)
+    return tasks
 
 
 def colours_of(task: str) -> tuple[Colours, ...]:
@@ -154,30 +179,4 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
         UserError: there is no experiment of that name (the message lists the nearest names), or an
             override does not fit.
     """
-    parsed = ExperimentName.parse(name)
-    config = override(_config(parsed), overrides)
-    if "name" in overrides or config.env.robot == parsed.robot:
-        return config
-    return replace(config, name=str(replace(parsed, robot=config.env.robot)))
-
-
-def _config(name: ExperimentName) -> ExperimentConfig:
-    agent, algorithm = AGENTS[name.agent], algorithms()[name.algorithm]
-    task, knows = override(task_type(name.task)(), agent.task), agent.knows
-    policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
-    queries = task.query_source
-    if knows.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
-        # described by the graph of the questions
-        knows = override(knows, {"graph": queries.graph, "aliases": QUERY.aliases})
-    config = ExperimentConfig(
-        name=str(name),
-        agent=name.agent,
-        algorithm_name=name.algorithm,
-        role=agent.role,
-        total_steps=algorithm.total_steps,
-        env=EnvConfig(robot=name.robot, task=task, colours=name.colours),
-        knows=knows,
-        policy=override(agent.policy, policy, where="policy"),
-        algorithm=algorithm.config,
-    )
-    return override(config, task.training.get(name.algorithm, {}))
+    return ExperimentName.parse(name).config(**overrides)

@@ -69,9 +69,11 @@ class Recognition(nn.Module):
         parts = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
         return torch.cat([self.locate(*part) for part in parts])
 
-    def make_env(self, config: EnvConfig, num_envs: int, **options: Any) -> TorchArmVectorEnv:
+    def make_env(
+        self, config: EnvConfig, num_envs: int, num_threads: int = 0, **options: Any
+    ) -> TorchArmVectorEnv:
         """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-        return PerceivingVectorEnv(config, num_envs, self, **options)
+        return PerceivingVectorEnv(config, num_envs, self, num_threads=num_threads, **options)
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """Make an agent with this knowledge; options as `PolicyAgent`."""
