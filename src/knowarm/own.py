@@ -14,40 +14,42 @@ from knowarm.errors import UserError
 
 @cache
 def installed(group: str) -> dict[str, str]:
-    """Return the places of the entry points of installed packages in a group, by name."""
+    """Return the import paths of entry points of installed packages in a group, by name."""
     return {point.name: point.value for point in entry_points(group=group)}
 
 
 def named_by(variable: str) -> list[str]:
-    """Return the places that an environment variable names, separated by commas."""
-    return [place for place in os.environ.get(variable, "").split(",") if place]
+    """Return the import paths in an environment variable, separated by commas."""
+    return [path for path in os.environ.get(variable, "").split(",") if path]
 
 
-def share(variable: str, place: str) -> None:
-    """Name a place in an environment variable, last, for the processes that this one starts."""
-    others = (each for each in named_by(variable) if each != place)
-    os.environ[variable] = ",".join([*others, place])
+def share(variable: str, import_path: str) -> None:
+    """Add an import path to an environment variable, last, for processes that this one starts."""
+    others = (each for each in named_by(variable) if each != import_path)
+    os.environ[variable] = ",".join([*others, import_path])
 
 
-def load(place: str, what: str, fits: Callable[[Any], bool], needed: str) -> Any:
+def load(import_path: str, what: str, fits: Callable[[Any], bool], needed: str) -> Any:
     """Import a task, an algorithm or a policy, as ``what`` says.
 
     Raises:
-        UserError: it is no place, cannot be imported, or is not what is ``needed``.
+        UserError: it is not of that form, cannot be imported, or is not what is ``needed``.
     """
-    module, _, name = place.partition(":")
+    module, _, name = import_path.partition(":")
     if not module or module.startswith(".") or not name:
-        raise UserError(f"Your own {what} is given as package.module:Name, got {place!r}.")
+        raise UserError(f"Your own {what} is given as package.module:Name, got {import_path!r}.")
     if str(Path.cwd()) not in sys.path:  # the program's own start leaves it out
         sys.path.append(str(Path.cwd()))
     try:
-        found = getattr(import_module(module), name, None)
+        part = getattr(import_module(module), name, None)
     except ImportError as error:
         raise UserError(
-            f"Cannot import the {what} {place!r}: {error}. Give package.module:Name, and run from "
-            "a folder that contains the package, or install it."
+            f"Cannot import the {what} {import_path!r}: {error}. Give package.module:Name, and run "
+            "from a folder that contains the package, or install it."
         ) from error
-    if not fits(found):
-        has = "no" if found is None else "another"
-        raise UserError(f"{place!r} is no {what}: {module} has {has} {name!r}. Name {needed}.")
-    return found
+    if not fits(part):
+        has = "no" if part is None else "another"
+        raise UserError(
+            f"{import_path!r} is no {what}: {module} has {has} {name!r}. Name {needed}."
+        )
+    return part

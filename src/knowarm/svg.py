@@ -23,13 +23,13 @@ def element(tag: str, *children: str, **attributes: object) -> str:
     Values of attributes are escaped. ``class_`` becomes ``class``, underscores become hyphens,
     floats are rounded to two decimals, and None leaves the attribute out.
     """
-    shown = "".join(
+    written = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(number(value), quote=True)}"'
         for name, value in attributes.items()
         if value is not None
     )
     inner = "".join(children)
-    return f"<{tag}{shown}>{inner}</{tag}>" if inner else f"<{tag}{shown}/>"
+    return f"<{tag}{written}>{inner}</{tag}>" if inner else f"<{tag}{written}/>"
 
 
 def label(x: float, y: float, words: str, **attributes: object) -> str:

@@ -69,7 +69,7 @@ def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     np.testing.assert_array_equal(score.is_solved(first), result.success)
     changed = actions.copy()
     changed[20:] = 0
-    again, _ = score.play(changed, known=first, since=20)
+    again, _ = score.play(changed, solved_at=first, since=20)
     np.testing.assert_array_equal(again, score.play(changed)[0])
     early, half = score.play(actions[:20])
     late, _ = score.play(actions[20:], half, np.where(score.is_solved(early), -1, 0))

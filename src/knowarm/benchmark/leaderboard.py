@@ -29,7 +29,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     A row's rank is one more than the number of rows whose interval lies wholly above its own.
     """
-    found = []
+    result = []
     for suite in (read_suite(name) for name in dict.fromkeys(row["suite"] for row in rows)):
         for name in dict.fromkeys(cell.table for cell in suite.cells.values()):
             cells = [key for key, cell in suite.cells.items() if cell.table == name]
@@ -44,8 +44,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             lines.sort(key=lambda line: (line["rank"], -line["mean"], line["name"]))
             controls = [c for c in CONTROLS if any(c in line["controls"] for line in lines)]
             table = {"suite": suite, "name": name, "cells": cells, "controls": controls}
-            found.append(table | {"lines": lines, "short": [c.partition("-")[2] for c in cells]})
-    return [table for table in found if table["lines"]]
+            result.append(table | {"lines": lines, "short": [c.partition("-")[2] for c in cells]})
+    return [table for table in result if table["lines"]]
 
 
 def left_out(rows: Sequence[dict[str, Any]]) -> list[str]:

@@ -61,12 +61,12 @@ def run_suite(
     ]
     _check_seeds(entrants)
     played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
-    for each in entrants:
+    for entrant in entrants:
         for cell in chosen:
-            outcome = _play_cell(suite, cell, each)
+            outcome = _play_cell(suite, cell, entrant)
             played[cell.name].append(outcome)
             solved = _outcomes(outcome["policy"]["success"]).sum()
-            report(f"{cell.name}: {each.spec} succeeds in {solved:,} episodes")
+            report(f"{cell.name}: {entrant.spec} succeeds in {solved:,} episodes")
     row = {
         "format": FORMAT,
         "suite": suite.name,

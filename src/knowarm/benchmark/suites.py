@@ -107,13 +107,13 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     queries = np.array(values.pop("queries"))
     cells = {}
     for name, cell in values.pop("cells").items():
-        found = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
-        found["question"] = queries[found["question"]]
+        episodes = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
+        episodes["question"] = queries[episodes["question"]]
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
         if (graph := cell.pop("graph", None)) is not None:
             triples = [tuple(text.split("\t")) for text in graph["triples"]]
             cell["graph"] = graph_of(triples, nodes=graph["entities"])
         listed = columns[f"{name}/open_loop"].astype(np.int64)
-        cells[name] = Cell(name, env, episodes=Episodes(**found), open_loop=listed, **cell)
+        cells[name] = Cell(name, env, episodes=Episodes(**episodes), open_loop=listed, **cell)
     del values["format"]
     return Suite(**values, cells=cells, data=(text, arrays))

@@ -143,7 +143,7 @@ def _groups(config: Any, prefix: str = "") -> Iterator[str]:
 def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> type:
     """Return a class like a config's, with its values as defaults, whose help shows some fields."""
     types = get_type_hints(type(config), include_extras=True)
-    shown: list[tuple[str, Any, Any]] = []
+    fields: list[tuple[str, Any, Any]] = []
     for name, value in vars(config).items():
         kind: Any = types[name]
         default: Callable[[], Any] = partial(copy, value)
@@ -153,10 +153,10 @@ def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> 
             kind = Annotated[default, *extras] if extras else default
         elif not is_shown(prefix + name):
             kind = Annotated[kind, tyro.conf.Suppress]
-        shown.append((name, kind, field(default_factory=default)))
+        fields.append((name, kind, field(default_factory=default)))
     options: dict[str, Any] = {"bases": (type(config),), "frozen": True, "kw_only": True}
     options["namespace"] = {"__doc__": type(config).__doc__}
-    return make_dataclass(type(config).__name__, shown, **options)
+    return make_dataclass(type(config).__name__, fields, **options)
 
 
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:
@@ -179,7 +179,7 @@ def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list
 
     Options of its fields (`--source.file`) are left in place.
     """
-    rest, found = [], None
+    rest, value = [], None
     words = iter(arguments)
     for word in words:
         option, equals, name = word.partition("=")
@@ -189,10 +189,10 @@ def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list
         name = name if equals else next(words, "--")
         if name.startswith("--"):
             raise UserError(f"{flag} needs a name, e.g. {flag} {example}.")
-        if found is not None:
+        if value is not None:
             raise UserError(f"{flag} is given twice; give it once.")
-        found = name
-    return rest, found
+        value = name
+    return rest, value
 
 
 def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], "VectorSource | None"]:

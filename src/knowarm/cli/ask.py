@@ -74,38 +74,38 @@ class Ask(TableCommand):
             if self.browser:
                 serve_page(make_server(ask, self.question, self.edit, self.scene, self.port))
                 return {}
-            found = ask(self.question, self.edit, self.scene)
+            asked = ask(self.question, self.edit, self.scene)
         finally:
             asker.close()
-        _print(found)
+        _print(asked)
         if self.page is not None:
-            write_page(Path(self.page), found, self.edit)
+            write_page(Path(self.page), asked, self.edit)
             print(f"Wrote {self.page}")
         return {
-            "question": found.answers.question,
-            "answers": {"/".join(f): list(why) for f, why in found.answers.evidence.items()},
-            "scene": found.scene,
-            "shown": ["/".join(facet) for facet in found.shown],
-            "named": ["/".join(facet) for facet in found.named],
-            "visible_answers": found.visible,
-            "reached": "/".join(found.reached),
-            "right": found.right,
-            "success": found.film[-1].success,
-            "steps": found.film[-1].step,
+            "question": asked.answers.question,
+            "answers": {"/".join(f): list(why) for f, why in asked.answers.evidence.items()},
+            "scene": asked.scene,
+            "shown": ["/".join(facet) for facet in asked.shown],
+            "named": ["/".join(facet) for facet in asked.named],
+            "visible_answers": asked.visible,
+            "reached": "/".join(asked.reached),
+            "right": asked.right,
+            "success": asked.film[-1].success,
+            "steps": asked.film[-1].step,
         }
 
 
-def _print(found: Asked) -> None:
+def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
-    lines = found.table
-    title = f"Answers in the graph to: {found.answers.question}"
+    lines = asked.table
+    title = f"Answers in the graph to: {asked.answers.question}"
     print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
-    for what, facets in (("stand", found.shown), ("the network names", found.named)):
+    for what, facets in (("stand", asked.shown), ("the network names", asked.named)):
         marked = [
-            " ".join(reversed(each)) + " (answers)" * (each in found.answers.evidence)
+            " ".join(reversed(each)) + " (answers)" * (each in asked.answers.evidence)
             for each in facets
         ]
-        print(printable(f"In scene {found.scene} {what}: {', '.join(marked)}."))
-    print(printable(found.outcome))
+        print(printable(f"In scene {asked.scene} {what}: {', '.join(marked)}."))
+    print(printable(asked.outcome))

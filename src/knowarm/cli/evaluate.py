@@ -91,19 +91,19 @@ class ConditionOptions:
 
     def test(self) -> list[BaseTest]:
         """Return the conditions in the order in which they apply."""
-        found: list[BaseTest] = [HeldOutTest()] if self.held_out else []
+        conditions: list[BaseTest] = [HeldOutTest()] if self.held_out else []
         if self.split is None and self.edited is not None:
             raise UserError("--edited is the graph of split S5: give --split S5.")
         if self.split is not None:
-            found.append(SplitTest(split=self.split, edited=self.edited))
+            conditions.append(SplitTest(split=self.split, edited=self.edited))
         if self.graph is not None:
-            found.append(GraphTest(graph=self.graph))
+            conditions.append(GraphTest(graph=self.graph))
         if self.reasoning is not None or self.unclear != "guess":
-            found.append(ReasoningTest(by=self.reasoning, unclear=self.unclear))
+            conditions.append(ReasoningTest(by=self.reasoning, unclear=self.unclear))
         if self.damage is not None or self.repair is not None:
             how: dict[str, Any] = {"share": self.damage_share, "seed": self.damage_seed}
-            found.append(DamageTest(damage=self.damage, repair=self.repair, **how))
-        return found
+            conditions.append(DamageTest(damage=self.damage, repair=self.repair, **how))
+        return conditions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,10 +121,10 @@ class ProbeOptions:
 
     def probes(self) -> list[BaseProbe]:
         """Return the probes."""
-        found: list[BaseProbe] = [StepsProbe()] if self.record_steps else []
-        found += [FilmsProbe(episodes=self.record_films)] if self.record_films else []
-        found += [BlindProbe(episodes=self.blind_episodes)] if self.blind_episodes else []
-        return [*found, *([LiftProbe()] if self.lift else [])]
+        probes: list[BaseProbe] = [StepsProbe()] if self.record_steps else []
+        probes += [FilmsProbe(episodes=self.record_films)] if self.record_films else []
+        probes += [BlindProbe(episodes=self.blind_episodes)] if self.blind_episodes else []
+        return [*probes, *([LiftProbe()] if self.lift else [])]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,8 +31,8 @@ class List(TableCommand):
     def result(self) -> dict[str, Any]:
         """Print one table per kind."""
         arms = [find_robot(name) for name in KNOWN_ARMS]
-        shown = [self.kind] if self.kind else get_args(Kind)
-        if "robots" in shown:
+        kinds = [self.kind] if self.kind else get_args(Kind)
+        if "robots" in kinds:
             rows: list[list[Any]] = [
                 [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
                 for name, entry in ROBOTS.items()
@@ -44,7 +44,7 @@ class List(TableCommand):
             print_table(title, ["robot", "name", "file"], rows)
             if "missing" in files:
                 print(f"To get the missing files: {HOW_TO_GET}.\n")
-        if "agents" in shown:
+        if "agents" in kinds:
             grounded = "; grounded by the simulator's labels in training"
             rows = [
                 [name, agent.role, agent.about + grounded * agent.knows.is_grounded]
@@ -54,7 +54,7 @@ class List(TableCommand):
             rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
             title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
             print_table(title, ["agent", "description"], rows)
-        if "algorithms" in shown:
+        if "algorithms" in kinds:
             rows = [
                 [
                     name,
@@ -66,13 +66,13 @@ class List(TableCommand):
             ]
             columns = ["algorithm", "steps", "simulator's state in training", "description"]
             print_table("Algorithms", columns, rows)
-        if "targets" in shown:
+        if "targets" in kinds:
             alike: dict[str, list[str]] = {}
             for name, target in TARGETS.items():
                 alike.setdefault(", ".join(target.colours), []).append(name)
             rows = [[", ".join(names), colours] for colours, names in alike.items()]
             print_table("Targets", ["targets", "colours, the fixed one first"], rows)
-        if "experiments" in shown:
+        if "experiments" in kinds:
             print(
                 "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for\n"
                 "randomized colours, and with the task after the robot if it is not reach. A\n"

@@ -49,10 +49,10 @@ def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
     def show(statuses: Sequence[RunStatus]) -> None:
         nonlocal last_line
         changed = [each for each in statuses if states.get(each.run) != each.state]
-        for each in changed:
-            if each.run in states or each.state != "waiting":
-                detail = f": {printable(each.detail)}" if each.detail else ""
-                print(f"{each.name} {each.state}{detail}", flush=True)
+        for status in changed:
+            if status.run in states or status.state != "waiting":
+                detail = f": {printable(status.detail)}" if status.detail else ""
+                print(f"{status.name} {status.state}{detail}", flush=True)
         states.update({each.run: each.state for each in statuses})
         if changed or time.monotonic() - last_line >= EVERY_S:
             last_line = time.monotonic()
@@ -134,9 +134,9 @@ class StudyShow:
         seeds = ", ".join(map(str, study.seeds))
         title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
         print_table(title, ["experiment", "steps"], steps.items())
-        for each in study.evaluations:
-            seeds = f"{each.seeds} seed{'s' * (each.seeds != 1)}"
-            print(f"Evaluated on {each.episodes:,} episodes of {seeds}: {each.folder}")
+        for evaluation in study.evaluations:
+            seeds = f"{evaluation.seeds} seed{'s' * (evaluation.seeds != 1)}"
+            print(f"Evaluated on {evaluation.episodes:,} episodes of {seeds}: {evaluation.folder}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,8 +179,8 @@ class StudyRun:
             return
         with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
-        for each in (bad := [each for each in statuses if each.state in BAD]):
-            print(f"{each.name} {each.state}: {printable(each.detail)}")
+        for status in (bad := [each for each in statuses if each.state in BAD]):
+            print(f"{status.name} {status.state}: {printable(status.detail)}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
         if all(each.state == "done" for each in statuses):
@@ -201,21 +201,21 @@ def _print_estimate(study: StudyConfig, out: Path) -> None:
     print(f"Measuring training, {SECONDS + START_S:.0f} s if idle ...", file=sys.stderr, flush=True)
     with Progress(TimeElapsedColumn(), console=Console(stderr=True), transient=True) as clock:
         clock.add_task("", total=None)
-        found = estimate(study, out)
+        estimated = estimate(study, out)
     steps: dict[str, list[int]] = {}
-    for each in found.statuses:
+    for each in estimated.statuses:
         steps.setdefault(each.experiment, []).append(each.steps_left)
     rows = [[name, len(left), sum(left)] for name, left in steps.items()]
     print_table(f"Study {study.name}: to do", ["experiment", "runs", "steps"], rows)
     if rows:
         print(
-            f"{found.steps:,} steps of training and at most {found.evaluation_steps:,} of "
-            f"evaluation, at {found.steps_per_s:,.0f} steps/s (measured: {rows[0][0]}; others "
+            f"{estimated.steps:,} steps of training and at most {estimated.evaluation_steps:,} of "
+            f"evaluation, at {estimated.steps_per_s:,.0f} steps/s (measured: {rows[0][0]}; others "
             "differ):"
         )
     print(
-        f"about {found.core_hours:.2f} core hours; {found.hours:.2f} hours with {found.slots} runs "
-        f"at once; up to {found.disk_gib:.1f} GiB. Nothing was started."
+        f"about {estimated.core_hours:.2f} core hours; {estimated.hours:.2f} hours with "
+        f"{estimated.slots} runs at once; up to {estimated.disk_gib:.1f} GiB. Nothing was started."
     )
 
 

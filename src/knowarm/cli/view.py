@@ -100,14 +100,14 @@ class View:
             options: dict[str, Any] = {"port": self.port, "open_browser": self.browser}
             watch(agent, env, episodes, title=title, on_end=partial(print, flush=True), **options)
             return
-        films, known = [], []
+        films, knowledge = [], []
         for number in range(len(episodes)):
             films.append(record_episode(agent, env, episodes[number : number + 1]))
             if self.rrd is not None:
-                known.append(self._known(agent, films[-1][0].policy))
+                knowledge.append(self._knowledge(agent, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
-        write_recording = partial(write_rrd, joints=env.scene.joint_names, known=known)
+        write_recording = partial(write_rrd, joints=env.scene.joint_names, knowledge=knowledge)
         for path, write in (
             (self.video, write_video),
             (self.strip, write_strip),
@@ -117,7 +117,7 @@ class View:
                 write(path, films)
                 print(f"Wrote {path}")
 
-    def _known(self, agent: AgentProtocol, image: Any) -> dict[str, Any]:
+    def _knowledge(self, agent: AgentProtocol, image: Any) -> dict[str, Any]:
         """Return what the agent knows in the episode that it has played."""
         if is_scripted(self.agent):
             return {}

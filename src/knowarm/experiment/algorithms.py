@@ -148,33 +148,35 @@ DEMO_ALGORITHM = "distil"
 
 def algorithms() -> dict[str, Algorithm]:
     """Return all algorithms by name: shipped, installed and registered."""
-    for place in (*installed(GROUP).values(), *named_by(VARIABLE)):
-        _add(place)
+    for import_path in (*installed(GROUP).values(), *named_by(VARIABLE)):
+        _add(import_path)
     return ALGORITHMS
 
 
-def register_algorithm(place: str) -> Algorithm:
+def register_algorithm(import_path: str) -> Algorithm:
     """Add an algorithm of your own module to ``ALGORITHMS``, by the ``name`` of its config.
 
     Processes that this one starts know it, too.
 
     Args:
-        place: where the `Algorithm` is, as ``package.module:Name``.
+        import_path: where the `Algorithm` is, as ``package.module:Name``.
 
     Raises:
         UserError: it cannot be imported, is no algorithm, or has the name of another one.
     """
-    found = _add(place)
-    share(VARIABLE, place)
-    return found
+    algorithm = _add(import_path)
+    share(VARIABLE, import_path)
+    return algorithm
 
 
-def _add(place: str) -> Algorithm:
+def _add(import_path: str) -> Algorithm:
     needed = "an instance of knowarm.Algorithm"
-    found: Algorithm = load(place, "algorithm", lambda each: isinstance(each, Algorithm), needed)
-    if ALGORITHMS.setdefault(found.config.name, found) is not found:
+    algorithm: Algorithm = load(
+        import_path, "algorithm", lambda each: isinstance(each, Algorithm), needed
+    )
+    if ALGORITHMS.setdefault(algorithm.config.name, algorithm) is not algorithm:
         raise UserError(
-            f"The config of the algorithm {place} has the name {found.config.name!r}, which "
-            "another one has already; give its field ``name`` another literal."
+            f"The config of the algorithm {import_path} has the name {algorithm.config.name!r}, "
+            "which another one has already; give its field ``name`` another literal."
         )
-    return found
+    return algorithm

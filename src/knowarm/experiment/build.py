@@ -92,8 +92,8 @@ def build(config: ExperimentConfig) -> Parts:
     It has a row per query in a task with queries, unless knowledge is perceived, else per facet.
     """
     knows, env = config.knows, config.env
-    known, policy = knows.embed(env, config.seed), knows.policy(config.policy)
-    width, slots = knows.input_sizes(known)
+    embedded, policy = knows.embed(env, config.seed), knows.policy(config.policy)
+    width, slots = knows.input_sizes(embedded)
     shape = PolicyShape(
         joints=len(env.task.joint_names(robot_of(env))),
         levels=len(ACTION_LEVELS),
@@ -102,5 +102,5 @@ def build(config: ExperimentConfig) -> Parts:
         knowledge_slots=slots,
     )
     is_read = knows.is_grounded or not (policy.wide or policy.fusion == "none")
-    table = known.table if is_read else known.table[:, :0]
-    return Parts(known.embedding, table, policy, shape, facets_of(env))
+    table = embedded.table if is_read else embedded.table[:, :0]
+    return Parts(embedded.embedding, table, policy, shape, facets_of(env))

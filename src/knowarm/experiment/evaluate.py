@@ -152,22 +152,22 @@ def evaluate(
         columns = episode_columns(agent, result, env, config)
         is_trained = trained is not None and trained.which != "untrained"
         played = Played(agent, env, fixed, result, config.seed, is_trained)
-        found = Findings(columns)
+        findings = Findings(columns)
         for probe in config.probes:
-            probe.measure(played, found)
-    numbers, groups = summarize(found.columns, task.measures)
+            probe.measure(played, findings)
+    numbers, groups = summarize(findings.columns, task.measures)
     summary = Summary(
         agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
         label=config.folder,
         config=config,
         env=to_dict(subject.env),
         joints=tuple(env.scene.joint_names),
-        numbers=numbers | found.numbers,
-        groups=groups | found.groups,
+        numbers=numbers | findings.numbers,
+        groups=groups | findings.groups,
     )
     folder = trained.folder.evaluation(config.folder) if trained else None
     measured = EvaluationResult(
-        summary, found.columns, found.steps, result.images, folder, task.column_meanings
+        summary, findings.columns, findings.steps, result.images, folder, task.column_meanings
     )
     if write and folder is not None:
         measured.write()
@@ -244,7 +244,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     table = trained.table
     if not same or facets_of(env) != facets_of(config.env):
         table = knows.embed(env, config.seed, graph=graph, trained=config.env).table
-    known = knows.input(
+    knowledge = knows.input(
         env,
         config.seed,
         table,
@@ -252,7 +252,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
         graph=graph,
         control=by if by in ("graph-shuffled", "colours") else None,
     )
-    agent = trained.with_knowledge(known)
+    agent = trained.with_knowledge(knowledge)
     if isinstance(agent, AnsweringAgent):
         agent.unclear = subject.unclear
     return agent
@@ -261,11 +261,11 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
     own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
-    found: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
+    compared: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
     if trained.policy.uses_knowledge and not knows_task:
         both = (trained.config.env, env.config)
-        found["knowledge of"] = [each.task.knowledge_rows(facets_of(each)) for each in both]
-    for name, (one, other) in found.items():
+        compared["knowledge of"] = [each.task.knowledge_rows(facets_of(each)) for each in both]
+    for name, (one, other) in compared.items():
         if one != other:
             raise UserError(
                 f"{trained.config.name} does not fit this environment (agent | environment): "

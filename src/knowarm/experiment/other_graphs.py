@@ -1,5 +1,7 @@
 """Other graphs of the questions than that of training."""
 
+from itertools import compress
+
 import numpy as np
 
 from knowarm.config import override
@@ -32,16 +34,16 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
         path: of the graph, or the name of a shipped one.
     """
     asked(config.env)
-    known = described(read_graph(path), target_names(config.env))
-    shown = [name for name, is_known in zip(config.env.targets, known, strict=True) if is_known]
-    if len(shown) < config.env.task.visible:
+    is_described = described(read_graph(path), target_names(config.env))
+    targets = [*compress(config.env.targets, is_described)]
+    if len(targets) < config.env.task.visible:
         raise UserError(
-            f"The graph {path} describes {len(shown)} objects of the task "
-            f"({', '.join(shown) or 'none'}), and an episode shows {config.env.task.visible}. Give "
-            "a graph with triples about more of them."
+            f"The graph {path} describes {len(targets)} objects of the task "
+            f"({', '.join(targets) or 'none'}), and an episode shows {config.env.task.visible}. "
+            "Give a graph with triples about more of them."
         )
     queries = {"graph": path, "hold_out": []}
-    env = {"targets": shown, "task": {"queries": queries}}
+    env = {"targets": targets, "task": {"queries": queries}}
     return override(config, {"env": env, "knows": {"graph": path}})
 
 

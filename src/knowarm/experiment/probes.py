@@ -51,7 +51,7 @@ class BaseProbe:
     def check(self, env: "ArmVectorEnv") -> None:
         """Refuse, before anything is played, an environment that it cannot measure in."""
 
-    def measure(self, played: Played, found: Findings) -> None:
+    def measure(self, played: Played, findings: Findings) -> None:
         """Add what it measures to what was found."""
 
     def count_further(self, episodes: int) -> int:
@@ -65,11 +65,11 @@ class StepsProbe(BaseProbe):
 
     kind: Literal["steps"] = "steps"
 
-    def measure(self, played: Played, found: Findings) -> None:
+    def measure(self, played: Played, findings: Findings) -> None:
         """Add the columns of ``steps.parquet``."""
         from knowarm.experiment.evaluation_files import step_values
 
-        found.steps = step_values(played.result)
+        findings.steps = step_values(played.result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ class BlindProbe(BaseProbe):
 
         return len(BLIND_AGENTS) * min(self.episodes, episodes)
 
-    def measure(self, played: Played, found: Findings) -> None:
+    def measure(self, played: Played, findings: Findings) -> None:
         """Add the group ``blind`` and the number ``vision_gain``.
 
         By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
@@ -121,9 +121,9 @@ class BlindProbe(BaseProbe):
             share = wilson(int(np.count_nonzero(solved)), len(solved))
             numbers[name] = {"episodes": float(len(solved)), "success": share}
             numbers[name]["difference"] = share_difference(own, share)
-        found.groups["blind"] = numbers
+        findings.groups["blind"] = numbers
         seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
-        found.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
+        findings.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ class LiftProbe(BaseProbe):
             )
         build_trial_scene(robot, env.scene.targets[:1])
 
-    def measure(self, played: Played, found: Findings) -> None:
+    def measure(self, played: Played, findings: Findings) -> None:
         """Lift the object of every successful episode; add ``lift`` and ``lift_rise_m``, (n,).
 
         Every episode ends at its first state within the thresholds, so each is lifted at most once.
@@ -170,7 +170,7 @@ class LiftProbe(BaseProbe):
             paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
             lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
             outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
-        found.columns |= {"lift": outcome, "lift_rise_m": rise}
+        findings.columns |= {"lift": outcome, "lift_rise_m": rise}
 
 
 AnyProbe = StepsProbe | FilmsProbe | BlindProbe | LiftProbe

@@ -272,8 +272,8 @@ class RunFolder:
             return table
 
 
-def provenance(**known: Any) -> Provenance:
-    """Return what is ``known`` of a run with the versions, the commit, and the machine."""
+def provenance(**facts: Any) -> Provenance:
+    """Return ``facts`` of a run with the versions, the commit, and the machine."""
     return Provenance(
         versions={"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
         commit=_commit(),
@@ -283,7 +283,7 @@ def provenance(**known: Any) -> Provenance:
             "cores": os.cpu_count(),
             "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         },
-        **known,
+        **facts,
     )
 
 

@@ -125,16 +125,16 @@ def _run_text(folder: RunFolder) -> str:
         "| evaluation | episodes | success % | open-loop % | black images % |",
         "|---|---|---|---|---|",
     ]
-    for found in folder.summaries():
-        success, blind = found.interval("success"), found.groups.get("blind", {})
+    for summary in folder.summaries():
+        success, blind = summary.interval("success"), summary.groups.get("blind", {})
         controls = [
-            f"{100 * found.interval('success', 'blind', name).estimate:.1f}"
+            f"{100 * summary.interval('success', 'blind', name).estimate:.1f}"
             if name in blind
             else "-"
             for name in ("open-loop", "blind")
         ]
         share, low, high = (100 * each for each in (success.estimate, success.low, success.high))
         shown = f"{share:.1f} [{low:.1f}, {high:.1f}]"
-        cells = [found.label, f"{found['episodes']:,.0f}", shown, *controls]
+        cells = [summary.label, f"{summary['episodes']:,.0f}", shown, *controls]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

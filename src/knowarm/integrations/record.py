@@ -211,20 +211,20 @@ class _Writer:
         """Combine the statistics of the episodes."""
         combined = {}
         for name in self.schema.names:
-            each = {
+            stats = {
                 key: np.array([row[f"stats/{name}/{key}"] for row in self.rows], np.float64)
                 for key in ("min", "max", "mean", "std", "count")
             }
-            weight = each["count"] / each["count"].sum()
-            weight = weight.reshape(-1, *[1] * (each["mean"].ndim - 1))
-            mean = (weight * each["mean"]).sum(0)
-            square = (weight * (each["std"] ** 2 + each["mean"] ** 2)).sum(0)
+            weight = stats["count"] / stats["count"].sum()
+            weight = weight.reshape(-1, *[1] * (stats["mean"].ndim - 1))
+            mean = (weight * stats["mean"]).sum(0)
+            square = (weight * (stats["std"] ** 2 + stats["mean"] ** 2)).sum(0)
             combined[name] = {
-                "min": each["min"].min(0).tolist(),
-                "max": each["max"].max(0).tolist(),
+                "min": stats["min"].min(0).tolist(),
+                "max": stats["max"].max(0).tolist(),
                 "mean": mean.tolist(),
                 "std": np.sqrt(np.maximum(square - mean**2, 0)).tolist(),
-                "count": [int(each["count"].sum())],
+                "count": [int(stats["count"].sum())],
             }
         return combined
 

@@ -25,13 +25,13 @@ def write_rrd(
     path: Path,
     episodes: Sequence[Sequence[Frame]],
     joints: Sequence[str],
-    known: Sequence[Mapping[str, NDArray[np.float32]]] = (),
+    knowledge: Sequence[Mapping[str, NDArray[np.float32]]] = (),
 ) -> None:
     """Write images, joint angles, goal, distance and angle of every step.
 
     Timelines are ``episode``, ``step`` and the ``time`` of the real robot; entities are
     ``camera/policy``, ``camera/large``, ``joints/NAME`` [rad], ``distance`` [m], ``angle`` [deg]
-    and ``goal``. ``known`` holds further arrays by name, per episode: a vector, or a map of the
+    and ``goal``. ``knowledge`` holds further arrays by name, per episode: a vector, or a map of the
     image, as ``knowledge`` and ``recognition``.
     """
     rerun = check_rrd(path)
@@ -44,7 +44,7 @@ def write_rrd(
             recording.set_time("step", sequence=0)
             recording.set_time("time", duration=time / FRAMES_PER_S)
             recording.log("goal", rerun.TextLog(frames[0].goal or "reach"))
-            for name, values in known[number].items() if known else ():
+            for name, values in knowledge[number].items() if knowledge else ():
                 kind = rerun.BarChart if values.ndim == 1 else rerun.Tensor
                 recording.log(name, kind(values))
             for frame in frames:

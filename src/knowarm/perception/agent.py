@@ -94,27 +94,27 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         recognition.check_fits(config)
         super().__init__(config, num_envs, **options)
         self._recognition = copy.deepcopy(recognition).to(self.device)
-        self._known = torch.zeros((num_envs, recognition.width), device=self.device)
+        self._perceived = torch.zeros((num_envs, recognition.width), device=self.device)
 
     @property
     def knowledge(self) -> Tensor:
         """As `TorchArmVectorEnv.knowledge`."""
-        return self._known
+        return self._perceived
 
     def get_state(self) -> dict[str, np.ndarray]:
         """As `TorchArmVectorEnv.get_state`, with what was recognized."""
-        return super().get_state() | {"perceived": self._known.cpu().numpy().copy()}
+        return super().get_state() | {"perceived": self._perceived.cpu().numpy().copy()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """As `TorchArmVectorEnv.set_state`."""
         state = dict(state)
-        known = state.pop("perceived", None)
-        if known is None or known.shape != self._known.shape:
+        perceived = state.pop("perceived", None)
+        if perceived is None or perceived.shape != self._perceived.shape:
             raise UserError(
                 "The state does not hold what was recognized in this number of environments: "
                 "it belongs to another kind of environment."
             )
-        self._known = torch.from_numpy(np.array(known)).to(self.device)
+        self._perceived = torch.from_numpy(np.array(perceived)).to(self.device)
         super().set_state(state)
 
     def _observe(self) -> Tensor:
@@ -123,13 +123,13 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         ids = self._tensor(np.flatnonzero(self.running.steps == 0))
         if not len(ids):
             return images
-        known = self._known.clone()
+        knowledge = self._perceived.clone()
         if self.has_teacher:
-            known[ids] = self._recognition.true_knowledge(self.running, ids.cpu().numpy())
+            knowledge[ids] = self._recognition.true_knowledge(self.running, ids.cpu().numpy())
         else:
             rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
-            known[ids] = self._recognition(images[ids], rows)
-        self._known = known
+            knowledge[ids] = self._recognition(images[ids], rows)
+        self._perceived = knowledge
         return images
 
 
@@ -144,10 +144,10 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndar
         return {}
     images = torch.as_tensor(image[None])
     given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
-    found, scores = {"knowledge": given[0]}, None
+    arrays, scores = {"knowledge": given[0]}, None
     if (recognition := agent.recognition) is not None:
         scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
     if scores is not None:
         share = scores[0].softmax(0)
-        found["recognition"] = share.reshape(round(len(share) ** 0.5), -1)
-    return {name: value.numpy() for name, value in found.items()}
+        arrays["recognition"] = share.reshape(round(len(share) ** 0.5), -1)
+    return {name: value.numpy() for name, value in arrays.items()}

@@ -100,11 +100,11 @@ def shared(*columns: str | Column) -> list[Column]:
     ]
 
 
-def row_of(task: TaskData, each: Evaluated, *keys: str) -> Row:
+def row_of(task: TaskData, evaluated: Evaluated, *keys: str) -> Row:
     """Return the row of an agent: its name, seeds and colour, and numbers of its summary."""
-    seeds = None if isinstance(each, Reference) else len(each.evaluations)
-    row: Row = {"agent": each.name, "seeds": seeds, "_colour": task.colours[each.name]}
-    return row | {key: each.level(key) for key in keys}
+    seeds = None if isinstance(evaluated, Reference) else len(evaluated.evaluations)
+    row: Row = {"agent": evaluated.name, "seeds": seeds, "_colour": task.colours[evaluated.name]}
+    return row | {key: evaluated.level(key) for key in keys}
 
 
 def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Path]:
@@ -196,13 +196,13 @@ Block = Text | Verdict | DataTable | Figure | Films | TaskPart | Folded
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
     """Return blocks in reading order, with nested ones unfolded."""
-    found: list[Block] = []
+    unfolded: list[Block] = []
     for block in blocks:
         if isinstance(block, TaskPart | Folded):
-            found += flat(block.blocks)
+            unfolded += flat(block.blocks)
         else:
-            found.append(block)
-    return found
+            unfolded.append(block)
+    return unfolded
 
 
 @dataclass(frozen=True, kw_only=True)

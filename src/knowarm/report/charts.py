@@ -213,11 +213,11 @@ def density_chart(
     x_axis, y_axis = (Axis(title=title, decimals=1) for title in (x_title, "density"))
     parts = [axes(box, x, y, x_axis, y_axis)]
     corners = np.repeat(edges, 2).tolist()
-    for (each, values), height in zip(samples.items(), heights, strict=True):
+    for (agent, values), height in zip(samples.items(), heights, strict=True):
         levels = [0.0, *np.repeat(height, 2).tolist(), 0.0]
         points = [(x(a), y(b)) for a, b in zip(corners, levels, strict=True)]
         mean = x(min(max(float(values.mean()), x.low), x.high))
         line = element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean")
-        kind = f"series {colours[each]}"
-        parts.append(element("g", path(points, class_="area"), line, class_=kind, data_name=each))
+        kind = f"series {colours[agent]}"
+        parts.append(element("g", path(points, class_="area"), line, class_=kind, data_name=agent))
     return drawing(box.width, box.height, name, *parts, class_="chart density")

@@ -42,14 +42,14 @@ DRAWS = {"knows.seed"}
 def collect(paths: Sequence[Path]) -> StudyData:
     """Read run folders, at any depth, and sort them into tasks and agents."""
     runs, problems = read_folders(paths)
-    known = _untrained(runs)
+    references = _untrained(runs)
     by_task: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
         by_task[_task_key(run)].append(run)
     titles = _titles(list(by_task.values()))
     names = slugs(ids for ids, _ in titles)
     tasks = [
-        _task((names[ids], title), members, known, problems)
+        _task((names[ids], title), members, references, problems)
         for (ids, title), members in zip(titles, by_task.values(), strict=True)
     ]
     _report_versions(runs, problems)
@@ -62,7 +62,7 @@ def collect(paths: Sequence[Path]) -> StudyData:
 def _task(
     names: tuple[str, str],
     runs: list[RunData],
-    known: list[Reference],
+    references: list[Reference],
     problems: list[FolderProblem],
 ) -> TaskData:
     label = _label(runs)
@@ -78,17 +78,17 @@ def _task(
         for run, values in zip(same_agent, settings, strict=True):
             details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
             members[" · ".join([agent, *details])].append(run)
-        for each, chosen in members.items():
-            groups.append(Group.of(each, _one_run_per_seed(chosen, problems), label))
+        for name, chosen in members.items():
+            groups.append(Group.of(name, _one_run_per_seed(chosen, problems), label))
     own = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
-    fitting = [each for each in known if own and _same_rules(each.evaluations[0], own)]
+    fitting = [each for each in references if own and _same_rules(each.evaluations[0], own)]
     groups.sort(key=lambda group: rank(group.role, group.agent))
     return TaskData(*names, label, tuple(groups), tuple(fitting[:2]))  # enough to compare with
 
 
 def _untrained(runs: list[RunData]) -> list[Reference]:
     """Return the untrained policy's evaluation of each agent, from its lowest seed that has one."""
-    found: dict[tuple[str, str], Reference] = {}
+    references: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
         ranked = rank(run.config.role, run.agent)
@@ -98,8 +98,8 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
                 reference = Reference(f"untrained {run.agent}", [evaluation])
-                found.setdefault((_task_key(run), run.agent), reference)
-    return list(found.values())
+                references.setdefault((_task_key(run), run.agent), reference)
+    return list(references.values())
 
 
 def _label(runs: list[RunData]) -> str:
@@ -128,13 +128,13 @@ EvaluationSet = dict[Group, list[Evaluation]]
 
 def evaluation_sets(task: TaskData) -> dict[tuple[str, str], EvaluationSet]:
     """Return the evaluations of the best models by label and rules."""
-    found: dict[tuple[str, str], EvaluationSet] = defaultdict(lambda: defaultdict(list))
+    sets: dict[tuple[str, str], EvaluationSet] = defaultdict(lambda: defaultdict(list))
     for group in task.groups:
         for run in group.runs:
             for label, evaluation in run.evaluations.items():
                 if not label.endswith((UNTRAINED, LATEST)):
-                    found[label, rules(evaluation)][group].append(evaluation)
-    return dict(sorted(found.items(), key=lambda each: each[0][0]))
+                    sets[label, rules(evaluation)][group].append(evaluation)
+    return dict(sorted(sets.items(), key=lambda each: each[0][0]))
 
 
 def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
@@ -142,30 +142,32 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
 
     Without a split the queries are those of training (S1). The most common episodes count.
     """
-    found: dict[str, list[EvaluationSet]] = defaultdict(list)
-    for each in evaluation_sets(task).values():
-        summary = next(iter(each.values()))[0].summary
+    by_split: dict[str, list[EvaluationSet]] = defaultdict(list)
+    for evaluations in evaluation_sets(task).values():
+        summary = next(iter(evaluations.values()))[0].summary
         if "choice_chance" in summary:
             split: str = summary.config.split or next(iter(SPLITS))
-            found[split].append(each)
+            by_split[split].append(evaluations)
     return {
         split: [
             SplitGroup(group.name, evaluations, group, split)
             for group, evaluations in max(
-                found[split], key=lambda each: sum(map(len, each.values()))
+                by_split[split], key=lambda each: sum(map(len, each.values()))
             ).items()
         ]
-        for split in filter(found.__contains__, SPLITS)
+        for split in filter(by_split.__contains__, SPLITS)
     }
 
 
 def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) -> list[RunData]:
     """Drop evaluations on other episodes or with other thresholds than most."""
-    found = {run.path: rules(run.evaluations[label]) for run in runs if label in run.evaluations}
-    usual = _most_common(found.values())
+    rules_by_run = {
+        run.path: rules(run.evaluations[label]) for run in runs if label in run.evaluations
+    }
+    usual = _most_common(rules_by_run.values())
     kept = []
     for run in runs:
-        if label and found.get(run.path, usual) != usual:
+        if label and rules_by_run.get(run.path, usual) != usual:
             what = "evaluated on other episodes or with other thresholds than most runs of its task"
             folder = run.evaluations[label].folder
             problems.append(FolderProblem(folder, what, "the evaluation is left out"))

@@ -107,14 +107,14 @@ def facet(name: str) -> str:
 
 def slugs(names: Iterable[str]) -> dict[str, str]:
     """Return one slug per name, safe in file names and addresses, no two alike."""
-    found: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for name in names:
         base = re.sub(r"[^a-z0-9+]+", "-", name.lower()).strip("-") or "x"
         slug, suffix = base, 2
-        while slug in found.values():
+        while slug in by_name.values():
             slug, suffix = f"{base}-{suffix}", suffix + 1
-        found[name] = slug
-    return found
+        by_name[name] = slug
+    return by_name
 
 
 def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:

@@ -67,14 +67,14 @@ class Evaluated:
         The interval is a bootstrap over training seeds, that of a single evaluation the stored one
         over its episodes. ``group`` and ``value`` as in `Summary.of`; None without a number.
         """
-        found = [
+        intervals = [
             each.summary.interval(key, group, value)
             for each in self.evaluations
             if key in each.summary.of(group, value)
         ]
-        if len(found) < 2:
-            return found[0] if found else None
-        return bootstrap(np.array([each.estimate for each in found]))
+        if len(intervals) < 2:
+            return intervals[0] if intervals else None
+        return bootstrap(np.array([each.estimate for each in intervals]))
 
 
 class Reference(Evaluated):
@@ -180,8 +180,8 @@ class Group(Evaluated):
     @classmethod
     def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
-        found = [run.evaluations[label] for run in runs if label in run.evaluations]
-        return cls(name, found, runs[0].agent, runs[0].config.role, tuple(runs), label)
+        evaluations = [run.evaluations[label] for run in runs if label in run.evaluations]
+        return cls(name, evaluations, runs[0].agent, runs[0].config.role, tuple(runs), label)
 
     @property
     def scope(self) -> str:

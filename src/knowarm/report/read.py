@@ -121,7 +121,7 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
 
 
 def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[Path]:
-    found: dict[Path, Path] = {}
+    folders: dict[Path, Path] = {}
     for path in paths:
         inside = [path] if (path / "config.json").is_file() else []
         inside = inside or sorted(config.parent for config in path.rglob("config.json"))
@@ -131,5 +131,5 @@ def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[P
                 what = "is no folder; unpack a packed study first: knowarm study unpack"
             problems.append(FolderProblem(path, what, "left out"))
         for folder in inside:
-            found.setdefault(folder.resolve(), folder)  # a folder given twice counts once
-    return list(found.values())
+            folders.setdefault(folder.resolve(), folder)  # a folder given twice counts once
+    return list(folders.values())

@@ -165,12 +165,12 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
         path = _relative(value, start)
         return Markup('<a href="{}">{}</a>').format(quote(path), path)
     form = FORMATS[column.format]
-    shown = form(value)
+    text = form(value)
     low, high = row.get(f"{column.key}_low"), row.get(f"{column.key}_high")
     has_interval = column.interval and low is not None and high is not None and low < high
-    if not has_interval or shown == MISSING:
-        return escape(shown)
-    return Markup('{} <span class="ci">{} to {}</span>').format(shown, form(low), form(high))
+    if not has_interval or text == MISSING:
+        return escape(text)
+    return Markup('{} <span class="ci">{} to {}</span>').format(text, form(low), form(high))
 
 
 def _relative(path: Path, start: Path) -> str:

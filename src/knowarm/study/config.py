@@ -114,9 +114,9 @@ class StudyConfig:
         labels = [evaluation.folder for evaluation in self.evaluations]
         if len(set(labels)) < len(labels):
             raise UserError(f"evaluations: two have the same label of {labels}; set label.")
-        for each in self.overrides_for:
-            if not fnmatch.filter(self.cells(), each.experiments):
-                raise unknown_name("pattern of experiments", each.experiments, self.cells())
+        for rule in self.overrides_for:
+            if not fnmatch.filter(self.cells(), rule.experiments):
+                raise unknown_name("pattern of experiments", rule.experiments, self.cells())
         self.runs()
 
     def cells(self) -> list[str]:
@@ -149,9 +149,9 @@ class StudyConfig:
         if fixed := sorted({"name", "seed"} & given):
             raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
         config = override(config, self.overrides, where="overrides")
-        for each in self.overrides_for:
-            if fnmatch.filter([name], each.experiments):
-                config = override(config, each.fields, where="overrides_for.fields")
+        for rule in self.overrides_for:
+            if fnmatch.filter([name], rule.experiments):
+                config = override(config, rule.fields, where="overrides_for.fields")
         return config
 
 
@@ -206,7 +206,7 @@ def controls(study: StudyConfig, name: str) -> StudyConfig:
 
     They are trained on the same tasks, with the same seeds, overrides and evaluations.
     """
-    found = [
+    candidates = [
         str(dataclasses.replace(subject, agent=control))
         for subject in map(ExperimentName.parse, study.cells())
         if AGENTS[subject.agent].role == "knowledge"
@@ -214,7 +214,7 @@ def controls(study: StudyConfig, name: str) -> StudyConfig:
         for control in controls_of(subject.agent, role)
         if subject.task in tasks_of(AGENTS[control])
     ]
-    names = tuple(each for each in dict.fromkeys(found) if each not in study.cells())
+    names = tuple(each for each in dict.fromkeys(candidates) if each not in study.cells())
     if not names:
         raise UserError(f"No agent of the study {study.name!r} has registered controls to train.")
     kept = tuple(each for each in study.overrides_for if fnmatch.filter(names, each.experiments))

@@ -158,8 +158,8 @@ class _Driver:
         stopping, read = False, 0.0
         while True:
             ended = self._executor.ended()
-            for each in ended:
-                self._take_end(each, stopping)
+            for run in ended:
+                self._take_end(run, stopping)
             if not stopping and (should_stop() or (self._out / STOP).exists()):
                 stopping = True
                 self._executor.stop()

@@ -76,16 +76,16 @@ def run_status(
 ) -> RunStatus:
     """Return the status of one run; damage to its files is a state of its own."""
     folder = RunFolder(run_path(out, config))
-    known: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
     try:
-        known |= _progress(folder)
-        known["state"], known["detail"] = _state(folder, config, evaluations)
-        if known["state"] == "done" and evaluations:
-            known["success"] = Summary.read(folder.evaluation(evaluations[0].folder))["success"]
+        facts |= _progress(folder)
+        facts["state"], facts["detail"] = _state(folder, config, evaluations)
+        if facts["state"] == "done" and evaluations:
+            facts["success"] = Summary.read(folder.evaluation(evaluations[0].folder))["success"]
     except UserError as error:
-        known |= {"state": "damaged", "detail": str(error)}
+        facts |= {"state": "damaged", "detail": str(error)}
     steps = config.total_steps
-    return RunStatus(experiment=config.name, seed=config.seed, total_steps=steps, **known)
+    return RunStatus(experiment=config.name, seed=config.seed, total_steps=steps, **facts)
 
 
 def _state(

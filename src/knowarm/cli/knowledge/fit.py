@@ -70,12 +70,12 @@ class Fit(SplitCommand):
         sizes = split.entities, split.relations
         done = train(config, split.train, *sizes, **parts, on_epoch=on_epoch)
         print(end="\n" if end == "\r" else "")
-        found = _print_scores(config.model, done.model, split)
+        scores = _print_scores(config.model, done.model, split)
         print(f"Best of {done.epochs} epochs: {done.best_epoch}.")
         if self.out is not None:
             save_model(done.model, config, split.graph, self.out, shares)
             print(f"Wrote {self.out}")
-        return {**found, "epochs": done.best_epoch, "config": asdict(config)}
+        return {**scores, "epochs": done.best_epoch, "config": asdict(config)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +105,8 @@ def _print_scores(name: str, model: Any, split: "Split") -> dict[str, Any]:
     """Test a model by link prediction, print the measures and return them."""
     from knowarm.knowledge.kge.train import rank  # imports torch, which takes seconds
 
-    found = rank(model, split.test, split.everything).describe()
+    scores = rank(model, split.test, split.everything).describe()
     sizes = f"{len(split.train):,} training and {len(split.test):,} test triples"
-    rows = [each for each in found.items() if each[0] != "triples"]
+    rows = [each for each in scores.items() if each[0] != "triples"]
     print_table(f"Link prediction of {name}: {sizes}", ["measure", "value"], rows)
-    return {"model": name, **found}
+    return {"model": name, **scores}

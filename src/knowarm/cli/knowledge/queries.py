@@ -266,16 +266,18 @@ def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
 
 
 def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
-    found = graph_statistics(graph)
-    values = found._asdict()
+    statistics = graph_statistics(graph)
+    values = statistics._asdict()
     single = [each for each in values.items() if isinstance(each[1], int)]
     print_table("Graph", ["what", "count"], single)
-    relations = [(local_name(name), count) for name, count in found.by_relation.items()]
+    relations = [(local_name(name), count) for name, count in statistics.by_relation.items()]
     print_table("Relations", ["relation", "triples"], relations)
-    print_table("Hubs", ["entity", "edges"], [(local_name(n), count) for n, count in found.hubs])
-    for relation, entities in found.cycles:
+    print_table(
+        "Hubs", ["entity", "edges"], [(local_name(n), count) for n, count in statistics.hubs]
+    )
+    for relation, entities in statistics.cycles:
         names = ", ".join(map(local_name, entities))
         print(f"Cycle along {local_name(relation)}: {names}.")
-    for label, owners in found.same_labels.items():
+    for label, owners in statistics.same_labels.items():
         print(f"The label {label!r} belongs to {len(owners)} entities: {', '.join(owners)}.")
     return values

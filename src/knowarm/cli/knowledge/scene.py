@@ -94,29 +94,29 @@ class ProbeCommand(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
         config = self.config()
-        found = probe(config, self.facets(), run_seed=self.run_seed())
+        separation = probe(config, self.facets(), run_seed=self.run_seed())
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
-        numbers = [str(i) for i in range(1, len(found.slots) + 1)]
+        numbers = [str(i) for i in range(1, len(separation.slots) + 1)]
         rows = [
             [number, name, *(None if np.isnan(x) else float(x) for x in row)]
-            for number, name, row in zip(numbers, found.slots, found.cosine, strict=True)
+            for number, name, row in zip(numbers, separation.slots, separation.cosine, strict=True)
         ]
         print_table(title, ["", "facet", *numbers], rows)
-        if found.recovered:
+        if separation.recovered:
             columns = ["target", "the task's", "all objects'", "by guessing"]
-            shares = [[n, s["task"], s["all"], s["guess"]] for n, s in found.recovered.items()]
+            shares = [[n, s["task"], s["all"], s["guess"]] for n, s in separation.recovered.items()]
             print_table("Share recovered by a linear probe", columns, shares)
         elif not config.source.placebo:
             print("Nothing to recover: no object, colour or value describes two facets.")
         else:
             print("Nothing to recover: these numbers do not come from the facts about the objects.")
-        for first, second, cosine in found.nearly_same:
+        for first, second, cosine in separation.nearly_same:
             print(f"Warning: {first} and {second} are nearly the same (cosine {cosine:.3f}).")
-        if found.nearly_same:
+        if separation.nearly_same:
             print(
                 "A policy can hardly tell these apart. Slots are farther apart with "
                 "--no-relation-words --pooling sif --centring --colour-share 0.6 --slot-norm 1."
             )
-        elif found.recovered:
+        elif separation.recovered:
             print(f"Every pair of facets can be distinguished: all cosines below {NEARLY_SAME}.")
-        return found.describe()
+        return separation.describe()

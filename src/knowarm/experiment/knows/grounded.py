@@ -45,15 +45,15 @@ class Grounded(AboutQueries):
         """As `Member.train_module`."""
         from knowarm.perception.grounding_training import train_grounding
 
-        known = self.embed(env, run_seed)
-        assert known.embedding is not None
+        embedded = self.embed(env, run_seed)
+        assert embedded.embedding is not None
         options: dict[str, Any] = {
             "seed": run_seed,
             "reads_facts": self.pooling == "facts",
             "graphs": how.pop("graphs", None) or self.varied_graphs(env, run_seed),
         }
-        slots = known.embedding.slots_per_row
-        return train_grounding(env, known.table, slots, self.grounding, **options, **how)
+        slots = embedded.embedding.slots_per_row
+        return train_grounding(env, embedded.table, slots, self.grounding, **options, **how)
 
     def described_by(
         self, graph: "KnowledgeGraph", env: EnvConfig, run_seed: int
@@ -62,8 +62,8 @@ class Grounded(AboutQueries):
         from knowarm.experiment.answers import answers_in_training
 
         facets = ModuleSpec.of(env, self.grounding).facets
-        known = self.embed(env, run_seed, graph=graph)
-        return known.table, answers_in_training(graph, env, facets)
+        embedded = self.embed(env, run_seed, graph=graph)
+        return embedded.table, answers_in_training(graph, env, facets)
 
     def varied_graphs(self, env: EnvConfig, run_seed: int) -> "list[DescribedGraph]":
         """Return what `GroundingConfig.graphs` counts: the own graph, and others; or nothing."""

@@ -42,12 +42,12 @@ def build_pages(study: StudyData) -> list[Page]:
     def per_task(
         blocks: Callable[..., Sequence[Block]], *more: Any, intro: Sequence[str] = ()
     ) -> list[Block]:
-        found = [
+        parts = [
             TaskPart(name=task.name, title=task.title, blocks=shown)
             for task in study.tasks
             if (shown := blocks(task, *more))
         ]
-        return [Text(paragraphs=intro), *found] if found and intro else [*found]
+        return [Text(paragraphs=intro), *parts] if parts and intro else [*parts]
 
     content: dict[str, Sequence[Block]] = {
         "summary": runs.summary_blocks(study, decided, understood),

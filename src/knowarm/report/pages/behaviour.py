@@ -92,13 +92,13 @@ def film_blocks(task: TaskData) -> list[Films]:
 def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tuple[int, str]]:
     """Return the number of the first episode of each target, with its object and query."""
     episodes = evaluation.episodes()
-    found: dict[str, tuple[int, str]] = {}
+    first: dict[str, tuple[int, str]] = {}
     for number in numbers:
         shown = format.facet(str(episodes["facet"][number]))
         if "query" in episodes:
             shown = f"asked for \u201c{query_words(str(episodes['query'][number]))}\u201d ({shown})"
-        found.setdefault(str(episodes["target"][number]), (number, shown))
-    return sorted(found.values())[:MOST_EPISODES]
+        first.setdefault(str(episodes["target"][number]), (number, shown))
+    return sorted(first.values())[:MOST_EPISODES]
 
 
 def query_words(text: str) -> str:

@@ -162,16 +162,16 @@ def _variance(task: TaskData) -> DataTable | None:
     rows: list[Row] = []
     sources = []
     for first, second, _ in pairs(task):
-        found = [rates for group in (first, second) if (rates := _success_rates(group))]
-        if len(found) < 2:
+        both = [rates for group in (first, second) if (rates := _success_rates(group))]
+        if len(both) < 2:
             continue
-        (_, one), (_, other) = found
+        (_, one), (_, other) = both
         f_value, p_value = one_way_anova([one, other])
         row: Row = {"first": first.name, "second": second.name, "rates": len(one)}
         row |= {"first_mean": float(one.mean()), "second_mean": float(other.mean())}
         row |= {"f": round(f_value, 2), "p": p_value}
         rows.append(row | {"paper_f": published_comparison(task, first, second).get("anova_f")})
-        sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in found]
+        sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in both]
     if not rows:
         return None
     columns: list[str | Column] = [

@@ -59,8 +59,8 @@ def input_blocks(task: TaskData) -> list[Block]:
     listed_sentences = list[Mapping[str, Any]]()
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
-        known = _known(group.runs[0])
-        sentences = known.sentences if known else {}
+        knowledge = _knowledge_of(group.runs[0])
+        sentences = knowledge.sentences if knowledge else {}
         if any(sentences.values()) and sentences not in listed_sentences:
             listed_sentences.append(sentences)
             blocks.append(
@@ -75,7 +75,7 @@ def input_blocks(task: TaskData) -> list[Block]:
     return [*blocks, *_parameters(task)]
 
 
-def _known(run: RunData) -> EmbeddingFacts | None:
+def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
     """Return the description of a run's knowledge vector; None if the network received none."""
     with suppress(UserError):  # a table that cannot be read
         if not RunFolder(run.path).knowledge().size:
@@ -85,14 +85,14 @@ def _known(run: RunData) -> EmbeddingFacts | None:
 
 def _kind_of_input(task: TaskData) -> Verdict:
     """State which agents have a constant vector and which a privileged one."""
-    known = {group.name: _known(group.runs[0]) for group in task.groups}
+    knowledge = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
     sentence, reasons = "no agent received a knowledge vector", []
     for words, said, role, scope in KINDS:
         if scope in ("query", "perceived"):
-            agents = [g.name for g in task.groups if g.scope == scope and known[g.name]]
+            agents = [g.name for g in task.groups if g.scope == scope and knowledge[g.name]]
         else:
             flag = "constant" if scope == "scene" else "privileged"
-            agents = [name for name, each in known.items() if each and getattr(each, flag)]
+            agents = [name for name, each in knowledge.items() if each and getattr(each, flag)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
             controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
@@ -116,12 +116,16 @@ def _overview(task: TaskData) -> DataTable:
     for group in task.groups:
         row: Row = {"agent": group.name, "training": ", ".join(_privileged_uses(group))}
         row |= {"slots": 0, "numbers": 0, "constant": False, "privileged": False}
-        if known := _known(group.runs[0]):
-            row |= {"slots": len(known.slots), "numbers": known.dim, "norm": known.norm}
-            row |= {"constant": known.constant, "privileged": known.privileged, "note": known.note}
-            if known.slots:
-                row |= {"source": known.source}
-                row |= {"coverage": known.coverage["share"]}
+        if knowledge := _knowledge_of(group.runs[0]):
+            row |= {"slots": len(knowledge.slots), "numbers": knowledge.dim, "norm": knowledge.norm}
+            row |= {
+                "constant": knowledge.constant,
+                "privileged": knowledge.privileged,
+                "note": knowledge.note,
+            }
+            if knowledge.slots:
+                row |= {"source": knowledge.source}
+                row |= {"coverage": knowledge.coverage["share"]}
         rows.append(row)
     columns: list[str | Column] = [
         *("agent", "source", Column("slots", "slots", "integer")),

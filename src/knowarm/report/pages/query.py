@@ -119,10 +119,10 @@ def _measure(task: TaskData, splits: Splits, key: str, title: str, columns: Colu
 def _by_type(task: TaskData, splits: Splits) -> Figure:
     """Show the choice by the relations that a query names."""
     rows: list[Row] = []
-    for each in _all(splits):
-        for kind in _types([each]):
-            row = {"split": each.split, "type": kind} | row_of(task, each)
-            levels = {k: each.level(k, "query_type", kind) for k in ("choice", "success")}
+    for agent in _all(splits):
+        for kind in _types([agent]):
+            row = {"split": agent.split, "type": kind} | row_of(task, agent)
+            levels = {k: agent.level(k, "query_type", kind) for k in ("choice", "success")}
             rows.append(row | levels)
     first, asked = next(iter(splits.items()))
     by_name = {each.name: each for each in asked}
@@ -151,20 +151,20 @@ def _types(asked: Sequence[SplitGroup]) -> list[str]:
 def _confusion(task: TaskData, splits: Splits) -> list[Block]:
     """Show which object was chosen for which, by the first agent that receives the query."""
     first = [each for each in _all(splits) if each.group.role == "knowledge"] or _all(splits)
-    shown = [each for each in _all(splits) if each.group is first[0].group]
+    agents = [each for each in _all(splits) if each.group is first[0].group]
     rows: list[Row] = []
     panels = []
     try:
-        for each in shown:
-            asked, chosen, counts = _counts(each)
+        for agent in agents:
+            asked, chosen, counts = _counts(agent)
             totals = counts.sum(axis=1, keepdims=True)
             shares = counts / totals
-            words = f"Objects chosen by {each.name} on {each.split}: {task.title}"
+            words = f"Objects chosen by {agent.name} on {agent.split}: {task.title}"
             wanted, found = ([format.facet(name) for name in kind] for kind in (asked, chosen))
             svg = confusion_map(shares, wanted, found, words)
-            panels.append(Panel(svg=svg, title=f"{each.split}: {SPLITS[each.split]}"))
+            panels.append(Panel(svg=svg, title=f"{agent.split}: {SPLITS[agent.split]}"))
             for i, j in np.argwhere(counts):
-                row = {"split": each.split, "asked": asked[i], "chosen": chosen[j]}
+                row = {"split": agent.split, "asked": asked[i], "chosen": chosen[j]}
                 rows.append(row | {"episodes": int(counts[i, j]), "share": float(shares[i, j])})
     except UserError as error:
         return [Verdict(sentence=str(error), tone="bad")]
@@ -172,8 +172,8 @@ def _confusion(task: TaskData, splits: Splits) -> list[Block]:
         *("split", Column("asked", "wanted object"), Column("chosen", "chosen object")),
         *("episodes", Column("share", "share of the wanted", "percent")),
     ]
-    title = f"Chosen against wanted object, {shown[0].name}"
-    sources = files(shown, "episodes.parquet")
+    title = f"Chosen against wanted object, {agents[0].name}"
+    sources = files(agents, "episodes.parquet")
     table = table_of(task, "confusion", title, columns, rows, sources)
     caption = (
         "Row: the wanted object. Column: the chosen one. The darker a cell, the larger its share "

@@ -60,9 +60,9 @@ def _table(task: TaskData) -> DataTable:
 def _vision(task: TaskData) -> DataTable | None:
     """Show the blind agents beside every agent, and how much of its success depends on vision."""
     rows: list[Row] = []
-    shown = [group for group in task.groups if group.level("vision_gain")]
+    groups = [group for group in task.groups if group.level("vision_gain")]
     minus = [name for name, entry in BLIND_AGENTS.items() if not entry.sees_nothing]
-    for group in shown:
+    for group in groups:
         row = row_of(task, group, "success", "vision_gain")
         row |= {name: group.level("success", "blind", name) for name in BLIND_AGENTS}
         row |= {f"minus {name}": group.level("difference", "blind", name) for name in minus}
@@ -71,7 +71,7 @@ def _vision(task: TaskData) -> DataTable | None:
         return None
     played = [
         blind.estimate
-        for group in shown
+        for group in groups
         for name in BLIND_AGENTS
         if (blind := group.level("episodes", "blind", name))
     ]
@@ -91,7 +91,7 @@ def _vision(task: TaskData) -> DataTable | None:
         "(Newcombe). A better fixed list may exist than the one that the search found."
     )
     title = "How much of the success depends on vision"
-    return table_of(task, "vision", title, columns, rows, files(shown), note)
+    return table_of(task, "vision", title, columns, rows, files(groups), note)
 
 
 def _lifts(task: TaskData) -> DataTable | None:
@@ -168,11 +168,11 @@ def part_panels(
     for name in names:
         dots = []
         for group in groups:
-            found, colour = value(group, name), task.colours[group.name]
-            if found is not None:
-                row = {"part": name, "agent": group.name, "success": found, "_colour": colour}
+            level, colour = value(group, name), task.colours[group.name]
+            if level is not None:
+                row = {"part": name, "agent": group.name, "success": level, "_colour": colour}
                 rows.append(row)
-                dots.append(Dot(name=group.name, colour=colour, value=found))
+                dots.append(Dot(name=group.name, colour=colour, value=level))
         if dots:
             title = format.facet(name)
             svg = dot_chart(dots, f"{axis.title} on {title}", axis, width=340, left=100)

@@ -57,11 +57,11 @@ def run_blocks(study: StudyData) -> list[Block]:
 
 def _origin(run: RunData) -> Row:
     """Return the commit, the versions and the machine of a run."""
-    known = run.provenance
-    versions = {name: known.versions.get(name) for name in VERSIONS}
+    provenance = run.provenance
+    versions = {name: provenance.versions.get(name) for name in VERSIONS}
     return {
-        "commit": (known.commit or "")[:10],
-        "machine": known.machine.get("processor"),
+        "commit": (provenance.commit or "")[:10],
+        "machine": provenance.machine.get("processor"),
     } | versions
 
 
@@ -72,16 +72,16 @@ def summary_blocks(
     study: StudyData, decided: list[Claim], understood: Sequence[Finding]
 ) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
-    found: list[Finding] = []
+    every: list[Finding] = []
     reasons: list[Block] = []
     doubts: list[Block] = []
     for task in study.tasks:
-        found += (mine := findings(task, decided))
+        every += (mine := findings(task, decided))
         reasons += [each.verdict(shown_reasons=1) for each in mine]
         reasons += query_summary([each for each in understood if each.task is task])
         for verdict in filter(None, (learning_verdict(task), vision_verdict(task))):
             (reasons if verdict.tone == "good" else doubts).append(verdict)
-    blocks = [answer([*found, *understood], len(study.tasks)), *doubts]
+    blocks = [answer([*every, *understood], len(study.tasks)), *doubts]
     if any(task.label for task in study.tasks):
         blocks.append(_results(study))
     if study.problems:
@@ -106,12 +106,12 @@ def _results(study: StudyData) -> Figure:
             name = f"{axis.title} of each agent on {task.title}"
             title = axis.title if alone else task.title
             panels.append(Panel(svg=dot_chart(dots, name, axis, left=124), title=title))
-    known = [key for key in KEYS if any(row[key] is not None for row in rows)]
+    measured = [key for key in KEYS if any(row[key] is not None for row in rows)]
     return Figure(
         table=DataTable(
             name="summary",
             title="Success, accuracy and return after training",
-            columns=shared(*["task"] * (not alone), "agent", "seeds", *known, "vision_gain"),
+            columns=shared(*["task"] * (not alone), "agent", "seeds", *measured, "vision_gain"),
             rows=rows,
             sources=[run.path for run in study.runs],
             note="Success: distance and angle within the thresholds at once. Accuracy: final "

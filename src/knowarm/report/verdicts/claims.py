@@ -113,16 +113,16 @@ def claims(study: StudyData) -> list[Claim]:
     own number, because `verdicts.knowledge` requires that every control of a kind is beaten (an
     intersection-union test): without any effect, a false claim requires a falsely passed gate.
     """
-    found = [
+    undecided = [
         _claim(task, first, second, outcome, stage)
         for task in study.tasks
         for first, second, stage in pairs(task)
         for outcome in OUTCOMES
     ]
-    gates = [c for c in found if c.stage == "gate" and c.testable]
+    gates = [c for c in undecided if c.stage == "gate" and c.testable]
     adjusted = holm([c.comparison.p_value for c in gates if c.comparison])
     passed = {id(gate): float(p) for gate, p in zip(gates, adjusted, strict=True)}
-    return [_decide(claim, gates, passed) for claim in found]
+    return [_decide(claim, gates, passed) for claim in undecided]
 
 
 def _decide(claim: Claim, gates: Sequence[Claim], passed: dict[int, float]) -> Claim:
@@ -141,21 +141,21 @@ def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
 
     A subject is tested against the baseline, then against the agents that match it (`mismatch`).
     """
-    baseline, found = task.baseline, list[tuple[Group, Group, Stage]]()
+    baseline, compared = task.baseline, list[tuple[Group, Group, Stage]]()
     for subject in task.subjects:
         for group in task.groups:
-            if group is subject or (subject, group) in ((b, a) for a, b, _ in found):
+            if group is subject or (subject, group) in ((b, a) for a, b, _ in compared):
                 continue
             if mismatch(group, subject) is not None:
                 stage: Stage = "described"
             else:
                 stage = "gate" if group is baseline or baseline is None else "after gate"
-            found.append((subject, group, stage))
+            compared.append((subject, group, stage))
     first = baseline or task.groups[0]
     if baseline or not task.subjects:
         others = [group for group in task.groups if group not in (*task.subjects, first)]
-        found += [(group, first, "described") for group in others]
-    return sorted(found, key=lambda pair: ("gate", "after gate", "described").index(pair[2]))
+        compared += [(group, first, "described") for group in others]
+    return sorted(compared, key=lambda pair: ("gate", "after gate", "described").index(pair[2]))
 
 
 def mismatch(group: Group, subject: Group) -> str | None:

@@ -134,24 +134,25 @@ WORDS: dict[Kind, str] = {
 
 def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     """Return the answer of a report of some tasks, agent by agent."""
-    places: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for each in findings:
-        place = [each.outcome] * (each.outcome != "success") + [each.task.title] * (tasks > 1)
-        name = each.subject.name if each.subject else "agents with knowledge"
-        places[name][WORDS[each.kind]].append(", ".join(place))
+    scopes: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for finding in findings:
+        scope = [finding.outcome] if finding.outcome != "success" else []
+        scope += [finding.task.title] if tasks > 1 else []
+        name = finding.subject.name if finding.subject else "agents with knowledge"
+        scopes[name][WORDS[finding.kind]].append(", ".join(scope))
     titles, parts = {each.task.title for each in findings}, []
-    for name, said in places.items():
-        clauses = [f"{_where(found, tasks, titles)}{words}" for words, found in said.items()]
+    for name, said in scopes.items():
+        clauses = [f"{_where(where, tasks, titles)}{words}" for words, where in said.items()]
         parts.append(f"{name}: {'; '.join(clauses)}.")
     tones = {TONES.get(each.kind, "open") for each in findings}
     sentence = f"Does the knowledge help? {' '.join(parts) or 'There is nothing to compare.'}"
     return Verdict(sentence=sentence, tone=tones.pop() if len(tones) == 1 else "open")
 
 
-def _where(places: Sequence[str], tasks: int, titles: set[str]) -> str:
+def _where(scopes: Sequence[str], tasks: int, titles: set[str]) -> str:
     """Return where a finding holds: on some splits or tasks, or nothing for a single task."""
-    if not any(places):
+    if not any(scopes):
         return ""
-    if len(places) == tasks > 1 and titles.issuperset(places):
+    if len(scopes) == tasks > 1 and titles.issuperset(scopes):
         return "on both tasks " if tasks == 2 else f"on all {tasks} tasks "
-    return f"on {listed(places)} "
+    return f"on {listed(scopes)} "

@@ -30,12 +30,14 @@ def learned(task: TaskData, group: Group) -> bool | None:
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
     untrained = [each for each in task.references if each.level("success")]
-    known = {group: found for group in task.groups if (found := learned(task, group)) is not None}
-    if not untrained or not known:
+    outcomes = {
+        group: found for group in task.groups if (found := learned(task, group)) is not None
+    }
+    if not untrained or not outcomes:
         return None
-    better = [group.name for group, found in known.items() if found]
-    others = [group.name for group, found in known.items() if not found]
-    blind = any(group.level("vision_gain") for group in known)
+    better = [group.name for group, found in outcomes.items() if found]
+    others = [group.name for group, found in outcomes.items() if not found]
+    blind = any(group.level("vision_gain") for group in outcomes)
     more = "succeeded clearly more often than an untrained policy"
     more += " and policies without vision" if blind else ""
     if better:
@@ -44,27 +46,27 @@ def learning_verdict(task: TaskData) -> Verdict | None:
     else:
         sentence = f"training did not succeed: none of {listed(others)} {more}."
     tone: Tone = "good" if not others else "open" if better else "bad"
-    shown = "; ".join(f"{each.name} {_shown(each)}" for each in (*known, *untrained))
+    shown = "; ".join(f"{each.name} {_shown(each)}" for each in (*outcomes, *untrained))
     reason = f"Success on the same episodes: {shown}."
     return Verdict(sentence=f"{task.title}: {sentence}", reasons=[reason], tone=tone)
 
 
 def vision_verdict(task: TaskData) -> Verdict | None:
     """State how much of each agent's success depends on vision."""
-    known = [
+    measured = [
         (group.name, vision, success)
         for group in task.groups
         if (vision := group.level("vision_gain")) and (success := group.level("success"))
     ]
-    if not known:
+    if not measured:
         return None
-    seeing = [name for name, vision, _ in known if vision.low > 0]
-    others = [name for name, vision, _ in known if vision.low <= 0]
+    seeing = [name for name, vision, _ in measured if vision.low > 0]
+    others = [name for name, vision, _ in measured if vision.low <= 0]
     sentence = f"the success of {listed(seeing or others)} "
     sentence += "depends on vision" if seeing else "is not shown to depend on vision"
     sentence += f"; for {listed(others)} this is not shown." if seeing and others else "."
     reasons = []
-    for name, vision, success in known:
+    for name, vision, success in measured:
         total, blind = (
             format.percent(each) for each in (success.estimate, success.estimate - vision.estimate)
         )

@@ -33,17 +33,17 @@ def query_findings(study: StudyData) -> list[Finding]:
     control that ran. Each finding requires all its comparisons (an intersection-union test), so
     only the findings are corrected for their number, by Holm over all tasks, agents and splits.
     """
-    found = [
+    subjects = [
         (subject, _claims(task, subject, groups))
         for task in study.tasks
         for groups in split_groups(task).values()
         for subject in groups
         if subject.group.role == "knowledge" and subject.group.scope != "scene"
     ]
-    tested = [claims for _, claims in found if all(c.testable for c in claims) and claims[1:]]
+    tested = [claims for _, claims in subjects if all(c.testable for c in claims) and claims[1:]]
     adjusted = holm([_p_value(claims) for claims in tested])
     values = {id(claims): float(p) for claims, p in zip(tested, adjusted, strict=True)}
-    return [_finding(subject, claims, values.get(id(claims))) for subject, claims in found]
+    return [_finding(subject, claims, values.get(id(claims))) for subject, claims in subjects]
 
 
 def _claims(task: TaskData, subject: SplitGroup, groups: Sequence[SplitGroup]) -> list[Claim]:
@@ -53,10 +53,12 @@ def _claims(task: TaskData, subject: SplitGroup, groups: Sequence[SplitGroup]) -
     own = subject.scores("choice")
     chance = paired(own, np.full(len(own), subject.chance)) if len(own) > 1 else None
     claims = [Claim(task, subject.group, None, subject.split, "query", len(own), chance)]
-    for each in controls:
-        other = each.scores("choice")
-        seeds, found = min(len(own), len(other)), compare(own, other)
-        claims.append(Claim(task, subject.group, each.group, subject.split, "query", seeds, found))
+    for control in controls:
+        other = control.scores("choice")
+        seeds, comparison = min(len(own), len(other)), compare(own, other)
+        claims.append(
+            Claim(task, subject.group, control.group, subject.split, "query", seeds, comparison)
+        )
     return claims
 
 

@@ -59,13 +59,13 @@ class OpenLoopScore:
         self,
         actions: Integers,
         joints: Floats | None = None,
-        known: Integers | None = None,
+        solved_at: Integers | None = None,
         since: int = 0,
     ) -> tuple[Integers, Floats]:
         """Play actions (T, J) from joint angles (E, J) [rad], by default those at the start.
 
         Return the step that solves each episode, (E,), the time limit if none does, and the last
-        joint angles. Episodes whose ``known`` step, (E,), is before ``since`` keep it; in the
+        joint angles. Episodes whose ``solved_at`` step, (E,), is before ``since`` keep it; in the
         others no step before ``since`` solves.
         """
         config = self.config
@@ -77,7 +77,7 @@ class OpenLoopScore:
             config.success_distance_m,
             float(np.cos(np.radians(config.success_angle_deg))),
             config.ignore_roll,
-            np.full(len(self.start), since) if known is None else known,
+            np.full(len(self.start), since) if solved_at is None else solved_at,
             since,
             config.max_episode_steps,
         )
@@ -96,7 +96,7 @@ def _play(
     distance_m: float,
     cosine: float,
     ignore_roll: bool,
-    known: Integers,
+    solved_at: Integers,
     since: int,
     never: int,
 ) -> tuple[Integers, Floats]:
@@ -124,9 +124,9 @@ def _play(
     first = np.full(episodes, never)
     gripper = np.empty((3, 4))
     for e in range(episodes):
-        done = known[e] < since
+        done = solved_at[e] < since
         if done:
-            first[e] = known[e]
+            first[e] = solved_at[e]
         for t in range(steps):
             for j in range(varied):
                 angle = end[e, j] + moves[t, j]

@@ -87,16 +87,16 @@ def fit_camera(scene: Scene, seen: Floats, places: Floats) -> tuple[Floats, Rota
     return scene.camera_position + found.x[:3], turned, fovy_deg, float(abs(found.fun).max() / 2)
 
 
-def _read_points(path: Path, known: dict[str, Floats]) -> tuple[Floats, Floats]:
+def _read_points(path: Path, points: dict[str, Floats]) -> tuple[Floats, Floats]:
     """Read pixels (n, 2) and places (n, 3) [m]."""
     remedy = "Give the columns point, x and y, one row per clicked pixel."
     text = read_text(path, remedy=remedy)
     with reading(path, remedy):
         rows = list(csv.DictReader(text.splitlines()))
         for name in (row["point"] for row in rows):
-            if name not in known and len(name.split()) != 3:
-                raise ValueError(f"unknown point {name!r}; known: {', '.join(known)}, or 'x y z'")
-        places = np.array([known.get(row["point"], row["point"].split()) for row in rows], float)
+            if name not in points and len(name.split()) != 3:
+                raise ValueError(f"unknown point {name!r}; known: {', '.join(points)}, or 'x y z'")
+        places = np.array([points.get(row["point"], row["point"].split()) for row in rows], float)
         pixels = np.array([(row["x"], row["y"]) for row in rows], float)
         if len(rows) < LEAST_POINTS or not np.isfinite([pixels.sum(), places.sum()]).all():
             raise ValueError(f"{len(rows)} points; give at least {LEAST_POINTS} finite ones")

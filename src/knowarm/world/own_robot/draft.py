@@ -206,31 +206,31 @@ def _home(scene: Scene, layout: Layout) -> tuple[Floats, float, str]:
     contacts = simulation.batch.bind("ncon")
     simulation.set_joints(poses)
     touches = contacts.reshape(-1) > 0
-    place, frame = simulation.tcp_position, simulation.tcp_matrix
+    tcp, frame = simulation.tcp_position, simulation.tcp_matrix
     reach = float(np.hypot(x, y))
     angles, distances = np.empty((2, len(position), len(poses)))
     for k in range(len(position)):
         goal = np.tile(position[k], (len(poses), 1)), np.tile(matrix[k], (len(poses), 1))
-        distances[k], angles[k] = measure(place, frame, *goal, layout.ignore_roll)
+        distances[k], angles[k] = measure(tcp, frame, *goal, layout.ignore_roll)
     low, high = HOME_ANGLE_DEG
     travel = np.abs(poses[:, None] - grasps).max(axis=(1, 2))
     penalty = (
         100.0 * touches
-        + 20.0 * (place[:, 2] < support + 0.3 * reach)
-        + 5.0 * (place[:, 2] > support + 1.2 * reach)
+        + 20.0 * (tcp[:, 2] < support + 0.3 * reach)
+        + 5.0 * (tcp[:, 2] > support + 1.2 * reach)
         + 10.0 * (frame[:, 8] > 0.3)
-        + 10.0 * (np.hypot(place[:, 0], place[:, 1]) < 0.35 * reach)
-        + 10.0 * (place[:, 0] < 0.2 * reach)
+        + 10.0 * (np.hypot(tcp[:, 0], tcp[:, 1]) < 0.35 * reach)
+        + 10.0 * (tcp[:, 0] < 0.2 * reach)
         + 0.1 * np.maximum(low - angles.min(axis=0), 0)
         + 0.1 * np.maximum(angles.max(axis=0) - high, 0)
         + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
         + 10.0 * np.maximum(0.3 - distances.min(axis=0) / reach, 0)
         + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
-        + np.abs(place[:, 1]) / reach
+        + np.abs(tcp[:, 1]) / reach
     )
     best = int(penalty.argmin())
     text = (
-        f"gripper {place[best, 2] - support:.2f} m above the support, {angles[:, best].min():.0f} "
+        f"gripper {tcp[best, 2] - support:.2f} m above the support, {angles[:, best].min():.0f} "
         f"to {angles[:, best].max():.0f} degrees and {distances[:, best].min():.2f} m from the "
         f"grasps at the rectangle's middle"
     )

@@ -62,11 +62,11 @@ def find_gripper(model: mujoco.MjModel) -> Gripper:
         own = data.site_xmat[site].reshape(3, 3)
         if own[:, 2] @ approach > AGREEING_COSINE and abs(own[:, 1] @ across) > AGREEING_COSINE:
             return Gripper(joints=names, tcp={"tcp_site": name}, how=f"{count}; TCP: site {name!r}")
-        place, source = data.site_xpos[site], f"the place of site {name!r}, turned"
+        point, source = data.site_xpos[site], f"the place of site {name!r}, turned"
     elif outer:
-        place, source = tip, "between the ends of the gripper's fingers"
+        point, source = tip, "between the ends of the gripper's fingers"
     else:
-        place, source = tip + TOOL_M * approach, f"{TOOL_M} m in front of the last body"
+        point, source = tip + TOOL_M * approach, f"{TOOL_M} m in front of the last body"
     rotation = data.xmat[hand].reshape(3, 3)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     quaternion = np.zeros(4)
@@ -75,7 +75,7 @@ def find_gripper(model: mujoco.MjModel) -> Gripper:
     tcp = {
         "tcp_site": next(name for name in ("tcp", "knowarm_tcp", "tcp_") if name not in taken),
         "tcp_body": model.body(hand).name,
-        "tcp_position_m": tuple(np.round(rotation.T @ (place - data.xpos[hand]), 5).tolist()),
+        "tcp_position_m": tuple(np.round(rotation.T @ (point - data.xpos[hand]), 5).tolist()),
         "tcp_quaternion": tuple(np.round(quaternion, 6).tolist()),
     }
     return Gripper(joints=names, tcp=tcp, how=f"{count}; TCP: {source}")

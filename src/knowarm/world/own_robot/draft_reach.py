@@ -160,9 +160,9 @@ def _branches(
     first = solver.solve(position[row, 0], matrix[row], start, attempts=1)
     limit_deg = max(angle for angle, free in TOLERANCES if free is roll) - 2
     good = np.flatnonzero(first.within(DISTANCE_M, limit_deg))
-    found: list[list[Branch]] = [[] for _ in scene.targets]
+    branches: list[list[Branch]] = [[] for _ in scene.targets]
     if not len(good):
-        return found
+        return branches
     # Solutions that round to the same angles are one branch.
     same = np.column_stack([row[good], first.joints[good].round()])
     good = good[np.unique(same, axis=0, return_index=True)[1]]
@@ -176,8 +176,8 @@ def _branches(
         name = list(counts)[k]
         counts[name] = max(counts[name], int(near[i].sum()))
         if near[i].all():
-            found[k].append(Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i]))
-    return found
+            branches[k].append(Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i]))
+    return branches
 
 
 def _nearest(branches: Sequence[Sequence[Branch]]) -> list[Branch]:

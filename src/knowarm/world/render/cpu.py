@@ -172,7 +172,7 @@ class Raycaster:
         poses = self._poses(geom_position, geom_matrix)
         seen = self._appearance(count, geom_rgba, None, None)
         columns, rows = np.arange(self.width), np.arange(self.height)[:, None]
-        place = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
+        index = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
         x, y = grid.left + columns * grid.pixel, grid.top - rows * grid.step
         length = np.sqrt(x * x + y * y + 1)
         geom = np.empty((count, self.height, self.width), dtype=np.int32)
@@ -180,8 +180,8 @@ class Raycaster:
         for e in range(count):
             self._draw_range(e, e + 1, poses, seen, 0, None)
             depth, ids = self._scratch[0].field
-            geom[e] = ids[place]
-            distance[e] = np.where(geom[e] < 0, -1, depth[place] * length)
+            geom[e] = ids[index]
+            distance[e] = np.where(geom[e] < 0, -1, depth[index] * length)
         return Trace(geom, distance)
 
     def _draw_fixed(self, data: mujoco.MjData, background: tuple[float, float, float]) -> Stored:

@@ -94,17 +94,17 @@ def read_view(
         camera = names.index(camera)
     if not 0 <= camera < model.ncam:
         raise UserError(f"Camera {camera} does not exist; the model has {model.ncam}, from 0.")
-    shown = names[camera] or camera
+    label = names[camera] or camera
     if not _is_fixed(model, model.cam_bodyid[camera]) or model.cam_mode[camera] != 0:
         raise UserError(
-            f"Camera {shown!r} moves with a body; the ray caster needs a camera that stands still: "
+            f"Camera {label!r} moves with a body; the ray caster needs a camera that stands still: "
             "attach it to the world with mode 'fixed'."
         )
     if model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE or np.any(
         model.cam_sensorsize[camera]
     ):
         raise UserError(
-            f"Camera {shown!r} is orthographic or has a sensor size; the ray caster needs a "
+            f"Camera {label!r} is orthographic or has a sensor size; the ray caster needs a "
             "perspective camera given by fovy."
         )
     view = np.concatenate([data.cam_xpos[camera], data.cam_xmat[camera].reshape(9)])
@@ -143,7 +143,7 @@ def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[n
     Converted models often show each mesh once to be seen and once to collide.
     """
     is_mesh = model.geom_type[drawn] == MESH
-    place = np.column_stack(
+    rows = np.column_stack(
         [
             np.where(is_mesh, -1, drawn),  # other geoms have no twins
             model.geom_bodyid[drawn],
@@ -154,7 +154,7 @@ def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[n
             model.geom_rgba[drawn],
         ]
     )
-    _, first = np.unique(place, axis=0, return_index=True)
+    _, first = np.unique(rows, axis=0, return_index=True)
     return drawn[np.sort(first)]
 
 

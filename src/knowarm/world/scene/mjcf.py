@@ -93,10 +93,10 @@ def check_names(
     remedy: str = "",
 ) -> None:
     """Check that all names of a field are among the elements of an MJCF file."""
-    known = {element.name for element in elements if element.name}
+    existing = {element.name for element in elements if element.name}
     for name in names:
-        if name not in known:
+        if name not in existing:
             raise UserError(
                 f"{owner}: {field} names {name!r}, which {mjcf.name} does not have. Its {kind}: "
-                f"{', '.join(sorted(known)) or 'none'}.{remedy}"
+                f"{', '.join(sorted(existing)) or 'none'}.{remedy}"
             )

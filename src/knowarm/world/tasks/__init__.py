@@ -32,9 +32,9 @@ TASKS: dict[str, str] = {
 
 def task_names() -> list[str]:
     """List the names of all tasks: shipped, installed and registered."""
-    for place in named_by(VARIABLE):
-        if place not in TASKS.values():
-            register_task(place)
+    for import_path in named_by(VARIABLE):
+        if import_path not in TASKS.values():
+            register_task(import_path)
     return list(dict.fromkeys([*TASKS, *installed(GROUP)]))
 
 
@@ -48,34 +48,34 @@ def task_type(name: str) -> "type[Task]":
     return _load((installed(GROUP) | TASKS)[name])
 
 
-def register_task(place: str) -> "type[Task]":
+def register_task(import_path: str) -> "type[Task]":
     """Add a task of your own module to ``TASKS``, by its ``kind``, here and in child processes.
 
     Args:
-        place: where its class is, as ``package.module:Name``.
+        import_path: where its class is, as ``package.module:Name``.
 
     Raises:
         UserError: it cannot be imported, is no task, or has the name of another one.
     """
-    found = _load(place)
-    name = found.kind_of()
-    other = (installed(GROUP) | TASKS).get(name, place)
-    if other != place:
+    task = _load(import_path)
+    name = task.kind_of()
+    other = (installed(GROUP) | TASKS).get(name, import_path)
+    if other != import_path:
         raise UserError(
-            f"The task {place} has the kind {name!r}, which {other} has already; give its field "
-            "``kind`` another literal."
+            f"The task {import_path} has the kind {name!r}, which {other} has already; give its "
+            "field ``kind`` another literal."
         )
-    TASKS[name] = place
-    share(VARIABLE, place)
-    return found
+    TASKS[name] = import_path
+    share(VARIABLE, import_path)
+    return task
 
 
-def _load(place: str) -> "type[Task]":
+def _load(import_path: str) -> "type[Task]":
     """Import a class given as ``package.module:Name``."""
     from knowarm.world.tasks.task import Task
 
     return load(
-        place,
+        import_path,
         "task",
         lambda found: isinstance(found, type) and issubclass(found, Task),
         "a class derived from knowarm.world.tasks.task.Task",

@@ -82,10 +82,10 @@ def graph_queries(**options: Any) -> QuerySource:
 
 def source_type(name: str) -> type[QuerySource]:
     """Return the class of a name in ``QUERY_SOURCES``."""
-    found: type[QuerySource] = load(
+    source: type[QuerySource] = load(
         QUERY_SOURCES[name],
         "source of questions",
         lambda each: isinstance(each, type) and issubclass(each, QuerySource),
         "a class derived from knowarm.world.tasks.query_source.QuerySource",
     )
-    return found
+    return source

@@ -155,14 +155,14 @@ def refusal(path: str, headers: Any) -> str | None:
         headers.get_all(name) or [] for name in ("Host", "Origin", "Sec-Fetch-Site")
     )
     try:
-        names, place = [urlsplit(f"//{host}").hostname for host in hosts], urlsplit(path).path
+        names, route = [urlsplit(f"//{host}").hostname for host in hosts], urlsplit(path).path
     except ValueError:  # no address, such as [::1
         return "The request is no valid one."
     if len(names) != 1 or names[0] not in LOOPBACK:
         return f"This server answers only as {' or '.join(LOOPBACK)}."
     if origins not in ([], [f"http://{hosts[0]}"]) or set(sites) - {"same-origin", "none"}:
         return "The request comes from a page of another site."
-    return "This viewer takes no models." if place == "/drop" else None
+    return "This viewer takes no models." if route == "/drop" else None
 
 
 def _show(viewer: object, seconds: float) -> bool:

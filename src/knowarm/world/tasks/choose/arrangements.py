@@ -31,15 +31,15 @@ class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
     def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        found = arrange(setting.scene, setting.facets, queries, objects, queries.version())
-        parts = found.table.parts.shape[1]
+        arrangements = arrange(setting.scene, setting.facets, queries, objects, queries.version())
+        parts = arrangements.table.parts.shape[1]
         self.draws = draws(objects // parts)
         self._layouts = LayoutSource(setting.scene, parts)
-        self._sets, self._spare = found.sets, found.spare
-        facet_target, facet_colour = facet_indices(setting.scene, found.table)
-        self._target = facet_target[found.sets.facets]
-        self._colour = facet_colour[found.sets.facets]
-        self._queries = np.array([query.name for query in found.table.queries])
+        self._sets, self._spare = arrangements.sets, arrangements.spare
+        facet_target, facet_colour = facet_indices(setting.scene, arrangements.table)
+        self._target = facet_target[arrangements.sets.facets]
+        self._colour = facet_colour[arrangements.sets.facets]
+        self._queries = np.array([query.name for query in arrangements.table.queries])
         self._rotation = np.arange(objects)
 
     def __call__(self, first: Floats, more: Floats) -> DrawnObjects:

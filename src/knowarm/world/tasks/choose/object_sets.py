@@ -48,14 +48,14 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     """
     table.check_objects(objects)
     generator = np.random.default_rng(derive(0, "compositions"))
-    found: list[Integers] = []
+    drawn: list[Integers] = []
     for _ in range(_ROUNDS):
         sets = _all_parts(table, _draw_sets(table, objects, generator))
         can_be_asked = np.asarray(_own_queries(table, sets).any(axis=2))
-        found.append(sets[can_be_asked.all(axis=1)])
-        if sum(map(len, found)) >= SETS:
+        drawn.append(sets[can_be_asked.all(axis=1)])
+        if sum(map(len, drawn)) >= SETS:
             break
-    sets = np.concatenate(found)[:SETS]
+    sets = np.concatenate(drawn)[:SETS]
     if len(sets) >= MIN_BALANCED:
         return _ask_each(table, sets, generator)
     return _ask_first(table, objects, generator)
