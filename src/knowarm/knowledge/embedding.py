@@ -264,10 +264,8 @@ def _embed(
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
         graph = read_graph(config.graph) if graph is None else graph
-        graph = slots.complete(graph, config)
-        changed = source.change_graph(graph, seed)
-        described = slots.describe(changed, config, seed)
-        matrix = _vectors(config, changed, described, coverage)
+        described = slots.describe(graph, config, seed)
+        matrix = _vectors(config, described, coverage)
         if not source.content_free:
             sentences = tuple(" ".join(p.label for p in parts) for parts in described.sentences)
     matrix = source.change_vectors(matrix, seed)
@@ -279,10 +277,9 @@ def _embed(
     return _Embedded(matrix, sentences, coverage)
 
 
-def _vectors(
-    config: KnowledgeConfig, graph: KnowledgeGraph, described: Described, coverage: Coverage
-) -> np.ndarray:
+def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) -> np.ndarray:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
+    graph = described.graph
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
     lookup = config.source.open(
         Request(

@@ -23,6 +23,7 @@ class Described(NamedTuple):
     own: list[SentencePart | None]  # Label of each slot's colour, or of the value in a query
     rest: list[list[SentencePart]]  # The labels beside it
     hues: list[SentencePart]  # Labels that `own` is centred among
+    graph: KnowledgeGraph  # The graph that they are described by
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class FacetSlots:
     def __len__(self) -> int:
         return len(self.facets)
 
-    def complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
+    def _complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
         """Add the colours in which objects are seen, for objects of which the graph states none."""
         if config.scope != "perceived":
             return graph
@@ -50,21 +51,25 @@ class FacetSlots:
 
     def subgraphs(
         self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
-    ) -> list[tuple[KnowledgeGraph, str | None]]:
-        """Return each slot's subgraph and its colour's name in the graph."""
+    ) -> tuple[KnowledgeGraph, list[tuple[KnowledgeGraph, str | None]]]:
+        """Return the graph that slots are described by, and each one's subgraph and colour there.
+
+        Placebos change the graph, or the facets.
+        """
+        graph = config.source.change_graph(self._complete(graph, config), seed)
         named = [
             Facet(config.graph_name(each.object), each.colour and config.graph_name(each.colour))
             for each in self.facets
         ]
         facets = config.source.change_facets(named, graph, config.colour_relation, seed)
-        return [
+        return graph, [
             facet_subgraph(_around(graph, facet.object, config), facet, config.colour_relation)
             for facet in facets
         ]
 
     def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
         """Return the sentences of the subgraphs, and the colours."""
-        subgraphs = self.subgraphs(graph, config, seed)
+        graph, subgraphs = self.subgraphs(graph, config, seed)
         hues: list[SentencePart] = []
         if config.detail == "full":  # every colour of the graph
             rows = graph.relations == graph.relation_id(config.colour_relation)
@@ -78,7 +83,7 @@ class FacetSlots:
                 others = parts[:place] + parts[place + 1 :]
             own.append(hue)
             rest.append(others)
-        return Described(sentences, own, rest, hues)
+        return Described(sentences, own, rest, hues, graph)
 
 
 @dataclass(frozen=True)
@@ -90,25 +95,27 @@ class ConditionSlots:
     def __len__(self) -> int:
         return len(self.conditions)
 
-    def complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
-        """Check that the graph describes some of the conditions."""
+    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
+        """Return the labels of each condition, and its value where there are others beside it.
+
+        Raises:
+            UserError: the graph describes none of the conditions.
+        """
         if config.hops and not any(_entity(graph, c, config) for c in self.conditions):
             raise UserError(
                 f"The graph describes none of the {len(self)} conditions of the queries, such as "
                 f"{self.conditions[0].name!r}. Set graph to the one that the queries were made "
                 "from."
             )
-        return graph
-
-    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
-        """Return the labels of each condition, and its value where there are others beside it."""
+        graph = config.source.change_graph(graph, seed)
         conditions = config.source.change_conditions(self.conditions)
         sentences = [_condition_parts(graph, each, config) for each in conditions]
         values = [_entity(graph, each, config) or each.value for each in conditions]
         apart = [_apart(parts, value) for parts, value in zip(sentences, values, strict=True)]
         own = [value if rest else None for value, rest in apart]
         rest = [rest or parts for (_, rest), parts in zip(apart, sentences, strict=True)]
-        return Described(sentences, own, rest, [entity_part(graph, value) for value in values])
+        hues = [entity_part(graph, value) for value in values]
+        return Described(sentences, own, rest, hues, graph)
 
 
 def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
@@ -278,12 +285,11 @@ def _subgraphs(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], run_seed: int
 ) -> tuple[KnowledgeGraph, dict[str, KnowledgeGraph]]:
     """Return the graph that slots are described by, and the subgraph of each by its name."""
-    slots, source, graph = slots_of(config, facets), config.source, read_graph(config.graph)
+    slots, graph = slots_of(config, facets), read_graph(config.graph)
     if not slots:
         return graph, {}
-    seed, scene = source.draw_seed(config.seed, run_seed), FacetSlots(slots)
-    graph = source.change_graph(scene.complete(graph, config), seed)
-    subgraphs = scene.subgraphs(graph, config, seed)
+    seed = config.source.draw_seed(config.seed, run_seed)
+    graph, subgraphs = FacetSlots(slots).subgraphs(graph, config, seed)
     return graph, {slot.name: sub for slot, (sub, _) in zip(slots, subgraphs, strict=True)}
 
 
