@@ -7,7 +7,7 @@ facet that is its target. A facet is an object, or one of its parts, in one of i
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -147,22 +147,6 @@ class QuestionTable:
             UserError: not all objects have the same number of parts.
         """
         return number_parts(self.facets)
-
-    def with_parts(self, count: int) -> "QuestionTable":
-        """Return the table of episodes that show ``count`` objects with all of their parts.
-
-        A query is asked for a part only if no other part of its object satisfies it.
-        """
-        if self.parts.shape[1] == 1:
-            return self
-        shown = np.asarray(self.shown[self.parts].any(axis=1))
-        related = np.asarray(self.related[:, self.parts].any(axis=2))
-        related = np.asarray(related[self.parts].any(axis=1))
-        satisfied = self.satisfies[:, self.parts]
-        askable = self.askable & (satisfied.sum(axis=2) == 1)
-        by_object = np.asarray(satisfied.any(axis=2))
-        askable = with_distractors(askable, by_object, related, shown, self.objects, count)
-        return replace(self, askable=askable, related=related, shown=shown)
 
     def distractors(self, query: Integers, target: Integers) -> Mask:
         """Return the facets that may stand beside the targets of n questions (n,), (n, F).

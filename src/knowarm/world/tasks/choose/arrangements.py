@@ -1,5 +1,6 @@
 """Episodes of the choose task: which objects stand where, and which question singles out one."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.questions import ObjectColour, QuestionTable, number_parts
+from knowarm.questions import ObjectColour, QuestionTable, number_parts, with_distractors
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.choose.layouts import LayoutSource, draws
 from knowarm.world.tasks.choose.object_sets import ObjectSets, draw_object_sets
@@ -85,10 +86,23 @@ def question_table(
 ) -> QuestionTable:
     """Return the questions of a source about facets, of which an episode shows ``objects``.
 
-    Facets that are parts are shown with all parts of their objects. Cached per process and
-    ``version`` of the source.
+    Facets that are parts are shown with all parts of their objects; a query is asked for a part
+    only if no other part of its object satisfies it. Cached per process and ``version`` of the
+    source.
     """
-    return queries.table(facets, objects).with_parts(objects // number_parts(facets).shape[1])
+    count = objects // number_parts(facets).shape[1]
+    table = queries.table(facets, objects)
+    parts = table.parts
+    if parts.shape[1] == 1:
+        return table
+    shown = np.asarray(table.shown[parts].any(axis=1))
+    related = np.asarray(table.related[:, parts].any(axis=2))
+    related = np.asarray(related[parts].any(axis=1))
+    satisfied = table.satisfies[:, parts]
+    askable = table.askable & (satisfied.sum(axis=2) == 1)
+    by_object = np.asarray(satisfied.any(axis=2))
+    askable = with_distractors(askable, by_object, related, shown, table.objects, count)
+    return replace(table, askable=askable, related=related, shown=shown)
 
 
 @lru_cache(maxsize=16)
