@@ -12,7 +12,6 @@ from PIL import Image, ImageSequence
 
 from knowarm.experiment.measures import AGAIN
 from knowarm.reading import reading, replacing
-from knowarm.world.agents.play import EpisodeResults
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -127,14 +126,3 @@ def read_film(path: Path) -> np.ndarray:
                 if len(frames) > MAX_FRAMES:
                     raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
         return np.stack(frames)
-
-
-def step_values(result: EpisodeResults) -> dict[str, np.ndarray]:
-    """Return the columns of ``steps.parquet``, (steps,) each."""
-    steps = result.steps
-    values = (steps.episode, steps.step, steps.distance, steps.angle, steps.reward)
-    columns = dict(zip(STEP_COLUMNS, values, strict=True))
-    for i in range(steps.joint_positions.shape[1]):
-        columns[f"joint_{i + 1}_rad"] = steps.joint_positions[:, i]
-        columns[f"action_{i + 1}"] = steps.actions[:, i]
-    return columns

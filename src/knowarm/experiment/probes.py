@@ -67,9 +67,15 @@ class StepsProbe(BaseProbe):
 
     def measure(self, played: Played, findings: Findings) -> None:
         """Add the columns of ``steps.parquet``."""
-        from knowarm.experiment.evaluation_files import step_values
+        from knowarm.experiment.evaluation_files import STEP_COLUMNS
 
-        findings.steps = step_values(played.result)
+        steps = played.result.steps
+        values = (steps.episode, steps.step, steps.distance, steps.angle, steps.reward)
+        columns = dict(zip(STEP_COLUMNS, values, strict=True))
+        for i in range(steps.joint_positions.shape[1]):
+            columns[f"joint_{i + 1}_rad"] = steps.joint_positions[:, i]
+            columns[f"action_{i + 1}"] = steps.actions[:, i]
+        findings.steps = columns
 
 
 @dataclass(frozen=True, kw_only=True)

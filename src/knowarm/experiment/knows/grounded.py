@@ -35,7 +35,7 @@ class Grounded(AboutQueries):
 
         return GroundingNetwork
 
-    def input_sizes(self, known: Known) -> tuple[int, int]:
+    def input_sizes(self, embedded: Known) -> tuple[int, int]:
         """As `Member.input_sizes`: those of a grasp frame."""
         from knowarm.perception.grounding import FRAME
 

@@ -69,7 +69,7 @@ class Member:
         """
         raise NotImplementedError
 
-    def input_sizes(self, known: Known) -> tuple[int, int]:
+    def input_sizes(self, embedded: Known) -> tuple[int, int]:
         """Return the numbers that the policy receives, and in how many equal slots."""
         return 0, 1
 

@@ -38,10 +38,10 @@ class FromGraph(Member, KnowledgeConfig):
         encoder = self.source.encoder
         return config if encoder == "identity" else replace(config, knowledge_encoder=encoder)
 
-    def input_sizes(self, known: Known) -> tuple[int, int]:
+    def input_sizes(self, embedded: Known) -> tuple[int, int]:
         """As `Member.input_sizes`: those of a row."""
-        assert known.embedding is not None
-        return known.embedding.dim, known.embedding.slots_per_row
+        assert embedded.embedding is not None
+        return embedded.embedding.dim, embedded.embedding.slots_per_row
 
     @property
     def rank(self) -> int:
