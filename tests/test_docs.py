@@ -230,6 +230,18 @@ def test_a_broken_link_is_found():
     assert list(broken_links("README.md", text)) == ["none.md", "#none"]
 
 
+def test_every_promise_about_security_names_tests_that_exist():
+    """A row of the table without tests must say that the input is trusted like code."""
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line.startswith("|")][2:]
+    assert len(rows) > 10
+    for row in rows:
+        named = re.findall(r"`((?:tests/\w+/)?test_\w+\.py|tests/[\w/]+\.py)`", row)
+        assert named or "code**" in row, row
+        for name in named:
+            assert any(path.match(name) for path in (ROOT / "tests").rglob("test_*.py")), name
+
+
 def test_the_api_reference_lists_every_public_name():
     page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     assert set(re.findall(r":: knowarm\.(\w+)$", page, re.M)) == set(knowarm.__all__)

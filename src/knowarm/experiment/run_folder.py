@@ -173,6 +173,7 @@ class RunFolder:
 
         A run that resumes with its copy of an input keeps the name of the original.
         """
+        trust(to_dict(config))  # the user's, or checked when it was read
         begun = read_json(self.config_path) if self.config_path.exists() else {}
         names: dict[str, str] = {}  # of the originals, by copy
         with_inputs(begun, lambda name: names.setdefault(str(self._copy(name)), name))
