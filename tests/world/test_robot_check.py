@@ -7,6 +7,7 @@ import pytest
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.robot_check import check_agents, check_robot
+from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.teacher import GoalTable
 from tests.world.helpers import EXAMPLES, write_robot
 
@@ -80,6 +81,26 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
     )
     GoalTable(ArmVectorEnv(config, 1).running)  # The teacher of imitation takes such poses too.
     assert "teacher reaches" not in caplog.text
+
+
+SURROUNDINGS = """<worldbody><geom type="plane" size="2 2 .1" pos="0 0 .06" rgba="1 0 0 1"/>
+  <geom name="plinth" size=".05"/>
+  <body name="table" pos=".4 0 .2"><geom type="box" size=".2 .2 .2"/></body>
+  <body name="cube" pos=".3 0 .5"><freejoint/><geom type="box" size=".03 .03 .03"/></body>"""
+
+
+def test_surroundings_in_the_robots_file_are_left_out_and_listed(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS)
+    (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
+    bare = load_scene(str(file), ("bottle",)).model
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS.replace("<worldbody>", SURROUNDINGS))
+    full = load_scene(str(file), ("bottle",)).model
+    assert full.ngeom == bare.ngeom + 1
+    assert full.geom("robot/plinth").id >= 0
+    assert full.nbody == bare.nbody
+    found = check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)[0].found
+    assert "left out of arm.xml: an unnamed floor, body 'table', body 'cube';" in found
+    assert found.endswith("taken for the robot's base: plinth")
 
 
 def test_a_way_that_takes_most_of_an_episode_is_named() -> None:

@@ -22,6 +22,7 @@ from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
+from knowarm.world.scene.mjcf import read_mjcf, surroundings
 from knowarm.world.scene.scene import Scene, project, target_places
 from knowarm.world.tasks.ik import IKSolution, InverseKinematics
 from knowarm.world.tasks.state import ACTION_LEVELS
@@ -82,7 +83,7 @@ def check_robot(
     ranges = zip(scene.robot.joints, scene.joint_lower, scene.joint_upper, strict=True)
     joints = ", ".join(f"{name} [{low:.2f}, {high:.2f}]" for name, low, high in ranges)
     checks = [
-        Check("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        _check_scene(scene),
         Check("joints", True, joints),
         _check_gripper(env),
         _check_servos(env),
@@ -93,6 +94,23 @@ def check_robot(
     if all(check.ok for check in checks):
         checks += check_agents(replace(config, image_size=1))
     return checks
+
+
+def _check_scene(scene: Scene) -> Check:
+    """Say what of the robot's file is left out, and what of its world is kept as the base."""
+    robot = scene.robot
+    part = read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
+    found = f"compiles, {scene.model.ngeom} geoms"
+    names = []
+    for element in surroundings(part, (*robot.joints, *robot.held_joints)):
+        kind = "body" if isinstance(element, mujoco.MjsBody) else "floor"
+        names.append(f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}")
+        part.delete(element)
+    if names:
+        found += f"; left out of {robot.mjcf.name}: {', '.join(names)}"
+    if kept := [geom.name or "unnamed" for geom in part.worldbody.geoms]:
+        found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
+    return Check("scene", True, found)
 
 
 def _check_gripper(env: ArmVectorEnv) -> Check:

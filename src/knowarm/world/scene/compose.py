@@ -11,7 +11,14 @@ from knowarm.errors import UserError
 from knowarm.questions import object_of
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot, Table
-from knowarm.world.scene.mjcf import check_names, hide_sites, hold, read_mjcf, strip
+from knowarm.world.scene.mjcf import (
+    check_names,
+    hide_sites,
+    hold,
+    read_mjcf,
+    strip,
+    surroundings,
+)
 
 ROBOT_PREFIX = "robot/"  # Prefix of all names of the robot's own file in the scene
 ROBOT_BIT, SUPPORT_BIT = 1, 2
@@ -19,7 +26,10 @@ ROBOT_BIT, SUPPORT_BIT = 1, 2
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Attach the robot, gravity compensated, with only the joints that the agent moves."""
+    """Attach the robot, gravity compensated, with only the joints that the agent moves.
+
+    Floor, tables and loose bodies of its file are left out: targets and support are the scene's.
+    """
     owner = f"Robot {robot.name!r}"
     part = read_mjcf(robot.mjcf, owner)
     for field in ("joints", "held_joints"):
@@ -32,6 +42,8 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
         remedy = " Name one of them, or set tcp_body to have the site added."
         check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
     strip(part)
+    for element in surroundings(part, (*robot.joints, *robot.held_joints)):
+        part.delete(element)
     for joint in list(part.joints):
         if joint.name not in robot.joints:
             if joint.name in robot.held_joints:

@@ -44,6 +44,18 @@ def strip(part: mujoco.MjSpec) -> None:
             part.delete(element)
 
 
+def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
+    """Return the floors of a robot's file, and the top-level bodies that carry none of its joints.
+
+    Other geoms of the world belong to the robot: a file made from URDF has its base there.
+    """
+    world, names = part.worldbody, set(joints)
+    floors = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+    carried = [{joint.name for joint in body.find_all("joint")} for body in world.bodies]
+    loose = [b for b, own in zip(world.bodies, carried, strict=True) if not names & own]
+    return [geom for geom in world.geoms if geom.type in floors] + loose
+
+
 def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
     """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
     body, in_degrees = joint.parent, part.compiler.degree
