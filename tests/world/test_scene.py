@@ -152,6 +152,7 @@ def test_a_held_joint_stands_where_the_joint_would_carry_it() -> None:
         joints=IRB120.joints[:1] + IRB120.joints[2:],
         home=(0.0, 0.4, 0.0, 0.2, 0.0),
         held_joints={"joint_2": 0.3},
+        areas={},
     )
     whole, part = load_scene("irb120", ("mug",)), build_scene(held, [MUG])
     tips = []
@@ -183,6 +184,7 @@ def test_a_held_joint_keeps_how_its_body_is_turned(tmp_path, orientation: str) -
         home=(0.0,),
         start_joints=(),
         held_joints={"held": 0.7},
+        areas={},
     )
     spec = mujoco.MjSpec()
     attach_robot(spec, replace(own, tcp_body="tip", base_position_m=(0, 0, 0)))
@@ -211,7 +213,15 @@ def test_a_geom_s_own_colour_goes_before_its_material_s(tmp_path) -> None:
         <body name="tip" pos=".2 0 .1"><joint name="tip"/><geom size=".05" material="m"/>
         </body></body></worldbody></mujoco>"""
     )
-    arm = replace(IRB120, mjcf=path, joints=("tip",), home=(0.0,), start_joints=(), tcp_body="tip")
+    arm = replace(
+        IRB120,
+        mjcf=path,
+        joints=("tip",),
+        home=(0.0,),
+        start_joints=(),
+        areas={},
+        tcp_body="tip",
+    )
     scene = build_scene(arm, [MUG])
     colours = resting_colours(scene, 1)[0]
     own = scene.model.geom("robot/own").id
