@@ -20,7 +20,8 @@ from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import find_layout
-from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
+from knowarm.world.own_robot.robot_check import check_robot
+from knowarm.world.own_robot.scene_image import SIDE, write_scene_image
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import STOP_RAD
@@ -236,7 +237,7 @@ def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> 
     (tmp_path / "arm.toml").write_text(draft.toml(tmp_path / "arm.toml"))
     checks = check_robot(tmp_path / "arm.toml", targets, angle_deg=90.0, ignore_roll=True)
     assert [check for check in checks if not check.ok] == []
-    assert len(checks) == 15
+    assert len(checks) == 17
 
 
 def test_overrides_are_fields_in_tomls_notation() -> None:

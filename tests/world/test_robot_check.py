@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.own_robot.robot_check import check_agents, check_robot
+from knowarm.world.own_robot.robot_check import check_agents, check_joints, check_robot
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.teacher import GoalTable
 from tests.world.helpers import EXAMPLES, write_robot
@@ -49,7 +49,7 @@ THREE_JOINTS = """
     <geom type="cylinder" size=".06 .1" pos="0 0 .1" mass="3"/>
   <body pos="0 0 .2"><joint name="shoulder" axis="0 1 0" range="-2 2" damping="2"/>
     <geom type="capsule" fromto="0 0 0 0 0 .35" size=".04" mass="2"/>
-  <body pos="0 0 .35"><joint name="elbow" axis="0 1 0" range="-2.6 2.6" damping="1"/>
+  <body name="fore" pos="0 0 .35"><joint name="elbow" axis="0 1 0" range="-2.6 2.6" damping="1"/>
     <geom type="capsule" fromto="0 0 0 0 0 .35" size=".035" mass="1.5"/>
     <site name="tcp" pos="0 0 .38"/></body></body></body></body></worldbody>
   <compiler angle="radian"/></mujoco>"""
@@ -101,6 +101,53 @@ def test_surroundings_in_the_robots_file_are_left_out_and_listed(tmp_path: Path)
     found = check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)[0].found
     assert "left out of arm.xml: an unnamed floor, body 'table', body 'cube';" in found
     assert found.endswith("taken for the robot's base: plinth")
+
+
+COUPLING = '<equality><joint joint1="elbow" joint2="shoulder"/></equality><compiler'
+MILLIMETRES = """<asset><mesh name="m" vertex="-60 -60 0 60 -60 0 0 60 0 0 0 160"/></asset>
+<worldbody><geom type="mesh" mesh="m" />"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name", "words"),
+    [
+        ("<geom ", '<geom group="3" ', "robot in the image", "group 0, 1 or 2"),
+        ("<geom ", '<geom rgba=".6 .6 .63 0" ', "robot in the image", "group 0, 1 or 2"),
+        ("<worldbody>", MILLIMETRES, "size of the robot", 'scale="0.001'),
+    ],
+)
+def test_invisible_and_huge_robots_fail(
+    old: str, new: str, name: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS.replace(old, new))
+    (tmp_path / "arm.toml").write_text(DESCRIPTION)
+    checks = check_robot(tmp_path / "arm.toml", ["bottle"], angle_deg=90.0, ignore_roll=True)
+    bad = {check.name: check for check in checks if not check.ok}
+    assert words in bad[name].remedy
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "ok", "words"),
+    [
+        (' range="-3 3"', "", True, "yaw [-6.28, 6.28] (no range in the file), shoulder [-2.00, 2"),
+        (
+            "<site",
+            '<joint type="ball" armature=".1"/><site',
+            True,
+            "unnamed ball joint of body 'fore'",
+        ),
+        ("<compiler", COUPLING, False, "in the file, not in the scene: elbow and shoulder"),
+        ("", "", True, "elbow [-2.60, 2.60]"),
+    ],
+)
+def test_joints_that_move_otherwise_than_in_the_file_are_named(
+    old: str, new: str, ok: bool, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS.replace(old, new, 1))
+    (tmp_path / "arm.toml").write_text(DESCRIPTION)
+    check = check_joints(load_scene(str(tmp_path / "arm.toml"), ("bottle",)))
+    assert (check.name, check.ok) == ("joints", ok)
+    assert check.found.endswith(words) or check.found.startswith(words)
 
 
 def test_a_way_that_takes_most_of_an_episode_is_named() -> None:

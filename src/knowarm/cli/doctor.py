@@ -17,7 +17,8 @@ from knowarm.world.description import SUFFIX
 from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
 from knowarm.world.own_robot.object_check import check_objects
-from knowarm.world.own_robot.robot_check import MJCF_SUFFIXES, Check, check_robot, write_scene_image
+from knowarm.world.own_robot.robot_check import MJCF_SUFFIXES, Check, check_robot
+from knowarm.world.own_robot.scene_image import write_scene_image
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.scene import load_scene
 

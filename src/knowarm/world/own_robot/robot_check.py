@@ -1,4 +1,4 @@
-"""Checks of a robot's description: scene, joints, gripper, servos, reach, visibility; image."""
+"""Checks of a robot's description: scene, joints, gripper, servos, reach, visibility."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -8,11 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.reading import replacing
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
@@ -20,10 +18,12 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.own_robot.draft_gripper import couplings, joint_name
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
+from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.mjcf import read_mjcf, surroundings
-from knowarm.world.scene.scene import Scene, project, target_places
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.ik import IKSolution, InverseKinematics
 from knowarm.world.tasks.state import ACTION_LEVELS
 
@@ -34,6 +34,10 @@ SAMPLES = 100  # Episodes per check
 MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics
 MOVING_SHARE = 0.9
 """Share of the time limit in which a solution has to be reached; servos lag behind."""
+
+MIN_ROBOT_SHARE, MAX_PART = 0.01, 2.0
+"""Least share of the image that shows the robot at its start, and greatest diameter of one of its
+geoms relative to the length of the arm."""
 
 MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
 MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
@@ -80,11 +84,10 @@ def check_robot(
         return [Check("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
     env.reset(options={"episodes": evaluation_episodes(config, SAMPLES, 0)})
-    ranges = zip(scene.robot.joints, scene.joint_lower, scene.joint_upper, strict=True)
-    joints = ", ".join(f"{name} [{low:.2f}, {high:.2f}]" for name, low, high in ranges)
     checks = [
         _check_scene(scene),
-        Check("joints", True, joints),
+        check_joints(scene),
+        *_check_body(env),
         _check_gripper(env),
         _check_servos(env),
     ]
@@ -111,6 +114,78 @@ def _check_scene(scene: Scene) -> Check:
     if kept := [geom.name or "unnamed" for geom in part.worldbody.geoms]:
         found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
     return Check("scene", True, found)
+
+
+def check_joints(scene: Scene) -> Check:
+    """Check that no joints are coupled in the file; say what is held still and has no range."""
+    robot = scene.robot
+    file = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
+    limited = [file.joint(name).limited[0] for name in robot.joints]
+    ranges = zip(robot.joints, scene.joint_lower, scene.joint_upper, limited, strict=True)
+    found = ", ".join(
+        f"{name} [{low:.2f}, {high:.2f}]{'' if own else ' (no range in the file)'}"
+        for name, low, high, own in ranges
+    )
+    named = {*robot.joints, *robot.held_joints}
+    body = file.body(robot.tcp_body).id if robot.tcp_body else file.site(robot.tcp_site).bodyid[0]
+    still: list[str] = []
+    while body:
+        names = [joint_name(file, j) for j in np.flatnonzero(file.jnt_bodyid == body).tolist()]
+        still += [name for name in names if name not in named]
+        body = file.body_parentid[body]
+    if still:
+        found += f"; held still between base and gripper: {', '.join(still)}"
+    groups = [[joint_name(file, j) for j in group] for group in couplings(file)]
+    freed = [" and ".join(group) for group in groups if named & set(group)]
+    if freed:
+        found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
+    return Check(
+        "joints",
+        all(len(set(robot.joints) & set(group)) < 2 for group in groups),
+        found,
+        "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
+        "remove them from the file only if the robot's joints are free of each other.",
+    )
+
+
+def _check_body(env: ArmVectorEnv) -> Iterator[Check]:
+    """Check that the image shows the robot, and that no part is far larger than the arm."""
+    scene, simulation = env.scene, env.simulation
+    model = scene.model
+    names = [model.geom(g).name for g in range(model.ngeom)]
+    parts = np.array([not name or name.startswith(ROBOT_PREFIX) for name in names])
+    poses = simulation.geom_position, simulation.geom_matrix
+    renderer = make_renderer(scene, env.config, env.config.image_size)
+    colours = resting_colours(scene, SAMPLES)
+    shown = renderer.draw(*poses, colours)
+    colours[:, parts, 3] = 0.0
+    pixels = different_pixels(shown, renderer.draw(*poses, colours).astype(np.int16))
+    share = float(np.median(pixels)) / env.config.image_size**2
+    yield Check(
+        "robot in the image",
+        share >= MIN_ROBOT_SHARE,
+        f"fills {100 * share:.1f} % of the image at its start (median)",
+        f"Below {100 * MIN_ROBOT_SHARE:.0f} %: draw its geoms in group 0, 1 or 2 (in a URDF, "
+        '<mujoco><compiler discardvisual="false"/></mujoco> keeps the visuals), give them colours '
+        "that differ from the floor's, or change camera_position_m and camera_look_at_m.",
+    )
+    data = mujoco.MjData(model)
+    data.qpos[scene.qpos_index] = scene.home
+    mujoco.mj_kinematics(model, data)
+    joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.joint_names]
+    points = np.concatenate([data.xanchor[joints], data.site_xpos[[scene.tcp_site]]])
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    diameter = 2 * np.where(parts, model.geom_rbound, 0.0)
+    largest = int(diameter.argmax())
+    body = model.body(model.geom_bodyid[largest]).name.removeprefix(ROBOT_PREFIX)
+    yield Check(
+        "size of the robot",
+        bool(diameter[largest] <= MAX_PART * length),
+        f"the largest geom, of body {body!r}, has a diameter of {diameter[largest]:.3g} m; the arm "
+        f"is {length:.3g} m long from its first joint",
+        f"More than {MAX_PART:.0f} times the arm: a mesh in millimetres needs "
+        'scale="0.001 0.001 0.001".',
+    )
 
 
 def _check_gripper(env: ArmVectorEnv) -> Check:
@@ -251,39 +326,3 @@ def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], rem
 def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> Integers:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
     return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))
-
-
-SIDE = 512  # Side of each of the two images [px]
-LINE = (255, 210, 60)  # Colour of the rectangle and of the gripper's approach
-APPROACH_M = 0.1  # Length of the line that shows the gripper's approach [m]
-
-
-def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
-    """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
-    robot, model = scene.robot, scene.model
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = scene.home
-    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
-    corners = target_places(scene, centre + half * [(-1, -1), (-1, 1), (1, 1), (1, -1)])
-    for k, mocap in enumerate(scene.target_mocap):
-        data.mocap_pos[mocap] = corners[k % 4]
-    mujoco.mj_kinematics(model, data)
-    poses = data.geom_xpos[None], data.geom_xmat[None]
-    colours = resting_colours(scene, 1)
-    colours[:, scene.geom_target >= 0, 3] = 1.0
-    small = make_renderer(scene, config, config.image_size, 1).draw(*poses, colours)[0]
-    # One image is drawn faster with full meshes than they are simplified.
-    full = replace(config, mesh_detail="full")
-    large = Image.fromarray(make_renderer(scene, full, SIDE, 1).draw(*poses, colours)[0])
-    pen = ImageDraw.Draw(large)
-    tip = data.site_xpos[scene.tcp_site]
-    ahead = tip + APPROACH_M * data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
-    for points in (np.concatenate([corners, corners[:1]]), np.stack([tip, ahead])):
-        seen = (project(scene, points) * [1, -1] + 1) * SIDE / 2
-        if np.isfinite(seen).all():
-            pen.line([tuple(point) for point in seen.tolist()], fill=LINE, width=2)
-    both = Image.new("RGB", (2 * SIDE, SIDE))
-    both.paste(large, (0, 0))
-    both.paste(Image.fromarray(small).resize((SIDE, SIDE), Image.Resampling.NEAREST), (SIDE, 0))
-    with replacing(path) as temporary:
-        both.save(temporary)
