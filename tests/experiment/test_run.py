@@ -157,6 +157,10 @@ def test_a_run_that_resumes_elsewhere_says_so(reach_run, copy_of, capsys):
     values = read_json(folder.path / "provenance.json")
     first = values["versions"] | {"torch": "2.0.0"}
     write_json(folder.path / "provenance.json", values | {"versions": first})
+    edited = read_json(folder.config_path)
+    edited["algorithm"]["learning_rate"] = 0.0007
+    write_json(folder.config_path, edited)
+    config = folder.experiment()
     for steps in (200, 240):  # the second goes on where the first was
         train(dataclasses.replace(config, total_steps=steps), runs, resume=True)
     provenance = folder.provenance()
@@ -164,7 +168,9 @@ def test_a_run_that_resumes_elsewhere_says_so(reach_run, copy_of, capsys):
     (resumed,) = provenance.resumed
     assert resumed["step"] == 160
     assert resumed["versions"] == values["versions"]
-    assert capsys.readouterr().err.count("versions.torch 2.0.0 |") == 1
+    assert resumed["algorithm"]["learning_rate"] == 0.0007
+    said = capsys.readouterr().err
+    assert said.count("versions.torch 2.0.0 |") == said.count("algorithm.learning_rate ") == 1
 
 
 def test_the_trained_agent_is_the_one_that_was_saved(reach_run):

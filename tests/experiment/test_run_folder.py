@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment import run_folder
+from knowarm.experiment import provenance as provenance_module
 from knowarm.experiment.csv_log import CsvLog, read_csv
 from knowarm.experiment.run_folder import RunFolder
 
@@ -17,15 +17,15 @@ def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, m
         subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True)
 
     git("init")
-    installed = tmp_path / "venv" / "knowarm" / "run_folder.py"
+    installed = tmp_path / "venv" / "knowarm" / "provenance.py"
     installed.parent.mkdir(parents=True)
     installed.touch()
     git("commit", "--allow-empty", "-m", "theirs")
-    monkeypatch.setattr(run_folder, "__file__", str(installed))
-    assert run_folder.provenance().commit is None
+    monkeypatch.setattr(provenance_module, "__file__", str(installed))
+    assert provenance_module.provenance().commit is None
     git("add", str(installed))
     git("commit", "-m", "ours")
-    assert len(run_folder.provenance().commit) == 40
+    assert len(provenance_module.provenance().commit) == 40
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,11 @@ from knowarm.experiment.build import Parts, build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.provenance import provenance
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
     RunFolder,
     module_for_training,
-    provenance,
 )
 from knowarm.experiment.run_inputs import with_inputs
 from knowarm.experiment.run_lock import lock_folder
@@ -140,7 +140,7 @@ def _train_locked(
         if continued:
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
-            if other := folder.note_resumption(trainer.step):
+            if other := folder.note_resumption(trainer.step, to_dict(config.algorithm)):
                 progress.line(f"provenance.json notes what is another than before: {other}")
             keep_to_step = trainer.step
             more = trainer.step < config.total_steps or trainer.lacks_evaluation
@@ -215,6 +215,7 @@ def _describe(
         facets=parts.facets,
         knowledge=parts.embedding and parts.embedding.describe(),
         perception=perception,
+        algorithm=to_dict(config.algorithm),
     )
     write_json(folder.path / "provenance.json", to_dict(about))
     folder.write_knowledge(parts.table)

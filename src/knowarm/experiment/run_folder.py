@@ -16,30 +16,23 @@ Layout of ``runs/<experiment>/<seed>/``::
 """
 
 import hashlib
-import json
-import os
-import platform
 import shutil
-import subprocess
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 from safetensors.numpy import save
 
 from knowarm.config import differences, from_dict, to_dict
-from knowarm.cores import processor
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.experiment.provenance import CHANGING, Provenance, provenance
 from knowarm.experiment.run_inputs import copy_input, is_copy_of, with_inputs
 from knowarm.experiment.summary import Summary
-from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.reading import (
@@ -54,34 +47,6 @@ from knowarm.world.description import SUFFIX, check_trusted, is_trusted, trust
 
 FORMAT = 1
 """Version of the run folder's layout."""
-
-
-PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
-"""Packages that shape a result."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """What a run was trained with, and on: the content of ``provenance.json``."""
-
-    versions: Mapping[str, str | None] = field(default_factory=dict)
-    """Versions of Python and of `PACKAGES`."""
-    commit: str | None = None
-    """Commit of the checkout, with "+changes" for uncommitted edits; None outside of one."""
-    machine: Mapping[str, str | int | float | None] = field(default_factory=dict)
-    """System, processor, cores and memory."""
-    parameter_counts: Mapping[str, int] = field(default_factory=dict)
-    """Trainable parameters by part of the network, and in ``total``."""
-    policy: Mapping[str, Any] = field(default_factory=dict)
-    """``config`` and ``shape`` of the policy."""
-    facets: tuple[tuple[str, str], ...] = ()
-    """Object and colour of each facet."""
-    knowledge: EmbeddingFacts | None = None
-    """The knowledge vector."""
-    perception: Mapping[str, Any] | None = None
-    """Digest and specification of the perception module, for agents that have one."""
-    resumed: tuple[Mapping[str, Any], ...] = ()
-    """Step, versions, commit and machine of each resumption in which one of these was another."""
 
 
 class RunExistsError(UserError):
@@ -239,17 +204,17 @@ class RunFolder:
         with reading(path, "Restore the file."):
             return from_dict(Provenance, read_json(path))
 
-    def note_resumption(self, step: int) -> str:
-        """Store versions, commit and machine from a step on; return what is another, or nothing."""
-        before, now = self.provenance(), provenance()
-        parts = ("versions", "commit", "machine")
-        last = {name: getattr(before, name) for name in parts}
-        last |= {name: before.resumed[-1][name] for name in parts} if before.resumed else {}
-        here = {name: getattr(now, name) for name in parts}
-        different = differences(last, json.loads(json.dumps(here)))
+    def note_resumption(self, step: int, algorithm: Mapping[str, Any]) -> str:
+        """Store versions, commit, machine and options from a step on; return what is another."""
+        path, before = self.path / "provenance.json", self.provenance()
+        here = to_dict(provenance(algorithm=algorithm))
+        with reading(path, "Restore the file."):
+            last = before.resumed[-1] if before.resumed else to_dict(before)
+            first, now = ({name: each[name] for name in CHANGING} for each in (last, here))
+        different = differences(first, now)
         if different:
-            resumed = (*before.resumed, {"step": step, **here})
-            write_json(self.path / "provenance.json", to_dict(replace(before, resumed=resumed)))
+            resumed = (*before.resumed, {"step": step, **now})
+            write_json(path, to_dict(replace(before, resumed=resumed)))
         return "; ".join(f"{name} {old} | {new}" for name, (old, new) in different.items())
 
     def summaries(self) -> list[Summary]:
@@ -271,43 +236,6 @@ class RunFolder:
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
-
-
-def provenance(**facts: Any) -> Provenance:
-    """Return ``facts`` of a run with the versions, the commit, and the machine."""
-    return Provenance(
-        versions={"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
-        commit=_commit(),
-        machine={
-            "system": f"{platform.system()} {platform.release()}",
-            "processor": processor(),
-            "cores": os.cpu_count(),
-            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
-        },
-        **facts,
-    )
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
-def _commit() -> str | None:
-    here = Path(__file__).parent
-    try:
-        _git("ls-files", "--error-unmatch", Path(__file__).name, at=here)  # else another project's
-        commit = _git("rev-parse", "HEAD", at=here)
-        return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
-    except (OSError, subprocess.CalledProcessError):
-        return None  # installed from a wheel, or no git on the machine
-
-
-def _git(*arguments: str, at: Path) -> str:
-    command = ["git", "-C", str(at), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 PERCEPTION_FILE = "perception.safetensors"

@@ -14,7 +14,7 @@ from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
 from knowarm.experiment.measures import AGAIN
-from knowarm.experiment.run_folder import Provenance
+from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import Summary
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap

@@ -10,7 +10,8 @@ import numpy as np
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import number_in, read_csv
-from knowarm.experiment.run_folder import Provenance, RunFolder
+from knowarm.experiment.provenance import Provenance
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_inputs import input_content, with_inputs
 from knowarm.experiment.summary import Summary
 from knowarm.reading import one_line

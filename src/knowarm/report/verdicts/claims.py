@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from knowarm.experiment.agents import Role, controls_of
-from knowarm.experiment.run_folder import Provenance
+from knowarm.experiment.provenance import Provenance
 from knowarm.report import format
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.format import counted, listed

@@ -1,0 +1,83 @@
+"""Provenance of a run: versions, commit, machine, sizes and options of its training."""
+
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from knowarm.cores import processor
+from knowarm.knowledge.config import EmbeddingFacts
+
+PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
+"""Packages that shape a result."""
+CHANGING = ("versions", "commit", "machine", "algorithm")
+"""What may be another when a training resumes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """What a run was trained with, and on: the content of ``provenance.json``."""
+
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+    """Versions of Python and of `PACKAGES`."""
+    commit: str | None = None
+    """Commit of the checkout, with "+changes" for uncommitted edits; None outside of one."""
+    machine: Mapping[str, str | int | float | None] = field(default_factory=dict)
+    """System, processor, cores and memory."""
+    parameter_counts: Mapping[str, int] = field(default_factory=dict)
+    """Trainable parameters by part of the network, and in ``total``."""
+    policy: Mapping[str, Any] = field(default_factory=dict)
+    """``config`` and ``shape`` of the policy."""
+    facets: tuple[tuple[str, str], ...] = ()
+    """Object and colour of each facet."""
+    knowledge: EmbeddingFacts | None = None
+    """The knowledge vector."""
+    perception: Mapping[str, Any] | None = None
+    """Digest and specification of the perception module, for agents that have one."""
+    algorithm: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the learning algorithm."""
+    resumed: tuple[Mapping[str, Any], ...] = ()
+    """Step and `CHANGING` of each resumption in which one of these was another than before."""
+
+
+def provenance(**facts: Any) -> Provenance:
+    """Return ``facts`` of a run with the versions, the commit, and the machine."""
+    return Provenance(
+        versions={"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
+        commit=_commit(),
+        machine={
+            "system": f"{platform.system()} {platform.release()}",
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+        },
+        **facts,
+    )
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    here = Path(__file__).parent
+    try:
+        _git("ls-files", "--error-unmatch", Path(__file__).name, at=here)  # else another project's
+        commit = _git("rev-parse", "HEAD", at=here)
+        return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None  # installed from a wheel, or no git on the machine
+
+
+def _git(*arguments: str, at: Path) -> str:
+    command = ["git", "-C", str(at), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
