@@ -92,7 +92,7 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, col
 
     first, group, everything = shown("--help"), shown("--help", "env"), shown("--help-all")
     assert len(first) == 10
-    assert {"seed", "total-steps", "knows.graph"} < set(first)
+    assert {"seed", "total-steps", "graph"} < set(first)
     assert all(name.startswith("env.") for name in group)
     assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)

@@ -2,9 +2,11 @@
 
 import pytest
 
+from knowarm.cli.train import Train
 from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names
+from knowarm.study.config import StudyConfig
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.tasks import task_names
 
@@ -77,3 +79,45 @@ def test_the_robot_is_an_option_and_every_robot_has_names_of_its_own(name, robot
     by_default = experiment_config(f"{DEFAULT_ROBOT}-{others}")
     same = {"name": by_default.name, "env": {"robot": DEFAULT_ROBOT}}
     assert override(config, same) == by_default
+
+
+@pytest.fixture
+def kitchen(tmp_path):
+    path = tmp_path / "kitchen.csv"
+    path.write_text("head,relation,tail\nmug,usedFor,drinking\n")
+    return str(path)
+
+
+def graphs_of(config):
+    return config.knows.graph, config.env.task.queries.graph
+
+
+def test_one_graph_is_that_of_the_questions_and_the_knowledge(kitchen):
+    name = "irb120-choose-subgraph-fast"
+    assert graphs_of(experiment_config(name, graph=kitchen)) == (kitchen, kitchen)
+    assert experiment_config("irb120-full-fast", graph=kitchen).knows.graph == kitchen
+    control = experiment_config("irb120-choose-bm-fast", graph=kitchen)
+    assert control.env.task.queries.graph == kitchen
+    with pytest.raises(UserError, match="does not concern irb120-bm-fast"):
+        experiment_config("irb120-bm-fast", graph=kitchen)
+    words = [name, "--graph", kitchen]
+    assert graphs_of(Train.parse("", words).config) == (kitchen, kitchen)
+
+
+def test_two_graphs_are_taken_only_if_both_are_named(kitchen):
+    name = "irb120-choose-subgraph-fast"
+    knows, asks = {"knows": {"graph": kitchen}}, {"env": {"task": {"queries": {"graph": kitchen}}}}
+    for one in (knows, asks):
+        with pytest.raises(UserError, match=r"For both pass graph='.*kitchen\.csv'"):
+            experiment_config(name, **one)
+        with pytest.raises(UserError, match="For both pass graph"):
+            StudyConfig(name="s", experiments=(name,), seeds=(0,), overrides=one)
+    for flag in ("--knows.graph", "--env.task.queries.graph"):
+        with pytest.raises(UserError, match="For both pass graph"):
+            Train.parse("", [name, flag, kitchen])
+    other = {"env": {"task": {"queries": {"graph": "household"}}}}
+    assert graphs_of(experiment_config(name, **knows, **other)) == (kitchen, "household")
+    words = [name, "--knows.graph", kitchen, "--env.task.queries.graph", "household"]
+    assert graphs_of(Train.parse("", words).config) == (kitchen, "household")
+    words = [name, "--graph", "household", "--knows.graph", kitchen]
+    assert graphs_of(Train.parse("", words).config) == (kitchen, "household")

@@ -206,6 +206,31 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
     assert train_grounding(*arguments, one, **stop) is None, "stopped within a round"
 
 
+@pytest.mark.parametrize("shared", [0, 2])
+def test_a_stopped_training_continues_with_its_round_as_if_it_had_not_been_stopped(
+    config, empty_cache, shared
+):
+    parts = build(config)
+    settings = GroundingConfig(images=64, rounds=3, batch=32, shared_rounds=shared)
+    arguments = (config.env, parts.table, parts.embedding.slots_per_row, settings)
+    whole = train_grounding(*arguments, seed=0).to_bytes()
+    for file in empty_cache.rglob("*.npz"):
+        file.unlink()
+    lines, rounds = [], shared + 3
+
+    def stop_in_the_last_round() -> bool:
+        return sum("grounding, round" in line for line in lines) == rounds - 1
+
+    options = {"seed": 0, "report": lines.append}
+    assert train_grounding(*arguments, **options, should_stop=stop_in_the_last_round) is None
+    lines.clear()
+    assert train_grounding(*arguments, **options).to_bytes() == whole
+    seen = [line for line in lines if line.startswith("grounding, round")]
+    assert [line.partition(":")[0][-6:] for line in seen] == ["2 of 3", "3 of 3"]
+    assert seen[0].endswith("done before")
+    assert not list(empty_cache.rglob("*.part.npz"))
+
+
 def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):
     parts, lines = build(config), []
     table, slots = parts.table, parts.embedding.slots_per_row

@@ -300,7 +300,7 @@ def test_success_below_that_without_vision_is_not_called_a_part_of_it(tmp_path):
     assert "difference \u221229.5 points" in verdict.reasons[0]
 
 
-def test_equal_seeds_have_no_interval(tmp_path):
+def test_few_seeds_are_shown_and_differences_of_equal_ones_have_no_interval(tmp_path):
     task = evaluated(tmp_path, {"bm": [0.5] * 3, "full": [0.9] * 3}, 0.0, 0.2)
     study = StudyData((task,))
     pages = build_pages(study)
@@ -313,7 +313,7 @@ def test_equal_seeds_have_no_interval(tmp_path):
     assert any("depends on vision" in each.sentence for each in hidden)
     claim = next(claim for claim in claims(study) if claim.outcome == "success")
     assert "full against bm: +40.0 points (no interval" in claim.sentence()
-    assert "no interval" in vision_verdict(task).reasons[0]
+    assert "training seeds +30.0, +30.0 and +30.0" in vision_verdict(task).reasons[0]
 
 
 @pytest.mark.parametrize("success", [0.0, 0.9])

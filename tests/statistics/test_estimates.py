@@ -10,6 +10,7 @@ from knowarm.statistics import (
     first_crossing,
     holm,
     iqm,
+    mean_of_runs,
     median_steps,
     one_way_anova,
     paired,
@@ -158,3 +159,17 @@ def test_holm_by_hand():
 def test_wilson_refuses_what_cannot_be(successes, trials):
     with pytest.raises(ValueError, match="must"):
         wilson(successes, trials)
+
+
+def test_few_runs_have_an_interval_as_wide_as_students_t_and_as_their_own():
+    def run(value: float, half: float) -> Interval:
+        return Interval(value, value - half, value + half)
+
+    found = mean_of_runs([run(0.91, 0.02), run(0.95, 0.02)])
+    half = 12.706 * 0.02  # quantile of t with 1 degree of freedom, standard error of the mean
+    assert (found.low, found.high) == pytest.approx((0.93 - half, 0.93 + half), rel=1e-3)
+    assert found.runs == (0.91, 0.95)
+    equal = mean_of_runs([run(0.9, 0.05)] * 3)
+    assert (equal.low, equal.high) == pytest.approx((0.85, 0.95))
+    five = mean_of_runs([run(value, 0.5) for value in (0.1, 0.2, 0.3, 0.4, 0.5)])
+    assert five == bootstrap(np.array([0.1, 0.2, 0.3, 0.4, 0.5]))

@@ -22,11 +22,17 @@ from knowarm.cli.arguments import (
     take_source,
 )
 from knowarm.cli.tables import FilePath, TableCommand, check_output, print_table
-from knowarm.config import override, to_dict
+from knowarm.config import flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
-from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName, experiment_config
+from knowarm.experiment.names import (
+    DEFAULT_EXPERIMENT,
+    ExperimentName,
+    check_graphs,
+    experiment_config,
+    override_experiment,
+)
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.own import named_by
 from knowarm.perception.config import PerceptionConfig
@@ -47,7 +53,7 @@ Its options have that experiment's values as defaults:
   knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
 FIRST = (
     *("runs", "resume", "config.name", "config.seed", "config.total_steps", "config.env.robot"),
-    *("config.env.targets", "config.env.colours", "config.knows.graph"),
+    *("config.env.targets", "config.env.colours", "graph"),
     "config.algorithm.learning_rate",
 )
 """The options that `--help` shows."""
@@ -62,6 +68,8 @@ class Train:
     """Parent folder of all runs; this run is saved in RUNS/EXPERIMENT/SEED."""
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
+    graph: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
     perception: FilePath = None
     """Perception module of `knowarm perception train`, for agents with perceived knowledge; or
     perception.safetensors of another run, for agents that would train such a network first."""
@@ -78,12 +86,15 @@ class Train:
         values = {} if file is None else read_toml(Path(file))
         rest, task = take_option(rest, "--env.task", "package.module:Name")
         rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
+        rest, graph = take_option(rest, "--graph", "kitchen.csv")
         rest, source = take_source(rest, "--knows.source")
         experiment = ExperimentName.parse(name)
         if task is not None:
             experiment = replace(experiment, task=task_type(task).kind_of())
         if robot is not None:
             values["env"] = {**values.get("env", {}), "robot": robot}
+        if graph is not None:
+            values["graph"] = graph
         config = experiment.config(**values)
         prog = f"{prog} {name}"
         rest = answer_help(cls(config=config), prog, rest, FIRST)
@@ -101,7 +112,10 @@ class Train:
             path = run_path(command.runs, command.config)
             if not path.exists():
                 raise UserError(f"There is no run to resume in {path}: leave out --resume.")
-            command = parse_over(override(RunFolder.open(path).experiment(), values))
+            command = parse_over(override_experiment(RunFolder.open(path).experiment(), values))
+        else:
+            words = [word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest]
+            check_graphs(command.config, [*flatten(values), *words])
         own = [f" {flag} {places[-1]}" for flag, (of, _) in OWN.items() if (places := named_by(of))]
         again = shlex.join(["knowarm", "train", *arguments, *["--resume"] * (not command.resume)])
         return replace(command, again=again + "".join(own), own="".join(own))

@@ -3,7 +3,6 @@
 import math
 import sys
 import time
-from collections import deque
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 
@@ -15,9 +14,6 @@ from knowarm.experiment.csv_log import CsvLog, writing
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.trainer import Metrics
 
-EPISODES_SHOWN = 500
-"""Number of latest episodes over which the displayed return and success are averaged."""
-
 LINE_S = 10.0
 """Time between two plain lines [s]."""
 
@@ -25,8 +21,9 @@ LINE_S = 10.0
 class TrainingProgress:
     """Progress display of one training; use it as a context manager.
 
-    On a terminal: a bar with rate, remaining time and the latest return and success. Elsewhere: a
-    plain line every `LINE_S` seconds.
+    On a terminal: a bar with rate, remaining time and success in the latest interim evaluation.
+    Elsewhere: a plain line every `LINE_S` seconds. Episodes of the training itself are not shown:
+    they may have easier thresholds, or start on the way of a teacher.
     """
 
     def __init__(self, label: str, total_steps: int):
@@ -35,7 +32,6 @@ class TrainingProgress:
         self._console = Console(stderr=True)
         self._bar: Progress | None = None
         self._figures = ""
-        self._episodes: deque[tuple[float, float, float]] = deque()
         self._start_time = self._last_line_time = time.monotonic()
         self._first_step: int | None = None
 
@@ -68,8 +64,6 @@ class TrainingProgress:
             self._first_step, self._start_time = step, now
         elapsed = now - self._start_time
         rate = (step - self._first_step) / elapsed if elapsed > 0 else 0.0
-        if row.get("episodes"):
-            self._average(row["episodes"], row["return_mean"], row["success"])
         speed = f"{rate:,.0f} steps/s" if rate else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
@@ -81,19 +75,10 @@ class TrainingProgress:
             figures = (f"{step:,} steps ({share:.1f} %)", speed, remaining, self._figures)
             self.line(", ".join(each for each in figures if each))
 
-    def _average(self, count: float, return_mean: float, success: float) -> None:
-        """Average over the latest episodes: those that end in one update succeeded early."""
-        self._episodes.append((count, return_mean, success))
-        while sum(entry[0] for entry in self._episodes) - self._episodes[0][0] >= EPISODES_SHOWN:
-            self._episodes.popleft()
-        total = sum(count for count, _, _ in self._episodes)
-        mean = sum(count * value for count, value, _ in self._episodes) / total
-        share = sum(count * value for count, _, value in self._episodes) / total
-        self._figures = f"return {mean:.1f} success {100 * share:.0f} %"
-
     def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
         """Print the result of an interim evaluation."""
         best = ", best so far" if is_best else ""
+        self._figures = f"success {100 * results['success']:.0f} % in the last evaluation"
         self.line(
             f"evaluation at {step:,}: return {results['return_mean']:.1f}, "
             f"success {100 * results['success']:.0f} %{best}"

@@ -1,11 +1,12 @@
 """Names of experiments, such as ``irb120-full-fast``, and their configs."""
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import override
-from knowarm.errors import UserError, unknown_name
+from knowarm.config import flatten, override
+from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig
@@ -115,7 +116,9 @@ class ExperimentName:
             policy=override(agent.policy, policy, where="policy"),
             algorithm=algorithm.config,
         )
-        config = override(override(config, task.training.get(self.algorithm, {})), overrides)
+        config = override(config, task.training.get(self.algorithm, {}))
+        config = override_experiment(config, overrides)
+        check_graphs(config, flatten(overrides))
         if "name" in overrides or config.env.robot == self.robot:
             return config
         return replace(config, name=str(replace(self, robot=config.env.robot)))
@@ -171,12 +174,65 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
 
     Args:
         name: as `ExperimentName.parse` reads it, such as ``irb120-full-ppo``.
-        **overrides: fields to change; a nested config takes a mapping of its fields, such as
-            ``algorithm={"num_envs": 64}``. With another robot, ``env={"robot": "arm.toml"}``, the
-            config has the name of its experiment unless ``name`` is given.
+        **overrides: fields to change, as `override_experiment` takes them. With another robot,
+            ``env={"robot": "arm.toml"}``, the config has the name of its experiment unless
+            ``name`` is given.
 
     Raises:
         UserError: there is no experiment of that name (the message lists the nearest names), or an
             override does not fit.
     """
     return ExperimentName.parse(name).config(**overrides)
+
+
+def override_experiment(
+    config: ExperimentConfig, overrides: Mapping[str, Any], *, where: str = ""
+) -> ExperimentConfig:
+    """Return a config with other fields.
+
+    Args:
+        config: an experiment's.
+        overrides: fields to change; a nested config takes a mapping of its fields, such as
+            ``algorithm={"num_envs": 64}``. ``graph`` is that of the knowledge and the questions:
+            a file, or the name of a shipped one.
+        where: place of the overrides, for errors.
+    """
+    rest = {name: value for name, value in overrides.items() if name != "graph"}
+    graph = overrides.get("graph")
+    both: dict[str, Any] = {}
+    if graph is not None and hasattr(config.knows, "graph"):
+        both["knows"] = {"graph": graph}
+    if graph is not None and isinstance(config.env.task.query_source, GraphQueries):
+        both["env"] = {"task": {"queries": {"graph": graph}}}
+    if graph is not None and not both:
+        raise UserError(
+            Argument("graph", graph),
+            f" does not concern {config.name}: neither its knowledge nor its questions are of a "
+            "graph. Leave it out.",
+        )
+    return override(override(config, both), rest, where=where)
+
+
+def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
+    """Refuse knowledge and questions of two graphs if only one of them is among ``given``.
+
+    ``given`` are dotted names of the fields that the user has set.
+    """
+    source, named = config.env.task.query_source, GRAPH_FIELDS & set(given)
+    if (
+        len(named) == 1
+        and "graph" not in given
+        and isinstance(source, GraphQueries)
+        and not config.knows.is_of_graph(source.graph)
+    ):
+        graph = source.graph if "env" in named.pop() else getattr(config.knows, "graph", None)
+        raise UserError(
+            f"The questions are of the graph {source.graph}, and the knowledge is of another one. "
+            "For both pass ",
+            Argument("graph", graph),
+            "; for two graphs name both: env.task.queries.graph and knows.graph.",
+        )
+
+
+GRAPH_FIELDS = {"knows.graph", "env.task.queries.graph"}
+"""Fields that `check_graphs` compares."""

@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knowarm.config import differences, flatten, override, to_dict
+from knowarm.config import differences, flatten, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs, TrainingProgress
-from knowarm.experiment.names import experiment_config
+from knowarm.experiment.names import experiment_config, override_experiment
 from knowarm.experiment.provenance import provenance
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
@@ -62,7 +62,7 @@ def train(
             grounding network to use instead of training one; the run folder keeps a copy, with
             which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
-            such as ``algorithm={"num_envs": 64}``.
+            such as ``algorithm={"num_envs": 64}``; ``graph`` is that of knowledge and questions.
 
     Returns:
         The run folder and how the training ended.
@@ -74,7 +74,7 @@ def train(
     if isinstance(config, str):
         config = experiment_config(config, **overrides)
     elif overrides:
-        config = override(config, overrides)
+        config = override_experiment(config, overrides)
     path = run_path(Path(runs), config)
     if resume:
         different = other_fields(RunFolder.open(path), config)

@@ -5,6 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -24,7 +25,7 @@ from knowarm.perception.images import (
     sample_images,
 )
 from knowarm.perception.module import BATCH
-from knowarm.perception.training import GROUNDING_IMAGES, Step, minimize
+from knowarm.perception.training import GROUNDING_IMAGES, PassProgress, Step, minimize
 from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
@@ -155,9 +156,13 @@ def train_grounding(
         with torch_threads(1), closing(ImageSampler(env, network.spec, stream)) as sampler:
             steps = partial(_steps, network, sampler, stage, config)
             name = "grounding, round"
-            if not minimize(network, config, steps, stage.rounds, name, report, should_stop):
+            progress = _progress(file, sampler, generator)
+            if not minimize(
+                network, config, steps, stage.rounds, name, report, should_stop, progress
+            ):
                 return None
         write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+        progress.file.unlink(missing_ok=True)
     return train_frame_head(network, env, config, seed=seed, report=report, should_stop=should_stop)
 
 
@@ -234,6 +239,19 @@ def _steps(
         network.position_std.copy_(positions.std(0).clamp(min=1e-3))
     for rows in torch.arange(config.images).split(config.batch):
         yield len(rows), *stage.losses(labels, rows)
+
+
+def _progress(file: Path, sampler: ImageSampler, generator: torch.Generator) -> PassProgress:
+    """Return where a stage that is stopped continues, beside the file of its result."""
+
+    def get_state() -> dict[str, np.ndarray]:
+        return {"generator": generator.get_state().numpy(), **sampler.get_state()}
+
+    def set_state(state: dict[str, np.ndarray]) -> None:
+        generator.set_state(torch.from_numpy(state.pop("generator")))
+        sampler.set_state(state)
+
+    return PassProgress(file.with_suffix(".part.npz"), get_state, set_state)
 
 
 def _copy(arrays: dict[str, np.ndarray] | None, parts: dict[str, Tensor]) -> bool:

@@ -71,6 +71,15 @@ class ImageSampler:
         parts = [self._sample() for _ in range(0, count, self._world.num_envs)]
         return LabelledImages(*(torch.cat(each)[:count] for each in zip(*parts, strict=True)))
 
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Copy all that determines the following images."""
+        return self._world.get_state()
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Restore a state of `get_state`."""
+        self._seed = None
+        self._world.set_state(state)
+
     def close(self) -> None:
         """Close the environments."""
         self._world.close()

@@ -48,13 +48,15 @@ class DataTable:
 
     @property
     def flat_rows(self) -> list[Row]:
-        """Rows in which an interval is three numbers: ``<key>``, ``<key>_low``, ``<key>_high``."""
+        """Rows in which an interval is ``<key>``, ``<key>_low``, ``<key>_high`` and ``_runs``."""
         return [
             {
                 name: number
                 for key, value in row.items()
                 for name, number in (
-                    value.named(key) if isinstance(value, Interval) else {key: value}
+                    {**value.named(key), f"{key}_runs": value.runs}
+                    if isinstance(value, Interval)
+                    else {key: value}
                 ).items()
             }
             for row in self.rows

@@ -78,7 +78,12 @@ def p_value(value: float | None) -> str:
 
 
 def ends(value: Interval, form: Callable[[float], str]) -> str:
-    """Format the ends of an interval; equal values, as of equal seeds, have none."""
+    """Format the ends of an interval, or the runs that are too few for one.
+
+    Equal values, as of equal seeds, have none.
+    """
+    if value.runs:
+        return f"training seeds {listed([form(each) for each in value.runs])}"
     shown = f"95 % interval {form(value.low)} to {form(value.high)}"
     return shown if value.low < value.high else "no interval, because all values are equal"
 

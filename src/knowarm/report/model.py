@@ -17,7 +17,7 @@ from knowarm.experiment.measures import AGAIN
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import Summary
 from knowarm.report.format import palette
-from knowarm.statistics import Interval, bootstrap
+from knowarm.statistics import Interval, mean_of_runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class Evaluated:
     def level(self, key: str, group: str = "", value: str = "") -> Interval | None:
         """Estimate the mean of one number of the summary over the evaluations.
 
-        The interval is a bootstrap over training seeds, that of a single evaluation the stored one
-        over its episodes. ``group`` and ``value`` as in `Summary.of`; None without a number.
+        The interval is that of `mean_of_runs`, and of a single evaluation the stored one over its
+        episodes. ``group`` and ``value`` as in `Summary.of`; None without a number.
         """
         intervals = [
             each.summary.interval(key, group, value)
@@ -74,7 +74,7 @@ class Evaluated:
         ]
         if len(intervals) < 2:
             return intervals[0] if intervals else None
-        return bootstrap(np.array([each.estimate for each in intervals]))
+        return mean_of_runs(intervals)
 
 
 class Reference(Evaluated):

@@ -159,7 +159,7 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
 
 
 def _cell(column: Column, row: Row, start: Path) -> Markup:
-    """Return one formatted cell, with its interval in smaller type where there is one."""
+    """Return one formatted cell, with its interval, or few runs, in smaller type."""
     value = row.get(column.key)
     if column.format == "path" and isinstance(value, Path):
         path = _relative(value, start)
@@ -170,7 +170,9 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
     has_interval = column.interval and low is not None and high is not None and low < high
     if not has_interval or text == MISSING:
         return escape(text)
-    return Markup('{} <span class="ci">{} to {}</span>').format(text, form(low), form(high))
+    runs = row.get(f"{column.key}_runs")
+    ends = f"seeds: {', '.join(map(form, runs))}" if runs else f"{form(low)} to {form(high)}"
+    return Markup('{} <span class="ci">{}</span>').format(text, ends)
 
 
 def _relative(path: Path, start: Path) -> str:

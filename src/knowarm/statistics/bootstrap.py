@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ class Interval:
     estimate: float  # point estimate
     low: float  # lower end
     high: float  # upper end
+    runs: tuple[float, ...] = field(default=(), kw_only=True)  # single ones, too few for it
 
     def named(self, name: str) -> dict[str, float]:
         """Return the numbers of a summary or table row: ``name``, ``name_low``, ``name_high``."""
@@ -59,6 +60,26 @@ def share_difference(first: Interval, second: Interval) -> Interval:
     below = math.hypot(first.estimate - first.low, second.high - second.estimate)
     above = math.hypot(first.high - first.estimate, second.estimate - second.low)
     return Interval(difference, difference - below, difference + above)
+
+
+FEW_RUNS = 5  # below it the runs themselves say more than an interval
+
+
+def mean_of_runs(runs: Sequence[Interval]) -> Interval:
+    """Estimate the mean over training runs from the estimates of two or more.
+
+    With `FEW_RUNS` or more the interval is a bootstrap over the runs. With fewer, whose bootstrap
+    is the range of their values, it is Student's t, and no narrower than the runs' own intervals
+    on average: two runs of equal success do not tell the success better than one.
+    """
+    values = np.array([each.estimate for each in runs])
+    if len(runs) >= FEW_RUNS:
+        return bootstrap(values)
+    mean = float(values.mean())
+    half = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1) * scipy.stats.sem(values)
+    below = max(half, mean - np.mean([each.low for each in runs]))
+    above = max(half, np.mean([each.high for each in runs]) - mean)
+    return Interval(mean, mean - float(below), mean + float(above), runs=tuple(values.tolist()))
 
 
 REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles

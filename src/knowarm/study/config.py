@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import file_name, from_dict, override, to_dict
+from knowarm.config import file_name, flatten, from_dict, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.config import ExperimentConfig
@@ -17,8 +17,10 @@ from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import (
     DEFAULT_TASK,
     ExperimentName,
+    check_graphs,
     colours_of,
     experiment_config,
+    override_experiment,
     tasks_of,
 )
 from knowarm.reading import read_json, read_toml, write_json
@@ -148,10 +150,13 @@ class StudyConfig:
         given = {*self.overrides, *(name for each in self.overrides_for for name in each.fields)}
         if fixed := sorted({"name", "seed"} & given):
             raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
-        config = override(config, self.overrides, where="overrides")
+        config = override_experiment(config, self.overrides, where="overrides")
+        set_by_user = [*flatten(self.overrides)]
         for rule in self.overrides_for:
             if fnmatch.filter([name], rule.experiments):
-                config = override(config, rule.fields, where="overrides_for.fields")
+                config = override_experiment(config, rule.fields, where="overrides_for.fields")
+                set_by_user += flatten(rule.fields)
+        check_graphs(config, set_by_user)
         return config
 
 

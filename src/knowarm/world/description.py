@@ -8,8 +8,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import mujoco
-
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.reading import one_line, read_text, read_toml
@@ -78,6 +76,8 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 
     The model's files keep their places relative to each other, below ``model``.
     """
+    import mujoco  # most who read descriptions need no simulator
+
     mjcf = _normal(_mjcf(read_toml(path), path))
     try:
         files = [_normal(Path(each)) for each in mujoco.mju_getXMLDependencies(str(mjcf))]

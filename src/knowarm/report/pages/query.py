@@ -105,7 +105,7 @@ def _measure(task: TaskData, splits: Splits, key: str, title: str, columns: Colu
         svg = dot_chart(dots, words, BEYOND_CHANCE, zero=True, left=150)
         panels.append(Panel(svg=svg, title=f"{split}: {SPLITS[split]}"))
     note = (
-        "95 % intervals: over training seeds where there are several (bootstrap of the mean), "
+        "95 % intervals: over five or more training seeds (bootstrap of the mean), "
         "over episodes where there is one."
     )
     caption = (

@@ -49,10 +49,11 @@ def _table(task: TaskData) -> DataTable:
         *shared("length_mean", *PLAIN[1:]),
     ]
     note = (
-        "95 % intervals: over training seeds where there are several (bootstrap of the mean); "
-        "over episodes where there is one (Wilson for success and accuracy), which then describe "
-        "that one network. Failure distance: final distance of unsuccessful episodes. Standard "
-        "deviations are within an evaluation, averaged over seeds."
+        "95 % intervals: over five or more training seeds (bootstrap of the mean); of two to four "
+        "the values of each are shown, and charts and CSV have Student's t, no narrower than the "
+        "intervals over episodes; over episodes where there is one seed (Wilson for success and "
+        "accuracy), which then describe that one network. Failure distance: final distance of "
+        "unsuccessful episodes. Standard deviations are within an evaluation, averaged over seeds."
     )
     return table_of(task, "evaluation", conditions(first), columns, rows, files(lines), note)
 
