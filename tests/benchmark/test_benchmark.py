@@ -29,7 +29,7 @@ TABLE = "irb120, fixed colours"
 PUBLISHED = {
     "choose-v1": "5af0d38abf233911d998a1ed16dbb49ff0e909829319dfc8b275d9a7f79b06bd",
     "damaged-graph-v1": "972acd2a307f289ff685d71ecc03477bb60c1ab86aa9617f6adb8f7d507864d4",
-    "reach-v1": "9a88ad6dd6cebe60dba69a7a1dd492feb6017809dcca697b5172be61349331e6",
+    "reach-v1": "24b01018b599f588776431dec92b8d936f9998397822dcffd018ff8a973874e7",
 }
 
 
