@@ -201,7 +201,7 @@ def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> 
 
 def object_of(name: str) -> str:
     """Return the object of a name that may be that of a part: "mug" of "mug.handle"."""
-    return name.partition(PART)[0]
+    return name if "/" in name else name.partition(PART)[0]  # an IRI has no parts
 
 
 def kind_of(name: str) -> str:

@@ -78,6 +78,32 @@ def test_an_edit_leads_the_arm_to_another_object(asker, tmp_path, capsys):
     capsys.readouterr()
 
 
+def test_a_graph_of_others_is_asked_as_it_lies(tmp_path, capsys):
+    """Names in another spelling, given names, one that two things have, and a further column."""
+    home, path = tmp_path / "home.dat", tmp_path / "found.json"
+    rows = [
+        "Source;Target;Type;Weight",
+        "WineGlass;Drinking;UsedFor;2",
+        "TeaCup;Drinking;UsedFor;1",
+    ]
+    rows += ["http://a.org/lamp;Drinking;UsedFor;1", "http://b.org/lamp;Drinking;UsedFor;1"]
+    home.write_text("\n".join(rows), "utf-16")
+    (tmp_path / "names.txt").write_text("mug = teacup\n")
+    options = ["--graph", str(home), "--format", "csv", "--names", str(tmp_path / "names.txt")]
+    assert main(["ask", RUN, "usedFor drinking", *options, "--json", str(path)]) == 0
+    answers = json.loads(path.read_text())["answers"]
+    assert {each.split("/")[0] for each in answers} == {"wine_glass", "mug"}
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(str(home))[-1][:40] for line in lines] == [
+        ": these columns are not read: Weight.",
+        "knowarm: warning: 'lamp' names 2 entitie",
+    ]
+    assert main(["ask", RUN, "usedFor drinking", "--graph", str(home)]) == 2
+    assert "Or give the format: " in capsys.readouterr().err
+    assert main(["ask", RUN, "usedFor drinking", "--names", "mug"]) == 2
+    assert "Give mug=CoffeeMug, or a file of such lines" in capsys.readouterr().err
+
+
 def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
     path = tmp_path / "found.json"
     options = ["--graph", str(ROOT / "examples" / "own_graph" / "tidy.csv"), "--json", str(path)]

@@ -9,7 +9,7 @@ from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import literal
-from knowarm.knowledge.queries.expressions import answer
+from knowarm.knowledge.queries.answers import answer
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import Query
 from knowarm.world.config import facets_of, questions_of

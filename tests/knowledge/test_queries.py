@@ -151,7 +151,9 @@ def test_a_value_may_hold_several_words_after_and():
     assert asked.parse(text).conditions[0].value == "rock and roll music"
 
 
-def test_a_relation_of_two_namespaces_is_refused():
+def test_relations_of_two_namespaces_are_told_apart():
     graph = graph_of([("mug", "http://a/usedFor", "tea"), ("pan", "http://b/usedFor", "soup")])
-    with pytest.raises(UserError, match="'usedFor' names 2 relations of the graph"):
-        QueryGraph(graph, [("mug", "red"), ("pan", "red")]).queries()
+    asked = QueryGraph(graph, [("mug", "red"), ("pan", "red")])
+    names = [query.name for query in asked.queries()]
+    assert names == ["http://a/usedFor tea", "http://b/usedFor soup"]
+    assert asked.answers(asked.queries()).tolist() == [[True, False], [False, True]]

@@ -1,5 +1,6 @@
 """``knowarm ask``: a question to a trained agent, answered by a graph, an image and an arm."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.perception.config import Unclear
+from knowarm.reading import read_text
 
 SHOWN = 12  # most objects whose evidence is printed
 
@@ -32,6 +34,11 @@ class Ask(TableCommand):
     >= 3", or SPARQL that selects ?object. May be left out with --browser."""
     graph: str | None = None
     """Path of another graph, or the name of a shipped one; default: the run's."""
+    format: str | None = None
+    """The format of that graph, as of `knowarm knowledge`; by default recognized."""
+    names: tuple[str, ...] = ()
+    """The graph's names for objects, such as mug=CoffeeMug wine_glass=Q81707, or a file of such
+    lines; spelling (wine_glass, WineGlass, wine glasses) makes no difference."""
     edit: tuple[str, ...] = ()
     """Changes of the graph, such as "- mug usedFor drinking" "+ lamp usedFor drinking". The scene
     is then one with another answer than without them, unless --scene is given."""
@@ -56,8 +63,10 @@ class Ask(TableCommand):
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
-        asker = Asker(trained, self.seed)
-        graph = read_graph(self.graph) if self.graph else trained.config.knows.read_graph()
+        asker = Asker(trained, self.seed, _names(self.names))
+        graph = (
+            read_graph(self.graph, self.format) if self.graph else trained.config.knows.read_graph()
+        )
         assert graph is not None  # of an agent with a grounding network
 
         def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
@@ -93,6 +102,25 @@ class Ask(TableCommand):
             "success": asked.film[-1].success,
             "steps": asked.film[-1].step,
         }
+
+
+def _names(given: Sequence[str]) -> dict[str, str]:
+    """Return the graph's names by object, from words and files of lines such as mug=CoffeeMug."""
+    names = {}
+    for word in given:
+        lines = [word]
+        if "=" not in word:
+            lines = read_text(
+                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
+            ).split("\n")
+        for line in filter(None, map(str.strip, lines)):
+            name, _, other = (part.strip() for part in line.partition("="))
+            if not (name and other):
+                raise UserError(
+                    f"names: {line!r} must be an object and its name, such as mug=CoffeeMug."
+                )
+            names[name] = other
+    return names
 
 
 def _print(asked: Asked) -> None:

@@ -57,6 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     with warnings.catch_warnings():  # restores what shows them
+        warnings.simplefilter("default", DataWarning)
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
         return _run_command(arguments)
 

@@ -7,7 +7,6 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
-from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.images import QueryAnswers, query_answers
 from knowarm.questions import ObjectColour, Query, QuestionTable
@@ -32,8 +31,8 @@ def no_queries(env: EnvConfig) -> UserError:
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
     """Return which names a graph describes."""
-    known = set(map(local_name, graph.entities))
-    return [local_name(name) in known for name in names]
+    known = {name: graph.describes(name) for name in dict.fromkeys(names)}
+    return [known[name] for name in names]
 
 
 def answers_by(

@@ -10,7 +10,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.queries.expressions import Answers, answer
+from knowarm.knowledge.queries.answers import Answers, answer
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets
@@ -88,16 +88,19 @@ class Asker:
     Args:
         trained: an agent of the choose task with a grounding network.
         seed: seed of the scenes.
+        names: names of objects in graphs, as of `answer`.
     """
 
-    def __init__(self, trained: TrainedAgent, seed: int = 0) -> None:
+    def __init__(
+        self, trained: TrainedAgent, seed: int = 0, names: Mapping[str, str] | None = None
+    ) -> None:
         if trained.network is None:
             raise UserError(
                 f"The agent {trained.config.agent!r} has no grounding network, which finds "
                 "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
             )
         self.trained, self.facets = trained, trained.network.spec.facets
-        self._network = trained.network
+        self._network, self._names = trained.network, names
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, trained.network.spec)
@@ -109,7 +112,7 @@ class Asker:
 
     def answers(self, graph: KnowledgeGraph, question: str) -> Answers:
         """Answer a question by a graph, among all that the network knows."""
-        return answer(graph, self.facets, question)
+        return answer(graph, self.facets, question, self._names)
 
     def scene(self, answers: Sequence[Answers]) -> int:
         """Return the first scene in which one object answers, another one for each of several.

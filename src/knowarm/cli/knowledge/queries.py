@@ -102,8 +102,9 @@ class Queries(GraphOptions, TableCommand):
         return {"agent": agent, "rank_correlation": found}
 
     def _facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
-        roots = [local_name(graph.names[i]) for i in np.setdiff1d(graph.heads, graph.tails)]
-        names = self.objects or [name for name in roots if name not in self.colours]
+        roots = [graph.names.short(i) for i in np.setdiff1d(graph.heads, graph.tails)]
+        named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
+        names = self.objects or [name for name in named if name not in self.colours]
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets = []
         for name in names:

@@ -1,14 +1,13 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
-from bisect import bisect_left
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, unknown_name, warn
+from knowarm.knowledge.graph.names import AmbiguousNameError, Names, Spellings
 from knowarm.knowledge.graph.terms import local_name
 
 Triple = tuple[str, str, str]
@@ -16,30 +15,6 @@ Triple = tuple[str, str, str]
 Direction = Literal["out", "in", "both"]
 _FEW = 20_000
 """With more entities than this, an error suggests names with the same first letter only."""
-
-
-class Names(tuple[str, ...]):
-    """Sorted distinct names; the id of a name is its rank in the order of code points."""
-
-    def find(self, name: str) -> int | None:
-        """Return the id of a name, or None: a binary search."""
-        index = bisect_left(self, name)
-        return index if index < len(self) and self[index] == name else None
-
-    def find_local(self, local: str) -> list[int]:
-        """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
-        return self._by_local[False].get(local, [])
-
-    def find_literals(self, text: str) -> list[int]:
-        """Return the ids of the literals of this text, ascending."""
-        return self._by_local[True].get(text, [])
-
-    @cached_property
-    def _by_local(self) -> tuple[dict[str, list[int]], dict[str, list[int]]]:
-        ids = defaultdict[str, list[int]](list), defaultdict[str, list[int]](list)
-        for index, name in enumerate(self):
-            ids[name.startswith('"')][local_name(name)].append(index)
-        return dict(ids[False]), dict(ids[True])
 
 
 class KnowledgeGraph:
@@ -83,6 +58,8 @@ class KnowledgeGraph:
         )
         self._alone = np.empty(0, np.int32) if nodes is None else nodes
         self.labels: Mapping[str, str] = {} if labels is None else labels
+        self.entity_spellings = Spellings(names, self.labels)
+        self.relation_spellings = Spellings(relation_names, self.labels)
 
     @property
     def triples(self) -> np.ndarray:
@@ -169,6 +146,8 @@ class KnowledgeGraph:
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         part = object.__new__(KnowledgeGraph)
         part.names, part.relation_names, part.labels = self.names, self.relation_names, self.labels
+        part.entity_spellings = self.entity_spellings
+        part.relation_spellings = self.relation_spellings
         part.heads, part.relations = self.heads[rows], self.relations[rows]
         part.tails = self.tails[rows]
         part._alone = np.empty(0, np.int32) if nodes is None else nodes
@@ -181,15 +160,20 @@ class KnowledgeGraph:
         )
 
     def find_entity(self, name: str) -> int | None:
-        """Return the id by name, last part of the IRI, or label; None without, refuse several."""
-        exact = self.names.find(name)
-        if exact is not None and self._has_node(exact):
-            return exact
-        ids = [i for i in self.names.find_local(name) if self._has_node(i)]
-        if not ids:
-            labelled = (self.names.find(n) for n, label in self.labels.items() if label == name)
-            ids = [i for i in labelled if i is not None and self._has_node(i)]
-        return _single(ids, name, self.names, "entities")
+        """Return the id by name, last part of the IRI, label or spelling; None without.
+
+        Raises:
+            AmbiguousNameError: several are found alike.
+        """
+        return self.entity_spellings.find(name, "entities", self._has_node)
+
+    def describes(self, name: str) -> bool:
+        """Return whether one entity has a name; warn if several do."""
+        try:
+            return self.find_entity(name) is not None
+        except AmbiguousNameError as error:
+            warn(f"{error} Until then it counts as not described.")
+            return False
 
     def entity_id(self, name: str) -> int:
         """Return the id as `find_entity`; raise a `UserError` without."""
@@ -206,19 +190,9 @@ class KnowledgeGraph:
         literals = [i for i in self.names.find_literals(name) if self._has_node(i)]
         return literals if entity is None or entity in literals else [entity, *literals]
 
-    def tails_of(self, relations: Collection[int]) -> np.ndarray:
-        """Return the ids of the tails of some relations, ascending."""
-        return np.unique(self.tails[np.isin(self.relations, list(relations))])
-
     def find_relation(self, name: str) -> int | None:
-        """Return the id by name, last part of the IRI, or label; None without, refuse several."""
-        names = self.relation_names
-        exact = names.find(name)
-        ids = names.find_local(name) if exact is None else [exact]
-        if not ids:
-            labelled = (names.find(n) for n, label in self.labels.items() if label == name)
-            ids = [i for i in labelled if i is not None]
-        return _single(ids, name, names, "relations")
+        """Return the id as `find_entity`."""
+        return self.relation_spellings.find(name, "relations", lambda relation: True)
 
     def relation_id(self, name: str) -> int:
         """Return the id as `find_relation`; raise a `UserError` without."""
@@ -229,17 +203,6 @@ class KnowledgeGraph:
     def _has_node(self, entity: int) -> bool:
         index = int(np.searchsorted(self.nodes, np.int32(entity)))
         return index < len(self.nodes) and self.nodes[index] == entity
-
-
-def _single(ids: Sequence[int], name: str, names: Names, kind: str) -> int | None:
-    """Return what was found by a name, or None; refuse several."""
-    if len(ids) > 1:
-        full = ", ".join(sorted(names[i] for i in ids)[:5])
-        raise UserError(
-            f"{name!r} names {len(ids)} {kind} of the graph: {full}. "
-            f"Give the full name of one of them."
-        )
-    return ids[0] if ids else None
 
 
 def gamma(

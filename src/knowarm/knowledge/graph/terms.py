@@ -9,6 +9,7 @@ The form of a name tells which RDF term it stands for:
 """
 
 import re
+import unicodedata
 from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from itertools import count
@@ -34,6 +35,11 @@ _QUOTED = re.compile(r"[\x00-\x7f]+|\W+")
 _ASCII = "".join(map(chr, range(128)))
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SPACE = re.compile(r"[\s_\-]+")
+_SENSE = re.compile(r"\.[a-z](\.\d+)?$")
+"""Kind or sense behind a word, as in WordNet's mug.n.04."""
+_PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", "us": "us",
+            "is": "is", "sses": "ss", "xes": "x", "ches": "ch", "shes": "sh", "s": ""}  # fmt: skip
+"""Endings that one word has in singular or plural, and what stands for both; the longest counts."""
 Term = NamedNode | BlankNode | Literal
 
 
@@ -107,6 +113,20 @@ def local_name(name: str) -> str:
     if _IRI.fullmatch(name):
         return unquote(re.split(r"[#/:]", name.rstrip("#/:"))[-1])
     return name
+
+
+def name_key(text: str) -> str:
+    """Return what the spellings of a name share: the same for "Wine_Glasses" and "wineGlass.n.01".
+
+    Case, separators, number and sense make no difference, but in a text without letters.
+    """
+    text = unicodedata.normalize("NFC", text).casefold()
+    key = re.sub(r"[\s_\-]+", "", _SENSE.sub("", text))
+    if not any(map(str.isalpha, key)):
+        return text
+    endings = (key[-n:] for n in (4, 3, 2, 1) if len(key) > max(n, 3))
+    ending = next((each for each in endings if each in _PLURALS), None)
+    return key if ending is None else key.removesuffix(ending) + _PLURALS[ending]
 
 
 def label_of(name: str, labels: Mapping[str, str]) -> str:

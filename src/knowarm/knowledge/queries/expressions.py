@@ -1,11 +1,11 @@
-"""Questions: facts, chains, counts, "and", "or", "not" and SPARQL, answered with their evidence.
+"""Questions in words: facts, chains, counts, comparisons, "and", "or" and "not".
 
     usedFor drinking and not hasColor blue
     hasPart spout or (isMadeOf wood and isLocatedIn garden)
     usedFor (relatedTo tea)                    a use that is related to tea
     count hasPart >= 3                         objects with three parts or more
     count contains (isA beverage) = 1
-    SELECT ?object WHERE { ?object :usedFor :drinking }
+    price < 6 and made >= 2020-01-01           numbers and dates
 
 "not" binds tighter than "and", and that tighter than "or". A value reaches to the next keyword or
 bracket; in double quotes it may hold any of them.
@@ -13,16 +13,17 @@ bracket; in double quotes it may hold any of them.
 
 import operator
 import re
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import local_name
-from knowarm.knowledge.queries.sparql import SparqlQuery
-from knowarm.questions import COLOUR_RELATION, ObjectColour
+from knowarm.knowledge.graph.terms import local_name, name_key
+from knowarm.questions import COLOUR_RELATION
 
 Evidence = tuple[str, ...]
 """Why something answers: triples of the graph, what the image shows, and what is not stated."""
@@ -30,57 +31,32 @@ Evidence = tuple[str, ...]
 Part = Callable[[int, str | None], Evidence | None]
 """Part of a question: why it is true of an entity in the colour that is shown, or None."""
 
-SIGNS: dict[str, Callable[[int, int], bool]] = {
+SIGNS: dict[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge,
     "<=": operator.le,
     ">": operator.gt,
     "<": operator.lt,
     "=": operator.eq,
+    "==": operator.eq,
+    "!=": operator.ne,
 }
-"""Comparisons of a count."""
+"""Comparisons of counts, numbers and dates."""
 
 MOST_NESTED, MOST_WORDS = 50, 500
 """Most brackets and negations of a question, and most words."""
 
-_TOKEN = re.compile(r'"[^"]*"|[()]|[<>]=?|=|[^\s()<>="]+|"')
+_TOKEN = re.compile(r'"[^"]*"|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
 _KEYWORDS = {"and", "or", "not", "count", "(", ")", *SIGNS}
-_SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
+_COLOUR = [name_key(COLOUR_RELATION), name_key("hasColour")]
 
 
-class Answers(NamedTuple):
-    """The answers to a question among F facets."""
-
-    question: str
-    satisfies: np.ndarray  # Whether each facet answers, (F,) bool
-    evidence: dict[ObjectColour, Evidence]  # Why, by answering facet
-
-
-def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> Answers:
-    """Answer a question by a graph; objects that it does not describe never answer.
-
-    Raises:
-        UserError: the question is malformed, names what the graph does not hold, or has no answer.
-    """
-    entities = {name: graph.find_entity(name) for name in dict.fromkeys(name for name, _ in facets)}
-    if not any(entity is not None for entity in entities.values()):
-        raise UserError(
-            f"The graph describes none of the {len(entities)} objects of the task, such as "
-            f"{next(iter(entities))!r}. Name objects as `knowarm list` does, or give another graph."
-        )
-    colours = {colour for _, colour in facets}
-    part = _sparql(graph, text) if _SPARQL.match(text) else _Reader(text, graph, colours).whole()
-    evidence = {}
-    for name, colour in facets:
-        entity = entities[name]
-        why = None if entity is None else part(entity, colour)
-        if why is not None:
-            evidence[name, colour] = why
-    if not evidence:
-        raise UserError(
-            f"No object of the task answers the question {text!r}. Ask another one, or add the "
-            "missing triple to the graph."
-        )
-    return Answers(text, np.array([facet in evidence for facet in facets]), evidence)
+def _quantity(text: str) -> tuple[str, float] | None:
+    """Return the kind and value of a number or an ISO date."""
+    with suppress(ValueError):
+        return "number", float(text)
+    with suppress(ValueError):
+        return "date", datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+    return None
 
 
 class _Relation(NamedTuple):
@@ -90,7 +66,7 @@ class _Relation(NamedTuple):
     ids: frozenset[int]
 
 
-class _Reader:
+class QuestionReader:
     """Reads a question word by word, by recursive descent."""
 
     def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
@@ -155,6 +131,8 @@ class _Reader:
             return self.bracket()
         counts = self.take("count")
         relation = self.relation()
+        if self.next in SIGNS and not counts:
+            return self.comparison(relation)
         of: Part = self.bracket() if self.next == "(" else lambda entity, colour: ()
         if counts:
             return self.count(relation, of)
@@ -170,9 +148,16 @@ class _Reader:
         if not (value := " ".join(names)):
             raise self.wrong(f"a value of {relation.name}")
         is_colour = relation.name == COLOUR_RELATION
-        ids = self.graph.values(value)
+        if is_colour:
+            value = {name_key(colour): colour for colour in self.colours}.get(
+                name_key(value), value
+            )
+        quantity = _quantity(value)
+        equal = (i for i in self.tails(relation) if quantity and self.quantity(i) == quantity)
+        ids = {*self.graph.values(value), *equal}
         if not ids and not (is_colour and value in self.colours):
-            known = {local_name(self.graph.names[i]) for i in self.graph.tails_of(relation.ids)}
+            known = {local_name(self.graph.names[i]) for i in self.tails(relation)}
+            known |= self.colours if is_colour else set()
             raise unknown_name(f"value of {relation.name}", value, known)
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
@@ -192,6 +177,38 @@ class _Reader:
             return next(((text, *why) for text, why in whys if why is not None), None)
 
         return evidence
+
+    def comparison(self, relation: _Relation) -> Part:
+        """Read a comparison with a number or a date."""
+        sign, text = self.take(*SIGNS), self.take()
+        wanted = _quantity(text)
+        if wanted is None:
+            raise self.wrong("a number or a date")
+        known = {i: quantity for i in self.tails(relation) if (quantity := self.quantity(i))}
+        if not any(kind == wanted[0] for kind, _ in known.values()):
+            raise UserError(
+                f"The question {self.text!r}: the graph states no {wanted[0]} by {relation.name}."
+            )
+        fits = {
+            i
+            for i, (kind, value) in known.items()
+            if kind == wanted[0] and SIGNS[sign](value, wanted[1])
+        }
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            links = self.links(entity, relation)
+            return next(((text,) for text, tail in links if tail in fits), None)
+
+        return evidence
+
+    def tails(self, relation: _Relation) -> list[int]:
+        """Return the ids of what a relation leads to."""
+        graph = self.graph
+        return np.unique(graph.tails[np.isin(graph.relations, list(relation.ids))]).tolist()
+
+    def quantity(self, entity: int) -> tuple[str, float] | None:
+        """Return the number or date that a name or literal is."""
+        return _quantity(local_name(self.graph.names[entity]))
 
     def count(self, relation: _Relation, of: Part) -> Part:
         """Read a comparison with the number of values of a relation."""
@@ -221,10 +238,11 @@ class _Reader:
         """Read one word: the name of a relation, its last part or its label."""
         if not (word := self.take().strip('"')):
             raise self.wrong("a relation")
-        if local_name(word) == COLOUR_RELATION:  # the image answers it, whoever else states it
+        if name_key(local_name(word)) in _COLOUR:  # the image answers it, whoever else states it
             names = self.graph.relation_names
             return _Relation(COLOUR_RELATION, frozenset(names.find_local(COLOUR_RELATION)))
-        return _Relation(local_name(word), frozenset([self.graph.relation_id(word)]))
+        relation = self.graph.relation_id(word)
+        return _Relation(local_name(self.graph.relation_names[relation]), frozenset([relation]))
 
     def links(self, entity: int, relation: _Relation) -> Iterator[tuple[str, int]]:
         """Yield the triples of a relation whose head is an entity, as text, and their tails."""
@@ -238,33 +256,3 @@ class _Reader:
                     local_name(graph.names[tail]),
                 )
                 yield " ".join(texts), tail
-
-
-def _sparql(graph: KnowledgeGraph, text: str) -> Part:
-    """Return what a SPARQL query selects as ?object and, if it does, in the colour ?colour.
-
-    It runs once per facet, whose colour the graph then states, as the image shows it.
-    """
-    query, names = SparqlQuery(graph, text), graph.relation_names
-    relations = {COLOUR_RELATION, *(names[i] for i in names.find_local(COLOUR_RELATION))}
-
-    def evidence(entity: int, colour: str | None) -> Evidence | None:
-        tail = None if colour is None else graph.find_entity(colour)
-        shown = colour if tail is None else graph.names[tail]
-        with query.stating(graph.names[entity], relations, [] if shown is None else [shown]):
-            result = query.answer()
-        other = set(result.columns) - {"object", "colour", "color"}
-        if "object" not in result.columns or other:
-            raise UserError(
-                "A question in SPARQL must select ?object, and may select ?colour, and no more; "
-                f"got {', '.join(result.columns) or 'no variables'}. Example: SELECT ?object "
-                "WHERE { ?object :usedFor :drinking }"
-            )
-        for row in result.rows:
-            named = dict(zip(result.columns, row, strict=True))
-            colours = {local_name(n) for key, n in named.items() if key != "object" and n}
-            if graph.find_entity(named["object"]) == entity and colours <= {colour}:
-                return tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
-        return None
-
-    return evidence

@@ -9,7 +9,7 @@ import numpy as np
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import local_name, parse_literal
+from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import (
     AND,
@@ -76,11 +76,11 @@ class QueryGraph:
             rows = graph.out_rows(entity)
             pairs = zip(graph.relations[rows], graph.tails[rows], strict=True)
             stated |= {
-                Condition(local_name(graph.relation_names[r]), local_name(graph.names[t]))
+                Condition(graph.relation_names.short(r), graph.names.short(t))
                 for r, t in pairs
-                if t not in self._ids and parse_literal(graph.names[t]) is None
+                if t not in self._ids and not graph.names[t].startswith(('"', "_:"))
             }
-        facts = sorted(each for each in stated if not each.is_seen)
+        facts = sorted(c for c in stated if not Condition(local_name(c.relation), c.value).is_seen)
         colours = sorted({colour for _, colour in self.facets})
         every = [*facts, *(Condition(COLOUR_RELATION, colour) for colour in colours)]
         whole = sorted({object_of(name) for name in self.objects} - {*self.objects})
