@@ -50,12 +50,12 @@ def test_conditions_are_the_facts_of_objects_and_the_colours(asked):
 
 
 def test_facts_are_answered_by_the_object_and_colours_by_the_facet(asked):
-    queries = [asked.parse(text) for text in ("hasPart handle", "hasColor blue")]
+    queries = [parse_query(text) for text in ("hasPart handle", "hasColor blue")]
     assert asked.answers(queries).tolist() == [
         [True, True, False, True],
         [False, True, True, False],
     ]
-    both = asked.parse("usedFor drinking and hasColor blue")
+    both = parse_query("usedFor drinking and hasColor blue")
     assert asked.answers([both]).tolist() == [[False, True, True, False]]
 
 
@@ -71,34 +71,15 @@ def test_queries_of_two_conditions_need_both(asked):
 @pytest.mark.parametrize(
     "text", ["usedFor salt and pepper", "usedFor salt and pepper and hasColor red"]
 )
-def test_a_value_may_hold_the_word_and(asked, text):
-    assert asked.parse(text).name == text
-    assert asked.parse(text).conditions[0] == Condition("usedFor", "salt and pepper")
+def test_a_value_may_hold_the_word_and(text):
+    assert parse_query(text).name == text
+    assert parse_query(text).conditions[0] == Condition("usedFor", "salt and pepper")
 
 
-def test_a_relation_may_have_two_words():
-    graph = graph_of([("mug", "used for", "hot tea"), ("pan", "used for", "soup")])
-    asked = QueryGraph(graph, [("mug", "red"), ("pan", "red")])
-    assert asked.parse("used for hot tea").conditions == (Condition("used for", "hot tea"),)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("usedfor drinking", r"relation of the query 'usedfor'\. Did you mean 'usedFor'\?"),
-        ("usedFor drinkin", r"value of usedFor in a query 'drinkin'\. Did you mean 'drinking'"),
-        ("hasColor green", r"value of hasColor in a query 'green'\. .*Available: blue, red"),
-        ("usedFor mug", "names the object 'mug'.*never its name"),
-        ("usedFor", "needs a relation and a value"),
-        (
-            "usedFor drinking and usedFor salt and pepper",
-            "Nothing answers the query.*'usedFor drinking': mug, glass; 'usedFor salt and pepper'",
-        ),
-    ],
-)
-def test_a_bad_query_is_refused(asked, text, message):
-    with pytest.raises(UserError, match=message):
-        asked.parse(text)
+@pytest.mark.parametrize("text", ["usedFor", "", "usedFor "])
+def test_a_query_without_a_value_is_refused(text):
+    with pytest.raises(UserError, match="needs a relation and a value"):
+        parse_query(text)
 
 
 def test_bad_graphs_are_refused():
@@ -140,15 +121,6 @@ def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
     assert (facts.sum(0) >= 2).all()
     assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])
     assert all(parse_query(query.name) == query for query in shipped.queries("all"))
-
-
-def test_a_value_may_hold_several_words_after_and():
-    graph = graph_of([("mug", "usedFor", "rock and roll music"), ("pan", "usedFor", "soup")])
-    asked = QueryGraph(graph, [("mug", "red"), ("pan", "red"), ("pan", "blue")])
-    for query in asked.queries("none"):
-        assert asked.parse(query.name) == query
-    text = "usedFor rock and roll music and hasColor red"
-    assert asked.parse(text).conditions[0].value == "rock and roll music"
 
 
 def test_relations_of_two_namespaces_are_told_apart():

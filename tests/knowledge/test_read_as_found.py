@@ -94,7 +94,7 @@ def test_what_people_have_is_read_right_and_without_a_warning(tmp_path, name, co
         ("a.tsv", "id\tnode1\tlabel\tnode2\n1\tmug\tusedFor\tdrinking\n", {MUG}, "not read: id"),
         ("a.json", '[{"s": "mug", "p": "usedFor", "o": "drinking", "weight": 2}]', {MUG}, "weight"),
         ("a.ttl", TURTLE + ":mug :recipe <http://e.org/hot chocolate> .", {MUG}, "line 3: Invalid"),
-        ("a.ttl", TURTLE + "foaf:x :y :z .", {MUG}, "1 malformed .* line 3: The prefix foaf:"),
+        ("a.ttl", TURTLE + "foaf:x :y :z .", {MUG}, "1 malformed .* line 3: The prefix f"),
         ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, r"said about 1 triples \(RDF 1.2\)"),
         (
             "a.nt",
@@ -174,6 +174,21 @@ def test_labels_of_nodes_and_columns(tmp_path):
     graph = read_graph(write(tmp_path / "a.tsv", kgtk))
     assert list(graph) == [("Q1", "P1", "Q2")]
     assert graph.labels == {"Q1": "mug", "P1": "used for"}
+
+
+def test_a_malformed_iri_costs_its_triple_only(tmp_path):
+    text = TURTLE + "".join(
+        f":mug :holds <http://e.org/{i} x>, :tea{i}, :milk{i} .\n" for i in "01"
+    )
+    with pytest.warns(DataWarning, match=r"2 triples with a malformed IRI.*in line 3, 4: Invalid"):
+        graph = read_graph(
+            write(
+                tmp_path / "a.ttl", text + ":a :b " + ", ".join(f":c{i}" for i in range(20)) + " ."
+            )
+        )
+    held = {tail for _, relation, tail in graph if relation == "holds"}
+    assert held == {"tea0", "milk0", "tea1", "milk1"}
+    assert len(graph) == 25
 
 
 def test_letters_of_two_forms_are_one_name(tmp_path):
@@ -272,6 +287,13 @@ def as_graphml(triples):
     return "\n".join(networkx.generate_graphml(graph)).encode()
 
 
+def as_gexf(triples):
+    graph = networkx.MultiDiGraph()
+    for head, relation, tail in triples:
+        graph.add_edge(head, tail, label=relation)
+    return "\n".join(networkx.generate_gexf(graph)).encode()
+
+
 def as_node_link(triples):
     graph = networkx.MultiDiGraph()
     for head, relation, tail in triples:
@@ -288,6 +310,7 @@ OTHERS = {
     "lists.json": lambda triples: json.dumps(triples, indent=1).encode(),
     "links.json": as_node_link,
     "a.graphml": as_graphml,
+    "a.gexf": as_gexf,
 }
 
 

@@ -20,6 +20,7 @@ from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.graph.statistics import graph_statistics
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import query_agreement
+from knowarm.knowledge.queries.answers import answer
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.knowledge.queries.sparql import sparql
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
@@ -71,10 +72,9 @@ class Queries(GraphOptions, TableCommand):
         facets = self._facets(graph)
         asked = QueryGraph(graph, facets)
         if self.ask is not None:
-            query = asked.parse(self.ask)
-            found = [asked.facets[i] for i in np.flatnonzero(asked.answers([query])[0])]
-            print_table(f"Answers to: {query.name}", ["object", "colour"], found)
-            return {"query": query.name, "answers": found}
+            found = [*answer(graph, facets, self.ask).evidence]
+            print_table(f"Answers to: {self.ask}", ["object", "colour"], found)
+            return {"query": self.ask, "answers": found}
         if self.agent is not None:
             return self._print_agreement(self.agent, asked)
         names = ("seed", "pairs", "hold_out")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from pyoxigraph import RdfFormat
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.formats.documents import read_graphml, read_json_graph
+from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
 from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
 from knowarm.knowledge.formats.splits import read_parts
@@ -47,7 +47,10 @@ FORMATS: dict[str, Format] = {
     "rdfxml": _rdf(
         RdfFormat.RDF_XML, ".rdf", ".owl", ".xml", begins=_PROLOG + r"<(\w+:)?RDF\b", writes=True
     ),
-    "graphml": Format(read_graphml, (".graphml",), _PROLOG + r"<(\w+:)?graphml\b"),
+    **{
+        kind: Format(partial(read_with_networkx, kind=kind), (f".{kind}",), _PROLOG + f"<{kind}\\b")
+        for kind in ("graphml", "gexf")
+    },
     "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=f'(?={_JSON}).*"@[a-z]+"', writes=True),
     "json": Format(read_json_graph, (".json",), _JSON),
     "turtle": _rdf(

@@ -1,9 +1,8 @@
-"""Graphs in one document: JSON (lists of triples, nodes with links) and GraphML."""
+"""Graphs in one document: JSON (lists of triples, nodes with links), GraphML and GEXF."""
 
 import json
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import ROLES, columns_of, name_of_cell
@@ -45,31 +44,22 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     return graph.build()
 
 
-def read_graphml(path: Path) -> KnowledgeGraph:
-    """Read the edges of a GraphML file, each with a relation such as the value "label"."""
+def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
+    """Read "graphml" or "gexf", whose edges each have a relation such as the value "label"."""
+    import networkx  # takes time to import
+
     with reading(path, "Correct the file, or export it again."), open_bytes(path) as file:
-        root = ElementTree.parse(file).getroot()
-    if root.find(".//{*}hyperedge") is not None or any(
-        undirected in element.items()
-        for element in root.iter()
-        for undirected in (("edgedefault", "undirected"), ("directed", "false"))
-    ):
+        found = getattr(networkx, f"read_{kind}")(file)
+    if not found.is_directed():
         raise UserError(
-            f"{path}: edges without a direction are no triples. Set edgedefault to "
-            '"directed" if the edges lead from source to target; hyperedges are not read.'
+            f"{path}: edges without a direction are no triples. Declare the edges as directed, if "
+            "they lead from source to target."
         )
-    keys = {key.get("id"): key.get("attr.name") for key in root.iterfind("{*}key")}
-
-    def values(element: ElementTree.Element) -> dict[str, str]:
-        data = element.iterfind("{*}data")
-        named = {str(keys.get(each.get("key"))): "".join(each.itertext()).strip() for each in data}
-        return {**element.attrib, **named}
-
     graph = _Records(path)
-    for node in root.iterfind(".//{*}node"):
-        graph.add_node(node.get("id"), values(node))
-    for edge in root.iterfind(".//{*}edge"):
-        graph.add_link(values(edge))
+    for name, values in found.nodes(data=True):
+        graph.add_node(name, values)
+    for head, tail, values in found.edges(data=True):
+        graph.add_link({**values, "head": head, "tail": tail})
     return graph.build()
 
 

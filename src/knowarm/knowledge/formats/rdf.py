@@ -8,7 +8,8 @@ import io
 import re
 import xml.sax
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 from xml.sax.handler import EntityResolver, feature_external_ges
@@ -76,8 +77,10 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
             raise _malformed(path, syntax, error.lineno, _reason(error)) from error
 
 
-def _read(file: IO[bytes], path: Path, syntax: RdfFormat) -> KnowledgeGraph:
-    """Read an RDF file.
+def _read(
+    file: IO[bytes], path: Path, syntax: RdfFormat, found: Sequence[SyntaxError] = ()
+) -> KnowledgeGraph:
+    """Read an RDF file; again, triple by triple, if malformed IRIs were ``found`` in it.
 
     Raises:
         SyntaxError: more than single statements are malformed.
@@ -85,25 +88,34 @@ def _read(file: IO[bytes], path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     builder, bad = GraphBuilder(), list[SyntaxError]()
     about = set[str]()  # terms that stand for triples
     base = None if syntax in LINES else path.absolute().as_uri()
-    for quad in _sound(parse(file, format=syntax, base_iri=base), syntax, bad):
+    no_iri = 0
+    quads = parse(file, format=syntax, base_iri=base, lenient=bool(found))
+    for quad in _sound(quads, syntax, bad):
         head, tail, relation = quad.subject, quad.object, quad.predicate.value
         if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
             raise UserError(
                 f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
             )
+        if found and not all(map(_is_sound, (head, quad.predicate, tail))):
+            no_iri += 1
+            continue
         if type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
             builder.add(head.value, relation, tail.value)
         elif isinstance(head, Triple) or isinstance(tail, Triple):
             about.add(str(head))
         elif str(head) not in about:
             builder.add_statement(_name(head), relation, _name(tail))
-    if len(bad) > len(builder.ids) // 30 + bool(builder.ids):
-        raise bad[0]
-    if bad:
-        lines = ", ".join(str(error.lineno) for error in bad[:10])
+    if not found and any("IRI" in _reason(error) for error in bad):
+        with open_bytes(path) as again:
+            return _read(again, path, syntax, bad)
+    errors = [*found, *bad]
+    if len(bad) + no_iri > len(builder.ids) // 30 + bool(builder.ids):
+        raise errors[0]
+    if errors:
+        lines = ", ".join(str(error.lineno) for error in errors[:10])
         warn(
-            f"{path}: {len(bad)} malformed statements are left out, in line {lines}: "
-            f"{_reason(bad[0])}."
+            f"{path}: {no_iri} triples with a malformed IRI and {len(bad)} malformed statements "
+            f"are left out, in line {lines}: {_reason(errors[0])}."
         )
     if about:
         warn(f"{path}: what is said about {len(about)} triples (RDF 1.2) is left out.")
@@ -124,6 +136,13 @@ def _sound(quads: Iterator[Quad], syntax: RdfFormat, bad: list[SyntaxError]) -> 
             if of_file or not (syntax in LINES or of_term):
                 raise
             bad.append(error)
+
+
+def _is_sound(term: Term | Triple) -> bool:
+    """Return whether a term is no malformed IRI."""
+    with suppress(ValueError):
+        return not isinstance(term, NamedNode) or bool(NamedNode(term.value))
+    return False
 
 
 def _name(term: Term) -> str:

@@ -37,6 +37,8 @@ _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SPACE = re.compile(r"[\s_\-]+")
 _SENSE = re.compile(r"\.[a-z](\.\d+)?$")
 """Kind or sense behind a word, as in WordNet's mug.n.04."""
+_CONCEPT = re.compile(r"^/(?:c/\w+|r)/([^/]+).*")
+"""Name of ConceptNet: /c/en/mug/n, /r/UsedFor."""
 _PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", "us": "us",
             "is": "is", "sses": "ss", "xes": "x", "ches": "ch", "shes": "sh", "s": ""}  # fmt: skip
 """Endings that one word has in singular or plural, and what stands for both; the longest counts."""
@@ -120,7 +122,7 @@ def name_key(text: str) -> str:
 
     Case, separators, number and sense make no difference, but in a text without letters.
     """
-    text = unicodedata.normalize("NFC", text).casefold()
+    text = _CONCEPT.sub(r"\1", unicodedata.normalize("NFC", text).casefold())
     key = re.sub(r"[\s_\-]+", "", _SENSE.sub("", text))
     if not any(map(str.isalpha, key)):
         return text

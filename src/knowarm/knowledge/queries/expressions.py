@@ -163,9 +163,9 @@ class QuestionReader:
         def evidence(entity: int, colour: str | None) -> Evidence | None:
             if is_colour and colour is not None:
                 return (f"the image shows {value}",) if colour == value else None
-            links = self.links(entity, relation)
-            return next(((text,) for text, tail in links if tail in ids), None)
+            return stated(entity, colour)
 
+        stated = self.chain(relation, lambda tail, colour: () if tail in ids else None)
         return evidence
 
     def chain(self, relation: _Relation, of: Part) -> Part:
@@ -189,17 +189,12 @@ class QuestionReader:
             raise UserError(
                 f"The question {self.text!r}: the graph states no {wanted[0]} by {relation.name}."
             )
-        fits = {
-            i
-            for i, (kind, value) in known.items()
-            if kind == wanted[0] and SIGNS[sign](value, wanted[1])
-        }
 
-        def evidence(entity: int, colour: str | None) -> Evidence | None:
-            links = self.links(entity, relation)
-            return next(((text,) for text, tail in links if tail in fits), None)
+        def fits(tail: int, colour: str | None) -> Evidence | None:
+            kind, value = known.get(tail, ("", 0))
+            return () if kind == wanted[0] and SIGNS[sign](value, wanted[1]) else None
 
-        return evidence
+        return self.chain(relation, fits)
 
     def tails(self, relation: _Relation) -> list[int]:
         """Return the ids of what a relation leads to."""

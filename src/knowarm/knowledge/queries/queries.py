@@ -1,6 +1,6 @@
 """Queries that a graph answers: which there are, and which objects with colours answer them."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import Literal, get_args
@@ -26,28 +26,21 @@ Pairs = Literal["none", "colour", "all"]
 """Queries of two conditions: none, a fact and a colour (or the object of a part), or any two."""
 
 
-def parse_query(text: str, relations: Collection[str] = ()) -> Query:
+def parse_query(text: str) -> Query:
     """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
-    names = sorted({*relations, COLOUR_RELATION}, key=len, reverse=True)
     parts: list[str] = []
     for part in text.split(AND):
-        starts = any(part.strip().startswith(f"{name} ") for name in names)
-        if parts and not (starts if relations else " " in part.strip()):  # a value with an "and"
+        if parts and " " not in part.strip():  # a value with an "and"
             parts[-1] += AND + part
         else:
             parts.append(part)
-    conditions = []
-    for part in map(str.strip, parts):
-        named = (name for name in names if part.startswith(f"{name} "))
-        relation = next(named, part.split(" ")[0])
-        value = part.removeprefix(relation).strip()
-        if not value:
-            raise UserError(
-                f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', "
-                f"or two of these joined by 'and'; got {part!r}."
-            )
-        conditions.append(Condition(relation, value))
-    return Query(tuple(conditions))
+    pairs = [part.strip().partition(" ") for part in parts]
+    for relation in (relation for relation, _, value in pairs if not value):
+        raise UserError(
+            f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', or two of "
+            f"these joined by 'and'; got {relation!r}."
+        )
+    return Query.of(*((relation, value.strip()) for relation, _, value in pairs))
 
 
 class QueryGraph:
@@ -127,33 +120,6 @@ class QueryGraph:
             for condition in query.conditions:
                 row &= rows[condition]
         return table
-
-    def parse(self, text: str) -> Query:
-        """Read a query that some facet answers from its name; see `parse_query`."""
-        relations = {condition.relation for condition in self.conditions} | {COLOUR_RELATION}
-        query = parse_query(text, relations)
-        for condition in query.conditions:
-            if condition.relation not in relations:
-                raise unknown_name("relation of the query", condition.relation, relations)
-            if condition.value in self.objects:
-                raise UserError(
-                    f"The query {text!r} names the object {condition.value!r}. A query holds "
-                    "what the graph knows about an object, such as its use, never its name."
-                )
-            values = {c.value for c in self.conditions if c.relation == condition.relation}
-            if condition.value not in values:
-                kind = f"value of {condition.relation} in a query"
-                raise unknown_name(kind, condition.value, values)
-        if not self.answers([query]).any():
-            facets = np.array(self.facets)
-            holders = [dict.fromkeys(facets[self._holders(c), 0]) for c in query.conditions]
-            pairs = zip(query.conditions, holders, strict=True)
-            alone = [f"{c.name!r}: {', '.join(names) or 'nothing'}" for c, names in pairs]
-            raise UserError(
-                f"Nothing answers the query {text!r}. Its conditions are answered by "
-                f"{'; '.join(alone)}. Ask another query, or add the missing triple to the graph."
-            )
-        return query
 
     def possible(self) -> np.ndarray:
         """Return whether the graph lets each object have its facet's colour, (F,) bool.
