@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 from pyoxigraph import RdfFormat
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
 from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
 from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.owl import with_class_axioms
 from knowarm.reading import reading, replacing
 
 Reader = Callable[[Path], KnowledgeGraph]
@@ -110,7 +111,8 @@ def read_graph(path: str | Path | None = None, format: str | None = None) -> Kno
             no triples.
 
     Warns:
-        DataWarning: something in the file is left out, or its first line may be a header.
+        DataWarning: something in the file is left out, its first line may be a header, or facts
+            that follow from class axioms of OWL were added.
     """
     if path is None or str(path) in SHIPPED:
         return shipped_graph(str(path or "household"))
@@ -132,6 +134,11 @@ def read_graph(path: str | Path | None = None, format: str | None = None) -> Kno
             f"{path} holds no triples (read as {format}). Check that it is complete, and that it "
             "is a graph."
         )
+    graph, added, others = with_class_axioms(graph)
+    if added or others:
+        counts = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
+        rest = f"; class axioms that state none: {counts}" if others else ""
+        warn(f"{path}: {added} facts follow from class axioms of OWL and were added{rest}.")
     return graph
 
 

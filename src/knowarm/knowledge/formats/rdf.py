@@ -24,6 +24,8 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
     LABEL_RELATIONS,
     NAMESPACE,
+    RDF,
+    RDFS,
     Term,
     blank_names,
     iri_of_name,
@@ -35,8 +37,8 @@ from knowarm.reading import reading
 
 PREFIXES = {
     "": NAMESPACE,
-    "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
-    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
+    "rdf": RDF,
+    "rdfs": RDFS,
     "owl": "http://www.w3.org/2002/07/owl#",
     "skos": "http://www.w3.org/2004/02/skos/core#",
     "xsd": "http://www.w3.org/2001/XMLSchema#",

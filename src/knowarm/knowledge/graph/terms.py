@@ -22,12 +22,14 @@ from knowarm.errors import UserError
 NAMESPACE = "urn:knowarm:"
 """Namespace of the IRIs of plain names."""
 
+RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+RDFS = "http://www.w3.org/2000/01/rdf-schema#"
 LABEL_RELATIONS = (
-    "http://www.w3.org/2000/01/rdf-schema#label",
+    RDFS + "label",
     "http://www.w3.org/2004/02/skos/core#prefLabel",
 )
 """Relations whose literals are labels; labels are written with the first."""
-RDF_TYPE = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
+RDF_TYPE = RDF + "type"
 """The relation that Turtle writes as ``a``; its label is "is a"."""
 
 _IRI = re.compile(r'[A-Za-z][A-Za-z0-9+.-]*:[^\s<>"{}|\\^`\x00-\x20]+')
