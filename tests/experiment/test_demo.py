@@ -1,5 +1,4 @@
 import dataclasses
-from functools import partial
 
 import numpy as np
 import pytest
@@ -7,7 +6,6 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.experiment import demo as module
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.config import InterimConfig
 from knowarm.experiment.demo import demo, demo_experiments
 from knowarm.report import write_report
 
@@ -20,7 +18,6 @@ def stand_still(config, *, seed):
 @pytest.mark.slow
 def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
-    monkeypatch.setattr(module, "InterimConfig", partial(InterimConfig, episodes=2))
     monkeypatch.setattr("knowarm.world.agents.search_open_loop", stand_still)
     stops = iter([False, True])
     assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None

@@ -33,6 +33,27 @@ def answer(connection):
     connection.send(connection.recv())
 
 
+def test_a_process_is_started_although_the_fork_server_ended_meanwhile(monkeypatch):
+    context = process_context()
+    start, attempts = context.Process.start, []
+
+    def start_late(process):
+        attempts.append(process)
+        if len(attempts) < 8:
+            raise EOFError if len(attempts) == 1 else ConnectionRefusedError
+        start(process)
+
+    monkeypatch.setattr(context.Process, "start", start_late)
+    child = ChildProcess.start(context, "helper", send_one)
+    assert child.connection.recv() == 1
+    child.stop()
+    assert len(attempts) == 8
+    monkeypatch.setattr(context.Process, "start", lambda process: start_late(attempts.clear()))
+    monkeypatch.setattr("knowarm.learn.parallel.processes.START_S", 0.1)
+    with pytest.raises(EOFError):
+        ChildProcess.start(context, "helper", send_one)
+
+
 @pytest.mark.skipif(
     "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
 )

@@ -70,8 +70,7 @@ def _make_a3c(
 ) -> "Trainer":
     from knowarm import learn
 
-    is_fixed = config.schedule == "fixed"
-    make = learn.FixedScheduleA3CTrainer if is_fixed else learn.A3CTrainer
+    make = learn.FixedScheduleA3CTrainer if config.is_fixed else learn.A3CTrainer
     return make(config, policy, make_env, **options)
 
 
@@ -109,7 +108,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     ),
     "a3c": Algorithm(
         about="asynchronous advantage actor-critic with the paper's numbers",
-        config=A3CConfig(schedule="fixed"),
+        config=A3CConfig(),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
         policy={"pixel_shift": 0.0, "pixel_scale": 1.0, "fc_activation": "none"},

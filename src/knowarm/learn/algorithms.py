@@ -243,10 +243,10 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
 
     name: Literal["a3c"] = "a3c"
     """Identifies the algorithm in a config file."""
-    schedule: Literal["asynchronous", "fixed"] = "asynchronous"
-    """"asynchronous": a process per worker, whose updates follow each other as they come. "fixed":
-    all workers in one process, whose updates follow each other in a fixed order, so that a training
-    repeats to the byte."""
+    schedule: Literal["fixed", "asynchronous"] | None = None
+    """"fixed": all workers in one process, whose updates follow each other in a fixed order, so
+    that a training repeats to the byte. "asynchronous": a process per worker, whose updates follow
+    each other as they come. None: fixed where workers have one environment each."""
     workers: int = 17
     """Workers that collect and learn."""
     envs_per_worker: int = 1
@@ -303,3 +303,8 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
                 "one environment per worker: set rollout_ends_with_episode to False, or "
                 "envs_per_worker to 1."
             )
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the schedule is fixed."""
+        return self.schedule == "fixed" or (self.schedule is None and self.envs_per_worker == 1)

@@ -23,6 +23,13 @@ from knowarm.errors import UserError
 STOP_S = 3.0
 """Time that child processes have to exit after their pipes were closed; then they are killed."""
 
+START_S = 10.0
+"""Time that a fork server which is killed while it starts a child process has to be replaced.
+
+The kernel closes the socket of a killed process before it reports the exit: until then, connections
+are refused, and no new server is started.
+"""
+
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _KEEP_BYTES = 1 << 30
 
@@ -110,14 +117,25 @@ class ChildProcess:
         """Start ``run(*arguments, connection)`` in a new process.
 
         An exception in it is sent as a `ProcessFailure`, unless the parent process has exited.
+        A fork server that is killed while it starts the process is replaced by a new one.
         """
-        here, there = context.Pipe()
-        process = context.Process(  # type: ignore[attr-defined]
-            target=_run_child, args=(run, arguments, there), name=name, daemon=True
-        )
-        _start(process)
-        there.close()  # The child has the only other end, so reading fails once it has exited.
-        return cls(name, process, here)
+        deadline = time.monotonic() + START_S
+        while True:
+            here, there = context.Pipe()
+            process = context.Process(  # type: ignore[attr-defined]
+                target=_run_child, args=(run, arguments, there), name=name, daemon=True
+            )
+            try:
+                _start(process)
+                return cls(name, process, here)
+            except (EOFError, ConnectionError):
+                here.close()  # a process that was started all the same exits
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.05)
+            finally:
+                # The child has the only other end, so reading fails once it has exited.
+                there.close()
 
     def send(self, message: Any) -> None:
         """Send a message; the exit of the child is noticed when reading."""
