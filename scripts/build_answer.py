@@ -39,6 +39,13 @@ from scripts.answer_cells import (
 )
 from scripts.answer_changes import changes_section
 from scripts.answer_fusions import fusions_section
+from scripts.answer_outcomes import (
+    anova_section,
+    answer,
+    cost_section,
+    mean_success_row,
+    outcomes_section,
+)
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
@@ -68,8 +75,8 @@ def widest(shares: Sequence[Interval]) -> str:
     )
 
 
-def claims_table(cells: Sequence[Cell]) -> str:
-    """Set each claim of the paper beside what these runs say about it."""
+def claims_table(cells: Sequence[Cell], more: Sequence[Sequence[str]]) -> str:
+    """Set each claim of the paper beside what these runs say about it; ``more`` rows follow."""
     rows = []
     for name, words in (("full", "Full knowledge"), ("partial", "Partial knowledge")):
         decided = [(cell, *pair) for cell in cells if (pair := cell.of(name, "bm"))]
@@ -99,7 +106,13 @@ def claims_table(cells: Sequence[Cell]) -> str:
         )
     rows.append(["It helps more where colours are randomized", *randomized_row(cells)])
     rows.append(["What the knowledge says matters", "no control", *content_row(cells)])
-    return table(["claim", "the paper", "here", "verdict"], rows)
+    return table(["claim", "the paper", "here", "verdict"], [*rows, *more])
+
+
+def faster_cells(cells: Sequence[Cell]) -> list[Cell]:
+    """Return the cells in which full knowledge needs fewer steps than the baseline."""
+    decided = [(cell, *pair) for cell in cells if (pair := cell.of("full", "bm"))]
+    return [cell for cell, c, p in decided if p < SIGNIFICANT and c.steps.high < 0]
 
 
 def judged(supported: Sequence[bool]) -> str:
@@ -180,22 +193,31 @@ def page(
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
     processors = "; ".join(processors_of([a for _, agents in found for a in agents.values()]))
     has_controls = any(name in agents for _, agents in found for name in CONTROLS)
+    cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
+    tasks = [task for task, _ in found]
     parts = [
+        HEAD,
+        answer(tasks, len(faster_cells(cells)), len(cells)),
         TOP.format(
             runs=runs,
             hours=hours,
             seeds=", ".join(map(str, seeds)),
             progress=progress,
             controls=WITH_CONTROLS if has_controls else WITHOUT_CONTROLS,
-        )
+        ),
     ]
-    cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
-    parts += [claims_table(cells), "\n".join(f"- {verdict(cell)}" for cell in cells)]
+    parts += [
+        claims_table(cells, [mean_success_row(tasks)]),
+        "\n".join(f"- {verdict(cell)}" for cell in cells),
+    ]
+    parts += outcomes_section(tasks)
     parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
         parts.append(comparison_table(cell.compared))
     parts += [
+        *anova_section(tasks),
+        *cost_section(tasks),
         "## Every run",
         f"{FIGURE}\n\n{runs_table(cells)}",
         *sections,
@@ -222,12 +244,13 @@ def processors_of(agents: Sequence[Agent]) -> list[str]:
     return lines
 
 
-TOP = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
-# Does semantic knowledge help a robot arm to learn?
+HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
+# Does semantic knowledge help a robot arm to learn?"""
 
-**Protocol.** {runs} runs of the paper's task with `fast` (IRB120 from the study `answer`, TIAGo
-from `paper`), 1.5 million steps, one process, training seeds {seeds}; {hours:.0f} hours of one
-core. {progress} The outcomes and comparisons of `answer` were fixed when the runs of `bm`,
+TOP = """**Protocol.** {runs} runs of the paper's task with `fast` (IRB120 from the study
+`answer`, TIAGo from `paper`), 1.5 million steps, one process, training seeds {seeds};
+{hours:.0f} hours of one core. {progress} The outcomes and
+comparisons of `answer` were fixed when the runs of `bm`,
 `partial` and `full` with seeds 0 to 2 were known, and before any other run. Primary: environment
 steps until 80 % of the 40 interim episodes succeed (5 cm, 15 degrees); a run that never does counts
 as 1.5 million, and as censored in the log-rank test. Secondary: success of 1,000 episodes after

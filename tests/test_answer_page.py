@@ -42,3 +42,46 @@ def test_readme_has_the_figures_of_the_page():
     assert f"With {NUMBERS[min(fewest) - 4]} seeds or more, no effect" in readme
     claims = re.findall(r"^\| .+ \| .+ \| .+ \| (.+) \|$", PAGE.read_text("utf-8"), re.M)[1:7]
     assert all(verdict.startswith("not found") for verdict in claims), claims
+
+
+CLAIMANTS = ("README.md", "docs/faq.md", "docs/notebooks/knowledge.md")
+"""Files that say what is found in reaching; each such paragraph carries the keys of findings."""
+KEY = re.compile(r"<!-- finding: (.+?); (.+?); (.+?) -->\n")
+CLAIM = re.compile(
+    r"no (effect|advantage)|learns? faster|better than the (paper's )?baseline|higher .*than the"
+)
+SAME_SENTENCE = r"(?:[^.]|\.\d)*"
+WORDING = {
+    "no advantage over the baseline is shown": ("no (effect|advantage)", "{outcome}", "found"),
+    "better than the baseline, but not than a network as large": (
+        *("(better|higher|faster)", "baseline", "not than a network as large"),
+    ),
+}
+"""What a paragraph must say, by the finding that the page states."""
+
+
+def findings_of_the_page() -> dict[tuple[str, ...], tuple[str, str]]:
+    """Return difference and finding by cell, agent and outcome."""
+    section = PAGE.read_text("utf-8").split("\n## All outcomes\n")[1].split("\n## ")[0]
+    row = r"^\| (.+?) \| `(.+?)` \| (.+?) \| (.+?) \| .+? \| (.+) \|$"
+    rows = re.findall(row, section, re.M)
+    return {tuple(key): (difference, finding) for *key, difference, finding in rows}
+
+
+@pytest.mark.parametrize("file", CLAIMANTS)
+def test_claims_say_what_the_report_of_the_packs_finds(file):
+    found, keyed = findings_of_the_page(), 0
+    assert len(found) == 8
+    for paragraph in (ROOT / file).read_text("utf-8").split("\n\n"):
+        keys, text = KEY.findall(paragraph), " ".join(KEY.sub("", paragraph).split())
+        assert keys or not CLAIM.search(text) or "`bm`" in text, f"a claim without a key: {text}"
+        keyed += len(keys)
+        for key in keys:
+            difference, finding = found[key]
+            wording = SAME_SENTENCE.join(WORDING[finding]).replace("{outcome}", key[2])
+            assert re.search(wording, text), f"{key} is {finding!r}, and {file} says: {text}"
+            for given in re.findall(r"\(([+-][\d.]+) points \[(.+?)\]", text):
+                assert (
+                    difference == f"{given[0]} [{', '.join(f'+{n}' for n in given[1].split(', '))}]"
+                )
+    assert keyed

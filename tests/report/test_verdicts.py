@@ -192,6 +192,40 @@ def test_two_splits_of_one_task_are_not_both_tasks():
     assert "full: on S1, A and S4, A the query is understood" in answer(on, 2).sentence
 
 
+def test_the_answer_names_outcomes_that_differ():
+    tasks, subject = [SimpleNamespace(title=each) for each in "AB"], SimpleNamespace(name="full")
+
+    def said(speed_on_b: str) -> str:
+        kinds = {("success", 0): "no advantage", ("success", 1): "no advantage"}
+        kinds |= {("speed", 0): "no advantage", ("speed", 1): speed_on_b}
+        found = [
+            SimpleNamespace(task=tasks[task], subject=subject, outcome=outcome, kind=kind)
+            for (outcome, task), kind in kinds.items()
+        ]
+        return answer(found, 2).sentence
+
+    one = "full: on both tasks no advantage over the baseline is shown."
+    assert said("no advantage").endswith(one)
+    more = said(SIZE)
+    assert "full: success after training: on both tasks no advantage" in more
+    assert "mean success during training: on A no advantage" in more
+    assert "; on B better than the baseline, but not than a network as large." in more
+
+
+def test_the_first_page_states_what_is_found_on_every_tested_outcome(tmp_path):
+    truth = Truth(success=some("bm", "full", "wide"))
+    study = collect(write_study(tmp_path, truth, seeds=3, size=LIGHT))
+    study.tasks[0].subjects[0].runs[0].interim["success"][:] = 0.0  # faster, except for one run
+    pages = build_pages(study)
+    known = claims(study)
+    for outcome in ("success", "speed"):
+        sentence = findings(study.tasks[0], known, outcome)[0].sentence
+        assert any(
+            isinstance(block, Verdict) and block.sentence == sentence
+            for block in flat(pages[0].blocks)
+        ), outcome
+
+
 def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
     paths = write_study(tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT)
     for path in (paths[0], paths[2], paths[3]):  # one run of bm stopped, both of full

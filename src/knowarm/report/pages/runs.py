@@ -20,7 +20,7 @@ from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData
 from knowarm.report.verdicts.claims import Claim, Finding
-from knowarm.report.verdicts.knowledge import answer, findings
+from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 from knowarm.report.verdicts.query import query_summary
 
@@ -76,7 +76,7 @@ def summary_blocks(
     reasons: list[Block] = []
     doubts: list[Block] = []
     for task in study.tasks:
-        every += (mine := findings(task, decided))
+        every += (mine := tested_findings(task, decided))
         reasons += [each.verdict(shown_reasons=1) for each in mine]
         reasons += query_summary([each for each in understood if each.task is task])
         for verdict in filter(None, (learning_verdict(task), vision_verdict(task))):

@@ -24,6 +24,17 @@ def findings(task: TaskData, decided: Sequence[Claim], outcome: str = "success")
     return [finding(task, decided, outcome, each) for each in task.subjects or (None,)]
 
 
+def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
+    """Return the findings on all outcomes; of others than success only those with a test."""
+    return findings(task, decided) + [
+        each
+        for outcome in OUTCOMES
+        if outcome != "success"
+        for each in findings(task, decided, outcome)
+        if each.kind not in ("nothing to compare", "too few seeds")
+    ]
+
+
 def finding(
     task: TaskData, decided: Sequence[Claim], outcome: str = "success", subject: Group | None = None
 ) -> Finding:
@@ -134,15 +145,24 @@ WORDS: dict[Kind, str] = {
 
 def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     """Return the answer of a report of some tasks, agent by agent."""
-    scopes: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+    said: dict[str, dict[str, dict[str, list[str]]]] = defaultdict(
+        lambda: defaultdict(lambda: defaultdict(list))
+    )
     for finding in findings:
-        scope = [finding.outcome] if finding.outcome != "success" else []
-        scope += [finding.task.title] if tasks > 1 else []
+        is_split = finding.outcome not in OUTCOMES
+        scope = [finding.outcome] * is_split + [finding.task.title] * (tasks > 1)
         name = finding.subject.name if finding.subject else "agents with knowledge"
-        scopes[name][WORDS[finding.kind]].append(", ".join(scope))
+        outcome = "" if is_split else finding.outcome
+        said[name][outcome][WORDS[finding.kind]].append(", ".join(scope))
     titles, parts = {each.task.title for each in findings}, []
-    for name, said in scopes.items():
-        clauses = [f"{_where(where, tasks, titles)}{words}" for words, where in said.items()]
+    for name, outcomes in said.items():
+        if outcomes.get("success") == outcomes.get("speed"):
+            outcomes.pop("speed", None)
+        clauses = [
+            (f"{OUTCOMES[outcome]}: " if "speed" in outcomes and outcome else "")
+            + "; ".join(f"{_where(where, tasks, titles)}{words}" for words, where in each.items())
+            for outcome, each in outcomes.items()
+        ]
         parts.append(f"{name}: {'; '.join(clauses)}.")
     tones = {TONES.get(each.kind, "open") for each in findings}
     sentence = f"Does the knowledge help? {' '.join(parts) or 'There is nothing to compare.'}"

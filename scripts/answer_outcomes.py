@@ -1,0 +1,275 @@
+"""All declared outcomes, the paper's analysis of variance, and the cost of training.
+
+Decisions are those of the report (`knowarm.report.verdicts`), so page and report cannot differ.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import combinations, product
+
+import numpy as np
+
+from knowarm.report.format import p_value
+from knowarm.report.model import CONTROLS, Group, RunData, StudyData, TaskData
+from knowarm.report.pages.paper import published_comparison
+from knowarm.report.verdicts.claims import OUTCOMES, Claim, Finding, claims
+from knowarm.report.verdicts.knowledge import WORDS, findings
+from knowarm.statistics import first_crossing, one_way_anova, welch
+from scripts.answer_cells import LEVEL, SIGNIFICANT, signed, table, title_of
+
+BATCHES = 10
+"""Evaluation seeds that the analysis of variance makes of the 1,000 episodes of a run."""
+
+OUTCOMES_TEXT = """Differences against `bm` with Welch intervals. p: Holm's correction over agents,
+cells and outcomes of this table, as in every report; controls count only where that gate is
+passed ([decisions](../decisions.md#evidence)). The steps to 80 %, the primary outcome, follow by
+cell, with the correction that was fixed before the runs."""
+
+ANOVA_TEXT = """The paper compares two trained networks, one training seed each, by an analysis of
+variance over evaluation seeds, and reads F values of 16 to 247 as an effect of the knowledge. Here
+the 1,000 episodes of each run are ten evaluation seeds of 100, and F compares two runs."""
+
+COST_TEXT = """The paper expects no increase of training time and computational complexity. Runs on
+one kind of processor, the one that most runs of the cell share; seconds until 80 % of the interim
+episodes succeed, or of the whole training where they never do."""
+
+
+def decided(tasks: Sequence[TaskData]) -> tuple[list[Claim], dict[tuple[str, str, str], Finding]]:
+    """Return the report's claims, and its findings by cell, agent and outcome."""
+    known = claims(StudyData(tuple(tasks)))
+    found = [
+        finding
+        for task in tasks
+        for outcome in OUTCOMES
+        for finding in findings(task, known, outcome)
+    ]
+    keys = {
+        (title_of(each.task), each.subject.name, each.outcome): each
+        for each in found
+        if each.subject
+    }
+    return known, keys
+
+
+def gate_of(finding: Finding) -> Claim:
+    """Return the comparison of a finding's agent with the baseline."""
+    return next(claim for claim in finding.claims if claim.stage == "gate")
+
+
+def points(claim: Claim) -> str:
+    """Format the difference of a claim."""
+    return signed(claim.comparison.difference, 100, 1) if claim.comparison else ""
+
+
+def mean_success_row(tasks: Sequence[TaskData]) -> list[str]:
+    """Return the row of the claims' table on mean success during training."""
+    _, found = decided(tasks)
+    full = [each for (_, name, outcome), each in found.items() if (name, outcome) == FULL_SPEED]
+    gates = [gate_of(each) for each in full]
+    gains = [100 * each.comparison.difference.estimate for each in gates if each.comparison]
+    better = [each for each in full if gate_of(each).verdict == "better"]
+    verdict = f"found in {len(better)} of {len(full)} cells" if better else "not found"
+    if any(each.kind == "size may explain it" for each in better):
+        verdict += ", not beyond networks as large"
+    spread = f"{min(gains):+.1f} to {max(gains):+.1f} points"
+    return ["Full knowledge raises the mean success during training", "none", spread, verdict]
+
+
+FULL_SPEED = ("full", "speed")
+"""Agent and outcome of `mean_success_row`."""
+
+
+def larger(known: Sequence[Claim], title: str, outcome: str) -> dict[str, Claim]:
+    """Return the comparisons of a cell's controls with the baseline, by control."""
+    return {
+        claim.first.name: claim
+        for claim in known
+        if title_of(claim.task) == title
+        and claim.outcome == outcome
+        and claim.first.role in CONTROLS
+        and claim.second is claim.task.baseline
+    }
+
+
+def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
+    """Return the section with all outcomes that the report tests."""
+    known, found = decided(tasks)
+    rows = []
+    for (title, name, outcome), finding in found.items():
+        gate = gate_of(finding)
+        verdict = WORDS[finding.kind]
+        rows.append(
+            [title, f"`{name}`", OUTCOMES[outcome], points(gate), p_value(gate.adjusted_p), verdict]
+        )
+    columns = ["cell", "agent", "outcome", "against `bm` [points]", "p", "finding"]
+    parts = ["## All outcomes", OUTCOMES_TEXT, table(columns, rows)]
+    for (title, name, outcome), finding in found.items():
+        others = larger(known, title, outcome)
+        if gate_of(finding).verdict == "better" and others:
+            words = ", ".join(f"`{each}` {points(claim)}" for each, claim in others.items())
+            parts.append(
+                f"{title}, {OUTCOMES[outcome]}: `{name}` is better than `bm`, and networks as "
+                "large gain about as much without its knowledge. Points above `bm`, not "
+                f"corrected: {words}."
+            )
+    return parts
+
+
+def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
+    """Return the answer of the page; ``faster`` cells of ``cells`` need fewer steps to 80 %."""
+    known, found = decided(tasks)
+    full = {key: each for key, each in found.items() if key[1] == "full"}
+    better = {key: each for key, each in full.items() if gate_of(each).verdict == "better"}
+    after = [key for key in better if key[2] == "success"]
+    assert not after
+    assert not faster, "write the answer for what is found"
+    text = (
+        "**Answer.** No effect of full knowledge on the success after training, nor on the steps "
+        f"to 80 %, is found in any of {cells} cells."
+    )
+    for (title, name, outcome), finding in better.items():
+        assert finding.kind == "size may explain it", "write the answer for what is found"
+        gains = [
+            each.comparison.difference.estimate
+            for each in larger(known, title, outcome).values()
+            if each.comparison
+        ]
+        spread = " to ".join(f"{100 * value:+.1f}" for value in (min(gains), max(gains)))
+        text += (
+            f" In {OUTCOMES[outcome]}, `{name}` is better than the paper's baseline on "
+            f"{title} ({points(gate_of(finding))} points, adjusted p "
+            f"{p_value(gate_of(finding).adjusted_p)}), but not than networks as large without "
+            f"this knowledge, which gain {spread} points over that baseline: the paper's "
+            "observation, with the size of the network as a cause, since what the vector says is "
+            "not shown to matter."
+        )
+    return f"{text} {costs_time(tasks)}"
+
+
+def costs_time(tasks: Sequence[TaskData]) -> str:
+    """Say by how much the larger networks of the agents with knowledge slow training down."""
+    shares = []
+    for task in tasks:
+        groups = {group.name: group for group in task.groups}
+        one, base = (np.array([*costs(groups[n], processor_of(task))]) for n in ("full", "bm"))
+        shares.append(float(np.median(one[:, 0]) / np.median(base[:, 0])))
+    assert max(shares) < 1
+    return (
+        f"Full knowledge costs training time: `full` trains at {100 * min(shares):.0f} to "
+        f"{100 * max(shares):.0f} % of the baseline's steps per second "
+        '([cost](#cost-of-training)), against the paper\'s "without increasing training time".'
+    )
+
+
+def processor_of(task: TaskData) -> str:
+    """Return the processor of most runs of `bm` and `full`."""
+    used = Counter(
+        str(run.provenance.machine["processor"])
+        for group in task.groups
+        if group.name in ("bm", "full")
+        for run in group.runs
+    )
+    return used.most_common(1)[0][0]
+
+
+def rates(run: RunData, label: str) -> np.ndarray:
+    """Return the success in each tenth of the episodes of an evaluation, (BATCHES,)."""
+    success = run.evaluations[label].episodes()["success"]
+    return np.asarray(success, np.float64).reshape(BATCHES, -1).mean(axis=1)
+
+
+def anova_section(tasks: Sequence[TaskData]) -> list[str]:
+    """Return the section with F values between agents, and between seeds of one agent."""
+    rows, own, published = [], list[tuple[float, float]](), list[float]()
+    for task in tasks:
+        by_agent = {
+            group.name: [rates(run, group.label) for run in group.runs] for group in task.groups
+        }
+        own_here = [
+            one_way_anova(pair) for each in by_agent.values() for pair in combinations(each, 2)
+        ]
+        own += own_here
+        pairs = list(product(by_agent["full"], by_agent["bm"]))
+        between = [one_way_anova(pair) for pair in pairs]
+        signs = [bool(one.mean() > other.mean()) for one, other in pairs]
+        wins = [
+            sum(p < SIGNIFICANT and s is sign for (_, p), s in zip(between, signs, strict=True))
+            for sign in (True, False)
+        ]
+        groups = {group.name: group for group in task.groups}
+        paper = published_comparison(task, groups["full"], groups["bm"])["anova_f"]
+        published.append(paper)
+        rows.append(
+            [
+                title_of(task),
+                f"{paper:.1f}",
+                *spread(between),
+                f"{wins[0]} and {wins[1]} of {len(pairs)}",
+                str(len(own_here)),
+                *spread(own_here),
+                share(own_here),
+            ]
+        )
+    columns = [
+        *("cell", "paper: F of `full` and `bm`", "here: median F", "95 %", "largest"),
+        *("p < .05 for `full`, for `bm`", "pairs of seeds of one agent"),
+        *("median F", "95 %", "largest", "p < .05"),
+    ]
+    largest = max(f for f, _ in own if np.isfinite(f))
+    assert largest > max(published), "write the text for what is found"
+    text = (
+        f"**Two training seeds of one and the same agent give F values up to {largest:.0f}, more "
+        f"than the paper's largest of {max(published):.0f}**, so such a value is no sign of the "
+        f"knowledge. Of all {len(own)} pairs of training seeds of one agent {share(own)} differ "
+        f"with p < .05 (median F {spread(own)[0]}, 95 % of them below {spread(own)[1]})."
+    )
+    return ["## The paper's analysis of variance", ANOVA_TEXT, table(columns, rows), text]
+
+
+def spread(found: Sequence[tuple[float, float]]) -> list[str]:
+    """Format median, 95th percentile and largest of F values; without variance F is infinite."""
+    values = np.array([f for f, _ in found])
+    ends = np.quantile(values, [0.5, 0.95, 1.0], method="lower")
+    return ["infinite" if np.isinf(each) else f"{each:.1f}" for each in ends]
+
+
+def share(found: Sequence[tuple[float, float]]) -> str:
+    """Format the share of significant pairs."""
+    return f"{100 * np.mean([p < SIGNIFICANT for _, p in found]):.0f} %"
+
+
+def seconds_to(run: RunData, step: float) -> float:
+    """Return the wall time of a training until a step [s]; a resumed one starts at 0 again."""
+    clock = run.metrics["wall_time_s"]
+    passed = np.cumsum(np.where(np.diff(clock, prepend=0) < 0, clock, np.diff(clock, prepend=0)))
+    return float(np.interp(step, run.metrics["step"], passed))
+
+
+def costs(group: Group, processor: str) -> Iterator[tuple[float, float]]:
+    """Yield steps per second, and seconds to 80 %, of the runs on a processor."""
+    for run in group.runs:
+        if run.provenance.machine["processor"] == processor and run.metrics:
+            until = float(run.config.total_steps)
+            step, _ = first_crossing(run.interim["step"], run.interim["success"], LEVEL)
+            yield until / seconds_to(run, until), seconds_to(run, min(step, until))
+
+
+def cost_section(tasks: Sequence[TaskData]) -> list[str]:
+    """Return the section on steps per second and seconds to 80 %."""
+    rows = []
+    for task in tasks:
+        groups = {group.name: group for group in task.groups}
+        processor = processor_of(task)
+        base = np.array([*costs(groups["bm"], processor)])
+        for name in ("bm", "partial", "full"):
+            own = np.array([*costs(groups[name], processor)])
+            size = groups[name].runs[0].provenance.parameter_counts["total"]
+            rows.append(
+                [
+                    *(title_of(task), f"`{name}`", str(len(own)), f"{size:,}"),
+                    *(f"{np.median(own[:, 0]):,.0f}", f"{own[:, 1].mean():,.0f}"),
+                    "" if name == "bm" else signed(welch(own[:, 1], base[:, 1]).difference, 1),
+                ]
+            )
+    columns = ["cell", "agent", "runs", "parameters", "steps/s", "s to 80 %", "against `bm` [s]"]
+    return ["## Cost of training", COST_TEXT, table(columns, rows)]
