@@ -167,6 +167,18 @@ def test_colours_in_any_spelling():
         assert set(found.values()) == {("the image shows red",)}
 
 
+def test_sparql_sees_colours_as_the_graph_names_them():
+    shown = [("mug", "hasColor", E + "Blue"), ("pot", "hasColor", literal("red"))]
+    graph = graph_of([*shown, (A + "red", "isA", "x"), (B + "red", "isA", "y")])
+    text = f"SELECT ?object {{ ?object :hasColor <{E}Blue> }}"
+    assert set(answer(graph, FACETS, text).evidence) == {("mug", "blue"), ("pot", "blue")}
+    for red in ('"red"', f"<{A}red>", f"<{B}red>"):
+        found = answer(graph, FACETS, f"SELECT ?object {{ ?object :hasColor {red} }}")
+        assert set(found.evidence) == {("mug", "red"), ("pot", "red")}
+    both = answer(graph, FACETS, "SELECT ?object ?colour { ?object :hasColor ?colour }")
+    assert len(both.evidence) == 4
+
+
 def test_queries_keep_names_of_one_last_part_apart_and_leave_out_blank_nodes(tmp_path):
     path = tmp_path / "a.ttl"
     path.write_text(

@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import io
+import json
 import lzma
 import signal
 import traceback
@@ -13,6 +14,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
+import networkx
 import numpy as np
 
 from benchmarks.apartment_graph import write_openke
@@ -146,6 +148,19 @@ def _graphs(folder: Path) -> list[Format]:
         path = folder / f"home.{suffix}"
         write_graph(graph, path)
         formats.append(Format(f"graph .{suffix}", path, read_graph))
+    links = [{"source": h, "type": r, "target": t} for h, r, t in graph]
+    network = networkx.MultiDiGraph()
+    network.add_edges_from((h, t, {"label": r}) for h, r, t in graph)
+    for name, text in {
+        "home.json": json.dumps({"nodes": [{"id": n} for n in graph.entities], "links": links}),
+        "home.graphml": "\n".join(networkx.generate_graphml(network)),
+        "home.gexf": "\n".join(networkx.generate_gexf(network)),
+        "home.trig": (folder / "home.ttl").read_text("utf-8"),
+        "home.nq": (folder / "home.nt").read_text("utf-8"),
+        "train.txt": (folder / "home.tsv").read_text("utf-8"),
+    }.items():
+        (folder / name).write_text(text, "utf-8")
+        formats.append(Format(f"graph {name}", folder / name, read_graph))
     small = (folder / "home.nt").read_bytes()[:20_000].rsplit(b"\n", 1)[0] + b"\n"
     for suffix, compress in (("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress)):
         path = folder / f"small.nt.{suffix}"

@@ -31,7 +31,7 @@ def no_queries(env: EnvConfig) -> UserError:
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
     """Return which names a graph describes."""
-    known = {name: graph.describes(name) for name in dict.fromkeys(names)}
+    known = {name: graph.described(name) is not None for name in dict.fromkeys(names)}
     return [known[name] for name in names]
 
 

@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -42,7 +42,7 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
         return None
     if found[1] < 0:
         raise UserError(
-            f"{where}: none of {', '.join(names)} names the relation of a triple. Name the "
+            f"{where}: none of {listed(names)} names the relation. Name the "
             f"relation one of {', '.join(ROLES['relation'])}."
         )
     return Columns(*found)
@@ -62,6 +62,11 @@ def name_of_cell(cell: str) -> str:
     if is_iri(cell) or cell.startswith("_:") or parse_literal(cell) is not None:
         return cell
     return unicodedata.normalize("NFC", " ".join(cell.split()))
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names of a file for a message of one line."""
+    return ", ".join(map(name_of_cell, names))
 
 
 def cell_of_name(name: str) -> str:

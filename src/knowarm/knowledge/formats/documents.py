@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import ROLES, columns_of, name_of_cell
+from knowarm.knowledge.formats.columns import ROLES, columns_of, listed, name_of_cell
 from knowarm.knowledge.formats.files import open_bytes
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -106,5 +106,5 @@ class _Records:
     def build(self) -> KnowledgeGraph:
         """Return the graph; say what is not in it."""
         if others := sorted(self.left_out - {"id", "key"}):
-            warn(f"{self.path}: these values of links are not read: {', '.join(others)}.")
+            warn(f"{self.path}: these values of links are not read: {listed(others)}.")
         return self.builder.build()

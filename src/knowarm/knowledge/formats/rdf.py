@@ -173,7 +173,7 @@ class _NoOtherDocuments(EntityResolver):
     def resolveEntity(self, public: str | None, system: str) -> str:
         """Refuse an entity in another document."""
         raise UserError(
-            f"{self.path}: refers to another document, {system}, and only the given one is read. "
+            f"{self.path}: refers to another document, {system!r}, and only the given one is read. "
             "Write what it defines into the file."
         )
 

@@ -14,6 +14,7 @@ from knowarm.knowledge.formats.columns import (
     Columns,
     cell_of_name,
     columns_of,
+    listed,
     name_of_cell,
 )
 from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
@@ -51,7 +52,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     by_name = {name: i for i, name in enumerate(names)}
     labels = [by_name.get(f"{names[i]};label") for i in columns]  # of KGTK
     if others := [name for i, name in enumerate(names) if name and i not in (*columns, *labels)]:
-        warn(f"{path}: these columns are not read: {', '.join(others)}.")
+        warn(f"{path}: these columns are not read: {listed(others)}.")
     count, again, words = 0, named, {name_of_cell(cell) for cell in first[1]}
     for number, row in rows:
         triple = _triple(path, number, row, names, columns)
@@ -63,7 +64,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
         count += 1
     if not again and max(3, len(builder.relations)) < count:
         warn(
-            f"{path}, line {first[0]}: {', '.join(first[1])} was read as a triple, but no word of "
+            f"{path}, line {first[0]}: {listed(first[1])} was read as a triple, but no word of "
             "it occurs again. If these are names of columns, write head,relation,tail."
         )
     return builder.build()
@@ -88,7 +89,7 @@ def _triple(
     if len(row) < len(names) or any(row[len(names) :]):
         raise UserError(
             f"{path}, line {number}: has {len(row)} column{'s' * (len(row) != 1)}, but a row has "
-            f"{len(names)} ({', '.join(names)}). Correct the line, or name all columns in the "
+            f"{len(names)} ({listed(names)}). Correct the line, or name all columns in the "
             "first line, such as head,relation,tail,weight."
         )
     triple = [name_of_cell(row[i]) for i in columns]

@@ -167,13 +167,13 @@ class KnowledgeGraph:
         """
         return self.entity_spellings.find(name, "entities", self._has_node)
 
-    def describes(self, name: str) -> bool:
-        """Return whether one entity has a name; warn if several do."""
+    def described(self, name: str) -> int | None:
+        """Return the id as `find_entity`; where several are found alike, warn and return None."""
         try:
-            return self.find_entity(name) is not None
+            return self.find_entity(name)
         except AmbiguousNameError as error:
             warn(f"{error} Until then it counts as not described.")
-            return False
+            return None
 
     def entity_id(self, name: str) -> int:
         """Return the id as `find_entity`; raise a `UserError` without."""
@@ -189,6 +189,11 @@ class KnowledgeGraph:
         entity = self.find_entity(name)
         literals = [i for i in self.names.find_literals(name) if self._has_node(i)]
         return literals if entity is None or entity in literals else [entity, *literals]
+
+    def alike(self, name: str) -> list[int]:
+        """Return the ids of all entities and literals that a name may stand for."""
+        ids = {i for found in self.entity_spellings.alike(name) for i in found}
+        return sorted(filter(self._has_node, ids.union(self.names.find_literals(name))))
 
     def find_relation(self, name: str) -> int | None:
         """Return the id as `find_entity`."""

@@ -58,7 +58,7 @@ class Spellings:
         exact = self.names.find(name)
         if exact is not None and among(exact):
             return exact
-        for ids in self._alike(name):
+        for ids in self.alike(name):
             found = [i for i in ids if among(i)]
             if len(found) > 1:
                 full = ", ".join(self.names[i] for i in found[:5])
@@ -76,7 +76,8 @@ class Spellings:
         ids = {i for each, found in self._by_key.items() if key in each for i in found}
         return sorted((self.names.short(i) for i in ids), key=lambda n: (len(n), n))
 
-    def _alike(self, name: str) -> Iterator[list[int]]:
+    def alike(self, name: str) -> Iterator[list[int]]:
+        """Yield the ids of last part, of label and of spelling."""
         yield self.names.find_local(name)
         if self.labels:
             yield self._by_label.get(name, [])

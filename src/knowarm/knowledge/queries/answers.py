@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.expressions import Evidence, Part, QuestionReader
 from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.questions import COLOUR_RELATION, ObjectColour
@@ -72,11 +72,7 @@ def _entities(
     if unknown := [name for name in names if name not in objects]:
         raise unknown_name("object of the task", unknown[0], objects)
     entities = {
-        name: graph.entity_id(names[name])
-        if name in names
-        else graph.find_entity(name)
-        if graph.describes(name)
-        else None
+        name: graph.entity_id(names[name]) if name in names else graph.described(name)
         for name in objects
     }
     if not any(entity is not None for entity in entities.values()):
@@ -100,9 +96,9 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     relations = {COLOUR_RELATION, *(names[i] for i in names.find_local(COLOUR_RELATION))}
 
     def evidence(entity: int, colour: str | None) -> Evidence | None:
-        tail = None if colour is None else graph.find_entity(colour)
-        shown = colour if tail is None else graph.names[tail]
-        with query.stating(graph.names[entity], relations, [] if shown is None else [shown]):
+        known = [] if colour is None else graph.alike(colour)
+        shown = [graph.names[i] for i in known] or ([] if colour is None else [colour])
+        with query.stating(graph.names[entity], relations, shown):
             result = query.answer()
         other = set(result.columns) - {"object", "colour", "color"}
         if "object" not in result.columns or other:
@@ -113,8 +109,9 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
             )
         for row in result.rows:
             named = dict(zip(result.columns, row, strict=True))
-            colours = {local_name(n) for key, n in named.items() if key != "object" and n}
-            if graph.find_entity(named["object"]) == entity and colours <= {colour}:
+            colours = {n for key, n in named.items() if key != "object" and n}
+            fits = all(name_key(local_name(n)) == name_key(colour or "") for n in colours)
+            if fits and named["object"] == graph.names[entity]:
                 return tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
         return None
 
