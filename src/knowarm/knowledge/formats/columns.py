@@ -3,7 +3,6 @@
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -53,9 +52,10 @@ def _key(name: str) -> str:
     return re.sub(r"\(.*\)$", "", name.strip().lower()).lstrip("#").rpartition(":")[2].strip()
 
 
-@lru_cache(maxsize=1 << 16)
 def name_of_cell(cell: str) -> str:
     """Return the name that a cell holds: one blank between words, letters in the form NFC."""
+    if cell.isascii() and cell.isidentifier():  # most: fast
+        return cell
     cell = cell.strip()
     if cell.startswith(NAMESPACE):
         return name_of_iri(cell)

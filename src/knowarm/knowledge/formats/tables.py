@@ -50,16 +50,17 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     if columns is None:
         columns, names, rows = Columns(0, 1, 2), list(ROLES), chain([first], rows)
     by_name = {name: i for i, name in enumerate(names)}
-    labels = [by_name.get(f"{names[i]};label") for i in columns]  # of KGTK
-    if others := [name for i, name in enumerate(names) if name and i not in (*columns, *labels)]:
+    beside = {by_name.get(f"{names[i]};label"): place for place, i in enumerate(columns)}  # KGTK
+    labels = [(place, number) for number, place in beside.items() if number is not None]
+    if others := [name for i, name in enumerate(names) if name and i not in {*columns, *beside}]:
         warn(f"{path}: these columns are not read: {listed(others)}.")
     count, again, words = 0, named, {name_of_cell(cell) for cell in first[1]}
     for number, row in rows:
         triple = _triple(path, number, row, names, columns)
         builder.add_statement(*triple)
-        for name, label in zip(triple, labels, strict=True):
-            if label is not None and row[label]:
-                builder.add_statement(name, LABEL_RELATIONS[0], literal(row[label]))
+        for name, label in labels:
+            if row[label]:
+                builder.add_statement(triple[name], LABEL_RELATIONS[0], literal(row[label]))
         again = again or (count > 0 and not words.isdisjoint(triple))
         count += 1
     if not again and max(3, len(builder.relations)) < count:
