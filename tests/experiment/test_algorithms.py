@@ -1,7 +1,9 @@
 """Registered algorithms: the numbers that the paper states, and what stored runs meant."""
 
 from knowarm.config import to_dict
+from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import train
 from knowarm.learn.a3c.update import RMSPROP_ALPHA
 from knowarm.learn.algorithms import privileged_uses
 
@@ -10,6 +12,8 @@ def test_a3c_has_the_papers_numbers_and_follows_its_lineage_where_the_paper_is_s
     config = experiment_config("irb120-full-a3c")
     a3c = config.algorithm
     assert (a3c.workers, a3c.envs_per_worker) == (17, 1)
+    assert a3c.is_fixed
+    assert not experiment_config("irb120-full-a3c-tuned").algorithm.is_fixed
     assert (a3c.learning_rate, RMSPROP_ALPHA) == (1e-4, 0.99)
     assert (a3c.gamma, a3c.gae_lambda) == (0.99, 1.0)
     assert (a3c.ent_coef, a3c.vf_coef) == (0.01, 1.0)
@@ -36,3 +40,16 @@ def test_plain_ppo_uses_no_privileged_state():
     config = experiment_config("irb120-full-ppo").algorithm
     assert privileged_uses(to_dict(config)) == []
     assert (config.optimizer, config.privileged.threshold_factor) == ("adam", 1.0)
+
+
+def test_a3c_is_trained_on_the_fixed_schedule(tmp_path):
+    run = train(
+        "irb120-bm-a3c",
+        tmp_path,
+        total_steps=100,
+        algorithm={"workers": 2},
+        interim={"every_steps": 100, "episodes": 1},
+    )
+    (row,) = read_csv(run.folder.metrics_path)
+    assert row["updates"] == "2"
+    assert "worker_0_steps" not in row  # of the asynchronous processes

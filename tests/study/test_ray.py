@@ -1,5 +1,6 @@
 """A study on a Ray cluster of two nodes of this machine; `make test-ray` installs Ray for it."""
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -20,10 +21,10 @@ from knowarm.study.status import study_status
 from tests.study.tiny import tiny
 from tests.tiny import STUDY
 
-RAY = shutil.which("ray") or ""
+HAS_RAY = importlib.util.find_spec("ray") is not None
 
 
-@pytest.mark.skipif(bool(RAY), reason="Ray is installed here")
+@pytest.mark.skipif(HAS_RAY, reason="Ray is installed here")
 def test_without_ray_the_executor_names_the_remedy(tmp_path):
     with pytest.raises(UserError, match=r"pip install 'knowarm\[ray\]'"):
         make_executor(Where(kind="ray"), tmp_path)
@@ -32,7 +33,7 @@ def test_without_ray_the_executor_names_the_remedy(tmp_path):
 def start_node(*options: str) -> subprocess.Popen:
     """Start a node with one core, in a process group of its own."""
     return subprocess.Popen(
-        [RAY, "start", "--block", "--num-cpus=1", "--memory=2000000000", *options],
+        [shutil.which("ray"), "start", "--block", "--num-cpus=1", "--memory=2000000000", *options],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
@@ -87,7 +88,7 @@ def weights(out: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not RAY, reason="Ray is not installed here: make test-ray")
+@pytest.mark.skipif(not HAS_RAY, reason="Ray is not installed here: make test-ray")
 def test_a_killed_node_changes_nothing(tmp_path, cluster):
     _, node = cluster
     length = {"total_steps": 4000, "checkpoint_every_steps": 200}

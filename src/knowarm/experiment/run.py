@@ -141,7 +141,7 @@ def _train_locked(
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
             if other := folder.note_resumption(trainer.step, to_dict(config.algorithm)):
-                progress.line(f"provenance.json notes what is another than before: {other}")
+                progress.line(f"provenance.json records what has changed: {other}")
             keep_to_step = trainer.step
             more = trainer.step < config.total_steps or trainer.lacks_evaluation
             if more and not should_end():

@@ -65,6 +65,29 @@ def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
             torch.testing.assert_close(gradient, parameter.grad, rtol=1e-4, atol=1e-6, msg=name)
 
 
+def test_gradients_of_rollouts_that_span_the_ends_of_episodes():
+    policy = toy_policy()
+    policy.actor.weight.data /= ACTOR_GAIN
+    env = toy_env(WORKERS, recall=True, length=LENGTH, staggered=True)
+    workers = WorkerGradients(policy, LENGTH + 3, WORKERS)
+    collector = Collector(env, policy, seed=3)
+    for _ in range(2):  # the second one begins within episodes
+        count = collector.collect(workers.rollout, workers.infer)
+    rollout, weights = workers.rollout, torch.full((count, WORKERS), 1 / count)
+    assert rollout.start_h.abs().sum() > 0
+    assert rollout.episode_start[1:].any()
+    workers.compute(
+        count,
+        lambda encoded: rollout_loss(policy, CONFIG, rollout, encoded=encoded, weights=weights)[
+            "total"
+        ],
+    )
+    rollout_loss(policy, CONFIG, rollout)["total"].backward()
+    for name, parameter in policy.named_parameters():
+        mean = workers.gradients[name].mean(0)
+        torch.testing.assert_close(mean, parameter.grad, rtol=1e-4, atol=1e-6, msg=name)
+
+
 def test_updates_are_steps_of_rmsprop_in_the_order_given():
     rng = np.random.default_rng(0)
     gradients = rng.standard_normal((3, 10_000)).astype(np.float32)
@@ -108,6 +131,22 @@ def test_only_steps_of_the_workers_own_episodes_count():
     assert rows[0]["updates"] == rows[0]["episodes"] == 15
     assert rows[0]["length_mean"] == 4
     assert not torch.equal(built.policy.actor.weight, before)
+
+
+def test_the_shortest_rollout_updates_first_each_clipped_by_itself():
+    config = dataclasses.replace(CONFIG, max_grad_norm=0.1)
+    built, rows = trainer(config=config)
+    values = torch.cat([each.detach().flatten() for each in built.policy.parameters()])
+    mean_square = torch.zeros_like(values)
+    built.train(12)  # one round
+    assert rows[0]["grad_norm"] > config.max_grad_norm
+    names = [name for name, _ in built.policy.named_parameters()]
+    for worker in (2, 1, 0):  # their first episodes have 3, 4 and 5 steps
+        gradient = torch.cat([built._workers.gradients[name][worker].flatten() for name in names])
+        gradient *= (config.max_grad_norm / gradient.norm()).clamp(max=1)
+        rmsprop_update(values, mean_square, gradient, learning_rate=1e-4, eps=1e-8)
+    after = torch.cat([each.detach().flatten() for each in built.policy.parameters()])
+    torch.testing.assert_close(after, values, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("whole", [True, False])

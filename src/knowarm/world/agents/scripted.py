@@ -94,11 +94,11 @@ class ApproachAgent(OracleAgent):
 
 
 class InformedAgent:
-    """Plays an agent that is told something else about the episodes.
+    """Plays an agent on changed queries or knowledge of the episodes.
 
     Args:
         agent: what plays.
-        change: changes what it is told.
+        change: changes the batch that the agent is reset with.
     """
 
     def __init__(

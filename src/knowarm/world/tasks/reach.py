@@ -22,7 +22,7 @@ class Reach(Task):
     """Tag of this task in JSON."""
     start: Literal["far", "near"] = "far"
     """Where the gripper starts: far from every grasp, so that a fixed list of actions seldom
-    succeeds, or as in the paper's film strips, about 5 steps from the object. Near takes start
+    succeeds, or as in the paper's film strips, 5 to 7 steps from the object. Near takes start
     pose, MPI and yaws of the robot's area "near"."""
 
     @property
