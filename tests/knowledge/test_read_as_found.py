@@ -165,7 +165,8 @@ def test_xml_with_entities_and_another_encoding(tmp_path):
 
 
 def test_labels_of_nodes_and_columns(tmp_path):
-    graph = read_graph(write(tmp_path / "a.graphml", GRAPHML))
+    with warnings.catch_warnings(action="error"):  # also none of networkx, of a key without a type
+        graph = read_graph(write(tmp_path / "a.graphml", GRAPHML))
     assert list(graph) == [("n0", "usedFor", "n1")]
     assert graph.labels == {"n0": "Mug"}
     kgtk = (

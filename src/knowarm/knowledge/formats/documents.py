@@ -1,6 +1,7 @@
 """Graphs in one document: JSON (lists of triples, nodes with links), GraphML and GEXF."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,12 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
     """Read "graphml" or "gexf", whose edges each have a relation such as the value "label"."""
     import networkx  # takes time to import
 
-    with reading(path, "Correct the file, or export it again."), open_bytes(path) as file:
+    with (
+        reading(path, "Correct the file, or export it again."),
+        open_bytes(path) as file,
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore", UserWarning)  # values without a type are read as text
         found = getattr(networkx, f"read_{kind}")(file)
     if not found.is_directed():
         raise UserError(
