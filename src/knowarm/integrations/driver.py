@@ -93,7 +93,7 @@ class Driver:
         self._proposed_at = self._sent_at = -np.inf
         self._held_since = np.inf
         self._felt: tuple[Targets, float] | None = None  # the last angles and their stamp
-        self._imaged: tuple[NDArray[np.uint8], Targets] | None = None  # the image, first angles
+        self._seen: dict[int, Targets] = {}  # hash of every image, and the angles at its first time
         rows = about["knowledge"]["rows"]
         if knowledge not in (rows if len(rows) > 1 else (None, *rows)):
             raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
@@ -211,12 +211,11 @@ class Driver:
         return ""
 
     def _frozen(self) -> str:
-        """Say whether the arm has moved while the image has stayed the same to the byte."""
+        """Say whether the image equals one, to the byte, from before the arm moved."""
         image, angles = (given[0] for given in self._inputs.values())
-        if self._imaged is None or not np.array_equal(image, self._imaged[0]):
-            self._imaged = image, angles
-        frozen = abs(angles - self._imaged[1]).max() > FROZEN * self._mpi
-        return "the image stays the same while the arm moves" if frozen else ""
+        before = self._seen.setdefault(hash(image.tobytes()), angles)
+        frozen = abs(angles - before).max() > FROZEN * self._mpi
+        return "the image is the same as before the arm moved" if frozen else ""
 
     def _check(self, targets: Targets) -> None:
         """Raise `ValueError` for targets (J,) that no intact policy computes."""
