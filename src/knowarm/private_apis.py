@@ -77,6 +77,22 @@ def end_process(code: int) -> NoReturn:
 
 
 @contextmanager
+def xacro_packages(find: Callable[[str], str]) -> Iterator[None]:
+    """Replace the function by which xacro finds the folder of a ROS package.
+
+    Reason: xacro asks the index of an installed ROS 2, and has no option to give folders.
+    """
+    from xacro import substitution_args as module
+
+    before = module._eval_find
+    module._eval_find = module._eval_dict["find"] = find
+    try:
+        yield
+    finally:
+        module._eval_find = module._eval_dict["find"] = before
+
+
+@contextmanager
 def local_web_viewer(
     listener: socket.socket,
     refusal: Callable[[str, Any], str | None],

@@ -22,9 +22,13 @@ from tests.world.helpers import EXAMPLES
         ({"targets": ("bowl.toml",)}, "--targets needs --robot"),
         ({"robot": str(EXAMPLES / "scara.xml"), "set": ("joints=5",)}, "a list of names, got 5"),
         ({"task": "choose", "image": Path("a.png")}, "--image needs no --task"),
-        ({"robot": "irb120", "write": Path("a.toml")}, "--write needs --robot with an MJCF file"),
+        (
+            {"robot": "irb120", "write": Path("a.toml")},
+            "--write needs --robot with an MJCF, URDF or",
+        ),
         ({"robot": "arm.xml", "write": Path("a.txt")}, "--write must name a .toml file"),
         ({"robot": "missing.xml"}, "no such file"),
+        ({"package": ("a=b",)}, "--package needs --robot"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(options: dict, words: str) -> None:

@@ -63,6 +63,12 @@ def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:
         read_description(write_robot(tmp_path, mjcf='"no_such_package:a.xml"'), Robot)
     with pytest.raises(UserError, match="camera_fovy_deg"):
         read_description(write_robot(tmp_path, camera_fovy_deg=""), Robot)
+    drive = read_description(write_robot(tmp_path, mjcf="'C:/arms/a.xml'"), Robot)
+    assert drive.mjcf.as_posix().endswith("C:/arms/a.xml")  # a path, not a Python package C
+    with pytest.raises(UserError, match="Convert it: knowarm doctor --robot"):
+        load_scene(str(write_robot(tmp_path, mjcf='"a.urdf"')), ("bottle",))
+    with pytest.raises(UserError, match=r"is a model file\. Draft a description"):
+        load_scene("so101.urdf", ("bottle",))
 
 
 def test_an_arm_with_meshes_from_a_package_can_be_solved(make_env: MakeEnv) -> None:

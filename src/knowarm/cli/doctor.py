@@ -15,12 +15,16 @@ from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.own_robot.camera_check import check_camera
-from knowarm.world.own_robot.draft import draft_robot, read_overrides
+from knowarm.world.own_robot.draft import Draft, draft_robot, read_overrides
 from knowarm.world.own_robot.object_check import check_objects
-from knowarm.world.own_robot.robot_check import MJCF_SUFFIXES, Check, check_robot
+from knowarm.world.own_robot.robot_check import Check, check_robot
 from knowarm.world.own_robot.scene_image import write_scene_image
+from knowarm.world.own_robot.urdf import MODEL_SUFFIXES, as_mjcf
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.scene import load_scene
+
+DRAFT_OPTIONS = ("set", "write", "xacro", "package")
+"""Options of the draft of a description from a bare model file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +32,8 @@ class Doctor(TableCommand):
     """Check this installation, or a robot of your own with its target objects."""
 
     robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = None
-    """Robot to check instead of the installation: a name, TOML description or MJCF file."""
+    """Robot to check instead of the installation: a name, TOML description, or MJCF, URDF
+    or xacro file."""
     targets: tuple[str, ...] = ()
     """Objects the robot should reach, by name or TOML file. Default: those of the task."""
     task: str | None = None
@@ -36,13 +41,19 @@ class Doctor(TableCommand):
     places them, and whether any two of them, and any two colours, differ in the image."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
     """Fields of the description that are given instead of drafted, in TOML's notation, such as
-    'home=[0.0, 1.5]' (MJCF file only)."""
+    'home=[0.0, 1.5]' (model file only)."""
+    xacro: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME:=VALUE")] = ()
+    """Arguments of a xacro file, such as dof:=6."""
+    package: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER")] = ()
+    """Folders of ROS packages that a URDF or xacro file names and that lie neither above nor beside
+    it."""
     angle_deg: float = EnvConfig.success_angle_deg
     """Largest angle between gripper and grasp frame in the checks of a robot [deg]."""
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in the checks of a robot."""
     write: FilePath = None
-    """Write the drafted description to this TOML file (MJCF file only)."""
+    """Write the drafted description to this TOML file (model file only); a converted URDF goes
+    into a folder of the same name."""
     image: FilePath = None
     """Draw the robot at its start, with the rectangle of the targets, to this PNG file."""
     camera: FilePath = None
@@ -70,13 +81,13 @@ class Doctor(TableCommand):
         if self.image is not None:
             check_suffix(self.image, "The image")
         if self.camera is not None:
-            self._refuse("no --camera", "set", "write", "task", "targets")
+            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
             config = EnvConfig(robot=self.robot or DEFAULT_ROBOT)
             overlay = self.image or Path("camera.png")
             checks = check_camera(config, self.camera, self.points, overlay)
             what = f"camera of robot {config.robot}"
         elif self.task is not None:
-            self._refuse("no --task", "set", "write", "image")
+            self._refuse("no --task", *DRAFT_OPTIONS, "image")
             robot = self.robot or DEFAULT_ROBOT
             options = {"success_angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
             checks = check_objects(robot, self.task, self.targets, **options)
@@ -84,7 +95,7 @@ class Doctor(TableCommand):
         elif self.robot is None:
             from knowarm.experiment.installation_check import check_installation  # imports torch
 
-            self._refuse("--robot", "set", "write", "image", "targets")
+            self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
             checks, what = check_installation(self.runs), "installation"
         else:
             targets = self.targets or EnvConfig().targets
@@ -94,38 +105,47 @@ class Doctor(TableCommand):
         return {"what": what, "checks": [vars(check) for check in checks]}
 
     def _check_robot(self, robot: str, targets: tuple[str, ...]) -> list[Check]:
-        """Check a description, after drafting it where the robot is a bare MJCF file."""
-        if not robot.endswith(MJCF_SUFFIXES):
-            self._refuse("--robot with an MJCF file", "set", "write")
+        """Check a description, after drafting it where the robot is a bare model file."""
+        if not robot.endswith(MODEL_SUFFIXES):
+            self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
             self._draw(robot, targets)
             return check_robot(
                 robot, targets, angle_deg=self.angle_deg, ignore_roll=self.ignore_roll
             )
         if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
-        draft = draft_robot(Path(robot), targets, read_overrides(self.set))
-        title = f"Draft of a description of {robot}"
+        with TemporaryDirectory() as folder:
+            file = self.write or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
+            model, note = as_mjcf(
+                Path(robot), file.with_suffix(""), arguments=self.xacro, packages=self.package
+            )
+            draft = draft_robot(model, targets, read_overrides(self.set))
+            if note:
+                draft.how["file"] = note + ("" if self.write else "; --write keeps the result")
+            self._print(draft, file)
+            with replacing(file) as temporary:
+                temporary.write_text(draft.toml(file), "utf-8")
+            self._draw(str(file), targets)
+            angle, roll = draft.success_angle_deg, draft.ignore_roll
+            return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
+
+    def _print(self, draft: Draft, file: Path) -> None:
+        """Print a draft, and the commands for a task with an easier orientation."""
+        title = f"Draft of a description of {self.robot}"
         print_table(title, ["topic", "choice"], list(draft.how.items()))
-        print(draft.toml(self.write))
+        print(draft.toml(file))
         if task := draft.task_options():
-            name, bare = Path(robot).stem, task.replace("env.success-", "").replace("env.", "")
-            file, agent = self.write or f"{name}{SUFFIX}", "full-fast"
+            bare, agent = task.replace("env.success-", "").replace("env.", ""), "full-fast"
+            file = self.write or Path(file.name)
             print(
                 "The arm can do the task with an easier orientation, which every command needs:\n"
                 f"  knowarm doctor --robot {file} {bare}\n"
                 f"  knowarm view {file} {bare}\n"
                 f"  knowarm evaluate oracle --env.robot {file} {task.replace('env.success-', '')}\n"
                 f"  knowarm train {agent} --env.robot {file} {task}\n"
-                f"  knowarm evaluate runs/{Path(file).stem}-{agent}/0 "
+                f"  knowarm evaluate runs/{file.stem}-{agent}/0 "
                 f"{bare.removesuffix('--ignore-roll').strip()}\n"
             )
-        with TemporaryDirectory() as folder:
-            file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"
-            with replacing(file) as temporary:
-                temporary.write_text(draft.toml(file), "utf-8")
-            self._draw(str(file), targets)
-            angle, roll = draft.success_angle_deg, draft.ignore_roll
-            return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
 
     def _draw(self, robot: str, targets: tuple[str, ...]) -> None:
         """Write the image if one is wanted."""

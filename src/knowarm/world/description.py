@@ -121,7 +121,7 @@ def _resolve(mjcf: str, path: Path) -> Path:
     if mjcf.startswith(MENAGERIE):
         return menagerie_folder() / mjcf.removeprefix(MENAGERIE)
     package, colon, inside = mjcf.partition(":")
-    if not colon or not package.isidentifier():
+    if not colon or len(package) == 1 or not package.isidentifier():  # a path; C: is a drive
         return path.parent / mjcf
     try:
         spec = importlib.util.find_spec(package)

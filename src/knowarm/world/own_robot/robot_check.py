@@ -27,9 +27,6 @@ from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.ik import IKSolution, InverseKinematics
 from knowarm.world.tasks.state import ACTION_LEVELS
 
-MJCF_SUFFIXES = (".xml", ".mjcf")
-"""Files with these suffixes hold a bare model, for which a description is drafted."""
-
 SAMPLES = 100  # Episodes per check
 MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics
 MOVING_SHARE = 0.9
@@ -165,9 +162,8 @@ def _check_body(env: ArmVectorEnv) -> Iterator[Check]:
         "robot in the image",
         share >= MIN_ROBOT_SHARE,
         f"fills {100 * share:.1f} % of the image at its start (median)",
-        f"Below {100 * MIN_ROBOT_SHARE:.0f} %: draw its geoms in group 0, 1 or 2 (in a URDF, "
-        '<mujoco><compiler discardvisual="false"/></mujoco> keeps the visuals), give them colours '
-        "that differ from the floor's, or change camera_position_m and camera_look_at_m.",
+        f"Below {100 * MIN_ROBOT_SHARE:.0f} %: draw its geoms in group 0, 1 or 2, give them "
+        "colours that differ from the floor's, or change camera_position_m and camera_look_at_m.",
     )
     data = mujoco.MjData(model)
     data.qpos[scene.qpos_index] = scene.home

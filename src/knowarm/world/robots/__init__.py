@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from knowarm.errors import unknown_name
+from knowarm.errors import UserError, unknown_name
 from knowarm.world.description import SUFFIX, read_description, trust
 from knowarm.world.robots.robot import Robot
 
@@ -31,6 +31,11 @@ def find_robot(name: str) -> Robot:
         return read_description(Path(name), Robot)
     if name in KNOWN_ARMS:
         return read_description(KNOWN_ARMS[name], Robot)
+    if name.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
+        raise UserError(
+            f"{name!r} is a model file. Draft a description of it, and name that instead: "
+            f"knowarm doctor --robot {name} --write ROBOT{SUFFIX}."
+        )
     if name not in ROBOTS:
         raise unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
     return ROBOTS[name]

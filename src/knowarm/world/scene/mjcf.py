@@ -16,6 +16,11 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
     """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
     if xml is not None:
         return mujoco.MjSpec.from_string(xml)
+    if path.suffix in (".urdf", ".xacro"):
+        raise UserError(
+            f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
+            f"knowarm doctor --robot {path} --write ROBOT.toml."
+        )
     with reading(path, "Give the path of an MJCF file."):
         is_file = path.is_file()
     if not is_file and path.is_relative_to(menagerie_folder()):

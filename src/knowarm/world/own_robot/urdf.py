@@ -1,0 +1,267 @@
+"""URDF and xacro files, converted to an MJCF file with its meshes beside it."""
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from knowarm.errors import UserError, packages_of
+from knowarm.private_apis import xacro_packages
+from knowarm.reading import one_line, read_text, reading, writing
+
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
+"""Files with these suffixes hold a bare model, for which a description is drafted."""
+
+XACRO, MESHES = ".xacro", "meshes"
+LEVELS = 5  # Folders above a file in which and beside which its packages are searched
+MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
+COMPILER = {
+    "discardvisual": "false",
+    "fusestatic": "false",
+    "strippath": "false",
+    "balanceinertia": "true",
+    "boundmass": "1e-4",
+    "boundinertia": "1e-6",
+}
+"""Options of MuJoCo's compiler that keep visuals and fixed links, and repair inertias."""
+
+
+class _Part(NamedTuple):
+    """One colour of a mesh."""
+
+    file: Path
+    rgba: str | None  # None: the file has no colours
+
+
+def as_mjcf(
+    path: Path, folder: Path, *, arguments: Sequence[str] = (), packages: Sequence[str] = ()
+) -> tuple[Path, str]:
+    """Return the MJCF file of a robot's file, and what was done to convert it ("" for MJCF).
+
+    A URDF or xacro file is converted into a new ``folder``. ``arguments`` of xacro have the form
+    ``name:=value``, and ``packages`` that its meshes and includes lie in ``name=folder``.
+
+    Raises:
+        UserError: a package, mesh or library is missing, or the file is invalid.
+    """
+    given = {name: Path(each) for name, each in _pairs("--package", packages, "=").items()}
+    find = partial(_find_package, path, given)
+    root = None
+    if path.suffix == XACRO:
+        root = _expand(path, find, _pairs("--xacro", arguments, ":="))
+    elif arguments:
+        raise UserError(f"--xacro needs a {XACRO} file, got {path}.")
+    elif path.is_file():
+        text = read_text(path, remedy="Give a URDF, xacro or MJCF file.")
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise UserError(f"{path} is not valid XML: {one_line(error)}.") from None
+    if root is None or root.tag != "robot":
+        return path, ""
+    if folder.exists():
+        raise UserError(f"The folder {folder} for the converted model exists; remove or rename it.")
+    notes = [f"converted from {path.name}", *_inertia_notes(root)]
+    name = path.with_suffix("").stem + ".xml"
+    with TemporaryDirectory() as temporary:
+        file = Path(temporary) / name
+        _compiler(root)
+        _convert_meshes(root, path, file.with_name(MESHES), find)
+        ElementTree.ElementTree(root).write(file)
+        try:
+            spec = mujoco.MjSpec.from_file(str(file))
+            for body in spec.bodies[1:]:  # frames without shape, such as tool0
+                if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
+                    body.add_site(name=body.name)
+            spec.compile()
+            file.write_text(spec.to_xml(), encoding="utf-8")
+        except (ValueError, mujoco.FatalError) as error:
+            raise UserError(f"{path} cannot be converted: {one_line(error)}. Correct it.") from None
+        with writing(folder):
+            shutil.copytree(temporary, folder)
+    return folder / name, "; ".join(notes)
+
+
+def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
+    """Read the values of an option by name."""
+    pairs = [value.partition(sign) for value in values]
+    for (name, found, _), value in zip(pairs, values, strict=True):
+        if not name or not found:
+            raise UserError(f"{option} must have the form name{sign}value, got {value!r}.")
+    return {name: value for name, _, value in pairs}
+
+
+def _expand(
+    path: Path, find: Callable[[str], Path], arguments: Mapping[str, str]
+) -> ElementTree.Element:
+    """Expand a xacro file."""
+    with packages_of("urdf", f"The xacro file {path}"):
+        import xacro
+    remedy = "Give a xacro file, and --xacro name:=value if it requires arguments."
+    with reading(path, remedy), xacro_packages(lambda name: str(find(name))):
+        try:
+            document = xacro.process_file(str(path), mappings=dict(arguments))
+        except xacro.XacroException as error:
+            raise error.exc if isinstance(error.exc, UserError) else error from None
+        return ElementTree.fromstring(document.toxml())
+
+
+def _find_package(path: Path, given: Mapping[str, Path], name: str) -> Path:
+    """Return the folder of a ROS package: given, or above the file or beside such a folder."""
+    if name in given:
+        return given[name]
+    for above in path.absolute().parents[:LEVELS]:
+        for folder in (above, *sorted(each for each in above.iterdir() if each.is_dir())):
+            if name == _package_name(folder):
+                return folder
+    raise UserError(
+        f"Package {name!r} of {path} is not found in the {LEVELS} folders above it, nor beside "
+        f"them. Give its folder: --package {name}=FOLDER."
+    )
+
+
+def _package_name(folder: Path) -> str:
+    """Return the name in the package.xml of a folder, else the folder's."""
+    try:
+        found = ElementTree.parse(folder / "package.xml").findtext("name")
+    except (OSError, ElementTree.ParseError):
+        found = None
+    return (found or folder.name).strip()
+
+
+def _compiler(root: ElementTree.Element) -> None:
+    """Set the options of MuJoCo's compiler in a URDF."""
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    for old in extension.findall("compiler"):
+        extension.remove(old)
+    ElementTree.SubElement(extension, "compiler", COMPILER)
+
+
+def _inertia_notes(root: ElementTree.Element) -> Iterator[str]:
+    """Name the links that move and whose inertia is missing or impossible."""
+    moved = {
+        joint.find("child").get("link")  # type: ignore[union-attr]
+        for joint in root.iter("joint")
+        if joint.get("type") != "fixed" and joint.find("child") is not None
+    }
+    missing, repaired = [], []
+    for link in root.findall("link"):
+        if (name := link.get("name", "")) not in moved:
+            continue
+        inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
+        if inertia is None or mass is None:
+            missing.append(name)
+            continue
+        keys = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
+        matrix = np.array([float(inertia.get(key, 0)) for key in keys]).reshape(3, 3)
+        low, middle, high = np.linalg.eigvalsh(matrix)
+        if float(mass.get("value", 0)) <= 0 or low <= 0 or low + middle < high * (1 - 1e-6):
+            repaired.append(name)
+    if missing:
+        yield f"inertia from shapes or least values, as the file has none: {', '.join(missing)}"
+    if repaired:
+        yield f"impossible inertia repaired: {', '.join(repaired)}"
+
+
+def _convert_meshes(
+    root: ElementTree.Element, path: Path, folder: Path, find: Callable[[str], Path]
+) -> None:
+    """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them."""
+    folder.mkdir()
+    known: dict[tuple[Path, str], list[_Part]] = {}
+    for link in root.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            shape.attrib.pop("name", None)  # MuJoCo takes no name twice
+            for texture in shape.findall("material/texture"):
+                shape.find("material").remove(texture)  # type: ignore[union-attr]
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            source = _mesh_file(mesh.get("filename", ""), path, find)
+            key = (source, shape.tag)
+            if key not in known:
+                stem = f"{len(known)}_{re.sub(r'[^A-Za-z0-9]+', '_', source.stem)}"
+                known[key] = _convert_mesh(source, folder / stem, shape.tag == "visual")
+            link.remove(shape)
+            for part in known[key]:
+                mesh.set("filename", f"{MESHES}/{part.file.name}")
+                copy = ElementTree.fromstring(ElementTree.tostring(shape))
+                if part.rgba is not None:
+                    for old in copy.findall("material"):
+                        copy.remove(old)
+                    material = ElementTree.SubElement(copy, "material", name=part.file.stem)
+                    ElementTree.SubElement(material, "color", rgba=part.rgba)
+                link.append(copy)
+
+
+def _mesh_file(name: str, path: Path, find: Callable[[str], Path]) -> Path:
+    """Return the file of a mesh of a URDF."""
+    scheme, found, place = name.replace("\\", "/").rpartition("://")
+    if scheme in ("package", "model"):
+        package, _, inside = unquote(place).partition("/")
+        # A copied folder may have lost its package.xml and its name.
+        above = [folder / inside for folder in path.absolute().parents[:LEVELS]]
+        own = next((file for file in above if file.is_file()), None)
+        file = own or find(package) / inside
+    else:
+        place = unquote(place) if found else place
+        place = place[1:] if re.match(r"/[A-Za-z]:/", place) else place
+        file = path.parent / place
+    if not file.is_file():
+        raise UserError(f"Mesh {name!r} of {path} is not found: there is no {file}.")
+    return file.resolve()
+
+
+def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
+    """Copy a binary STL file; split another mesh by its colours, which collisions do without."""
+    with source.open("rb") as file:
+        faces = int.from_bytes(file.read(84)[80:], "little")
+    binary = source.suffix.lower() == ".stl" and source.stat().st_size == 84 + 50 * faces
+    if binary and 0 < faces <= MOST_STL_FACES:
+        return [_Part(Path(shutil.copyfile(source, target.with_suffix(".stl"))), None)]
+    with packages_of("urdf", f"The mesh {source}"):
+        import collada  # noqa: F401  # trimesh reads COLLADA with it
+        import trimesh
+    with reading(source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."):
+        meshes = [m for m in trimesh.load_scene(source).dump() if isinstance(m, trimesh.Trimesh)]
+        groups: dict[str | None, list[Any]] = {}
+        for mesh in meshes:
+            metres = re.match(r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", ""))
+            mesh.apply_scale(float(metres[1]) if metres else 1.0)
+            groups.setdefault(_rgba(mesh) if colours else None, []).append(mesh)
+        if not groups:
+            raise ValueError("it has no faces")
+        parts = []
+        for i, (rgba, some) in enumerate(groups.items()):
+            whole = trimesh.util.concatenate(some)
+            suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
+            part = target.with_name(f"{target.name}_{i}{suffix}")
+            whole.export(part)
+            parts.append(_Part(part, rgba))
+    return parts
+
+
+def _rgba(mesh: Any) -> str | None:
+    """Return the mean colour of a mesh in URDF's notation, or None if it has none."""
+    if not mesh.visual.defined:
+        return None
+    material = getattr(mesh.visual, "material", None)
+    image = next(
+        (each for key in ("image", "baseColorTexture") if (each := getattr(material, key, None))),
+        None,
+    )
+    if image is not None:
+        colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
+    else:
+        colour = np.asarray(mesh.visual.main_color if material is None else material.main_color)
+    return " ".join(f"{value:.3g}" for value in colour / 255)
