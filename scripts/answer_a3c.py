@@ -70,7 +70,7 @@ def until(group: Group, key: str, step: float) -> str:
     (run,) = group.runs
     if run.steps_done < 0.98 * step:
         return ""
-    chosen = run.interim[key][run.interim["step"] <= 1.02 * step][-EVALUATIONS:]
+    chosen = run.interim[key][run.interim["step"] <= 1.002 * step][-EVALUATIONS:]
     return f"{MEASURES[key] * float(chosen.mean()):.1f}"
 
 

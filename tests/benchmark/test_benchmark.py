@@ -247,6 +247,22 @@ def test_one_policy_given_five_times_is_one_seed(small):
             assert cell["success"][end] == one["cells"][name]["success"][end]
 
 
+def test_cells_that_share_their_episodes_count_once(small):
+    cell = small.cells["irb120-fixed"]
+    twins = {name: replace(cell, name=name) for name in ("one", "two", "three")}
+    row = run_suite(replace(small, cells=twins), [entrant("zero")], name="x")
+    of_cell, of_table = row["cells"]["one"]["success"], row["summary"][cell.table]["success"]
+    assert of_table == of_cell
+
+
+def test_a_policy_that_cannot_play_a_cell_plays_none(small):
+    lines = []
+    run = entrant(str(ROOT / "zoo/irb120-full-fast"))
+    with pytest.raises(UserError, match="was trained for irb120 and reach"):
+        run_suite(small, [run], name="x", report=lines.append)
+    assert lines == []
+
+
 @pytest.mark.parametrize("tolerance", [float("nan"), -1.0, 0.1, 1.0, 2.0, float("inf")])
 def test_a_tolerance_that_accepts_anything_is_refused(row, small, stored, tolerance):
     with pytest.raises(UserError, match="tolerance must lie from 0 to below"):
@@ -287,7 +303,7 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     html, markdown = write_leaderboard(read_rows(stored.parent), stored.parent / "page.html")
     assert "zero &lt;b&gt;" in html.read_text()
     assert html.read_text().index("open-loop") < html.read_text().index(">success<")
-    assert "| 1 | oracle | 2 |" in markdown.read_text()
+    assert "| 1 | oracle | image, words | 2 |" in markdown.read_text()
 
 
 class Noting:

@@ -138,9 +138,18 @@ def test_thresholds_shrink_to_the_tasks_while_training_succeeds():
     curriculum, env = trainer._curriculum, trainer._collector.env
     factors = []
     for success in (0.4, 0.6, 0.7, 0.9, 1.0):
-        curriculum.update(success)
+        curriculum.update(success, 0.1)
         factors.append(env.threshold_factor)
     assert factors == pytest.approx([1.05, 1.03, 1.01, 1.0, 1.0])
+
+
+def test_thresholds_end_at_the_tasks_if_training_fails():
+    trainer = build(threshold_factor=3.0, threshold_decrease=0.0)
+    factors = []
+    for _ in range(10):
+        trainer.update(800)
+        factors.append(trainer._collector.env.threshold_factor)
+    assert factors == pytest.approx([3.0] * 5 + [2.2, 1.4, 1.0, 1.0, 1.0])
 
 
 def test_larger_thresholds_count_more_successes():

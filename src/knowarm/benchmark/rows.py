@@ -60,6 +60,7 @@ def run_suite(
         if not cells or any(cell.name.startswith(each) for each in cells)
     ]
     _check_seeds(entrants)
+    _check_cells(entrants, chosen)
     played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
     for entrant in entrants:
         for cell in chosen:
@@ -98,6 +99,17 @@ def _check_seeds(entrants: Sequence[Entrant]) -> None:
     different = {each.digest or f"{each.spec}/{each.seed}" for each in entrants}
     if len(different) < len(entrants):
         raise UserError(f"Give each seed once, got {', '.join(each.spec for each in entrants)}.")
+
+
+def _check_cells(entrants: Sequence[Entrant], cells: Sequence[Cell]) -> None:
+    """Check that every policy can play every cell, before the first is played."""
+    for cell in cells:
+        env = ArmVectorEnv(cell.env, 1)
+        try:
+            for entrant in entrants:
+                entrant.make(cell, env)
+        finally:
+            env.close()
 
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
@@ -163,7 +175,7 @@ def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
         measures: dict[str, Any] = {}
         for measure in cell["outcomes"][0]["policy"]:
             shares = [_outcomes(o["policy"][measure], count) for o in cell["outcomes"]]
-            measures[measure] = _share(shares)
+            measures[measure] = _share(shares, count)
             if measure == "success":
                 successes[name] = shares
         few = min(suite.control_episodes, count)
@@ -184,23 +196,27 @@ def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
             for control in CONTROLS
             if all(control in cells[name]["controls"] for name in names)
         }
-        success = _share([np.concatenate(each) for _, *each in by_seed])
+        few = min(len(suite.cells[name].episodes) for name in names)
+        success = _share([np.concatenate(each) for _, *each in by_seed], few)
         summary[table] = {"cells": names, "success": success, "controls": controls}
     return {"cells": cells, "summary": summary}
 
 
-def _share(seeds: Sequence[Bits]) -> dict[str, Any]:
+def _share(seeds: Sequence[Bits], episodes: int) -> dict[str, Any]:
     """Return a share with its interval, over training seeds if they differ, else over episodes.
 
-    Seeds that end every episode in the same way count as one: they may be one policy, given twice.
+    Args:
+        seeds: outcomes of each training seed. Seeds that end every episode in the same way count as
+            one: they may be one policy, given twice.
+        episodes: how many of a seed's outcomes are independent. Cells of a table share starts, and
+            so do training seeds.
     """
     shares = [float(each.mean()) for each in seeds]
     different = list({each.tobytes(): each for each in seeds}.values())
     if len({each.mean() for each in different}) > 1:
         found = bootstrap(np.array([each.mean() for each in different]))
     else:
-        every = np.concatenate(different)
-        found = wilson(int(every.sum()), len(every))
+        found = replace(wilson(round(shares[0] * episodes), episodes), estimate=shares[0])
     return {"mean": found.estimate, "low": found.low, "high": found.high, "seeds": shares}
 
 

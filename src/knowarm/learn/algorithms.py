@@ -64,7 +64,11 @@ class ScheduleConfig(AlgorithmConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdConfig:
-    """Success thresholds that start large and shrink to the task's own while training succeeds."""
+    """Success thresholds that start large and shrink to the task's own while training succeeds.
+
+    From half to three quarters of the training they shrink in any case, so that every agent ends
+    with the task's own.
+    """
 
     threshold_factor: float = 1.0
     """Factor of both success thresholds at the start of training; 1: the task's own."""

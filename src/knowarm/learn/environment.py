@@ -11,6 +11,8 @@ from knowarm.learn.algorithms import ThresholdConfig
 
 MIN_SUCCESS = 0.5
 """Success of an update's episodes above which success thresholds shrink."""
+LATEST = (0.5, 0.75)
+"""Fractions of a training between which success thresholds shrink to the task's, in any case."""
 
 Infos = dict[str, Any]
 StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
@@ -209,7 +211,17 @@ class ThresholdCurriculum:
     def factor(self, factor: float) -> None:
         self._env.threshold_factor = factor
 
-    def update(self, success: float) -> None:
-        """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
-        if self.is_used and success > MIN_SUCCESS:
-            self.factor = max(1.0, self.factor - self._config.threshold_decrease)
+    def update(self, success: float, progress: float) -> None:
+        """Decrease the factor after an update.
+
+        Args:
+            success: share of the update's episodes that succeeded, 0..1; above `MIN_SUCCESS` the
+                factor falls by ``threshold_decrease``.
+            progress: fraction of the training that is done, 0..1. Between the two of `LATEST` the
+                factor's upper bound falls to 1: agents that fail end at the task's thresholds too.
+        """
+        if self.is_used:
+            decrease = self._config.threshold_decrease if success > MIN_SUCCESS else 0.0
+            remaining = min(max((LATEST[1] - progress) / (LATEST[1] - LATEST[0]), 0.0), 1.0)
+            largest = 1 + (self._config.threshold_factor - 1) * remaining
+            self.factor = max(1.0, min(self.factor - decrease, largest))

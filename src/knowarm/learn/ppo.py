@@ -128,7 +128,7 @@ class PPOTrainer(MinibatchTrainer):
         metrics["explained_variance"] = explained_variance(rollout.value, returns)
         if self._curriculum.is_used:
             metrics["threshold_factor"] = self._curriculum.factor
-            self._curriculum.update(metrics.get("success", 0.0))
+            self._curriculum.update(metrics.get("success", 0.0), self.step / total_steps)
         return metrics
 
     def extra_state(self) -> Arrays:

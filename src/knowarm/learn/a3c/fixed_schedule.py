@@ -119,7 +119,7 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         norms = torch.linalg.vector_norm(norms, dim=0)
         self._guard.check_update(self.policy, loss, norms, after, rollout)
         self._apply(lengths, norms, total_steps)
-        self._curriculum.update(episodes.summary().get("success", 0.0))
+        self._curriculum.update(episodes.summary().get("success", 0.0), after / total_steps)
         return {
             "updates": config.workers,
             **episode_sums(episodes),

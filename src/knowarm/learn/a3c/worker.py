@@ -91,7 +91,8 @@ class A3CWorker:
         )
         shared["steps"][self.args.index] += steps
         episodes = self._collector.statistics.take()
-        self._curriculum.update(episodes.summary().get("success", 0.0))
+        progress = (before + steps) / self.args.total_steps
+        self._curriculum.update(episodes.summary().get("success", 0.0), progress)
         sums = {
             "updates": 1,
             "steps": steps,
