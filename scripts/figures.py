@@ -39,7 +39,13 @@ class Shown:
         return self.html
 
 
-def picture(drawings: Sequence[str], box: Box, legend: Mapping[str, str], columns: int = 0) -> str:
+def picture(
+    drawings: Sequence[str],
+    box: Box,
+    legend: Mapping[str, str],
+    columns: int = 0,
+    titles: Sequence[str] = (),
+) -> str:
     """Return a standalone SVG of equal drawings under one legend.
 
     Args:
@@ -47,6 +53,7 @@ def picture(drawings: Sequence[str], box: Box, legend: Mapping[str, str], column
         box: their size.
         legend: palette class by name; names that need more than one line are not supported.
         columns: drawings beside each other; 0 places all in one row.
+        titles: one per drawing, shown at its top right.
     """
     top = 34 if legend else 0
     parts = [element("style", escape(style()))]
@@ -60,7 +67,11 @@ def picture(drawings: Sequence[str], box: Box, legend: Mapping[str, str], column
     for i, each in enumerate(drawings):
         row, column = divmod(i, columns or len(drawings))
         at = f"translate({column * box.width} {row * box.height + top})"
-        parts.append(element("g", each, transform=at))
+        shown = [each]
+        if titles:
+            end = {"class_": "row-name", "text_anchor": "end"}
+            shown.append(label(box.x[1], box.top - 11, titles[i], **end))
+        parts.append(element("g", *shown, transform=at))
     columns = columns or len(drawings)
     size = f"0 0 {columns * box.width} {-(-len(drawings) // columns) * box.height + top}"
     svg = element("svg", *parts, viewBox=size, class_="light", xmlns="http://www.w3.org/2000/svg")

@@ -162,7 +162,7 @@ def _variance(task: TaskData) -> DataTable | None:
     rows: list[Row] = []
     sources = []
     for first, second, _ in pairs(task):
-        both = [rates for group in (first, second) if (rates := _success_rates(group))]
+        both = [rates for group in (first, second) if (rates := success_rates(group))]
         if len(both) < 2:
             continue
         (_, one), (_, other) = both
@@ -189,7 +189,7 @@ def _variance(task: TaskData) -> DataTable | None:
     return table_of(task, "anova", title, columns, rows, sources, note)
 
 
-def _success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
+def success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
     """Return the success rate per evaluation seed of the best run, where there are enough seeds."""
     best = group.best_run
     for evaluation in best.evaluations.values() if best else ():

@@ -1,0 +1,45 @@
+"""The page on the paper's experiment is built from its study, here a tiny one."""
+
+import pytest
+
+from knowarm.study import driver
+from knowarm.study.config import read_study
+from knowarm.study.driver import run_study
+from scripts.build_paper import page
+from tests.study.tiny import InlineExecutor
+
+TOML = """
+name = "tiny-paper"
+experiments = ["irb120-bm-a3c", "irb120-full-a3c"]
+seeds = [0]
+[overrides]
+total_steps = 400
+interim = {every_steps = 200, episodes = 2}
+algorithm.workers = 2
+[[evaluations]]
+episodes = 6
+probes = [{ kind = "steps" }, { kind = "films", episodes = 1 }, { kind = "blind", episodes = 4 }]
+[[evaluations]]
+label = "anova"
+episodes = 12
+seeds = 6
+probes = []
+"""
+
+
+@pytest.mark.slow(15)
+def test_the_page_shows_every_cell_beside_the_papers_figures(tmp_path, monkeypatch):
+    out, images = tmp_path / "study", tmp_path / "images"
+    images.mkdir()
+    monkeypatch.setattr(driver, "make_executor", InlineExecutor)
+    (tmp_path / "study.toml").write_text(TOML)
+    run_study(read_study(tmp_path / "study.toml"), out)
+    text = page(out, images)
+    for agent, accuracy in (("bm", 80), ("full", 92)):  # the paper's, section 5.2
+        assert f"| IRB120, fixed colours | `{agent}` | {accuracy} |" in text
+    assert text.count("| IRB120, fixed colours | ") == 2 + 1 + 6  # results, F value, six joints
+    assert "| 150.9 |" in text  # the paper's F value, section 5.3
+    assert "All 2 runs are complete." in text
+    assert "joint 6" in (images / "paper-joints.svg").read_text()
+    assert "full" in (images / "paper-curves.svg").read_text()
+    assert (images / "paper-strips.png").stat().st_size > 1000
