@@ -39,12 +39,12 @@ FRAMES, SIDE = 8, 96
 HEAD = """<!-- Written by scripts/build_paper.py from the pack; do not edit. -->
 # The paper, reproduced"""
 
-PROTOCOL = """**Protocol.** `knowarm study run paper-a3c`: A3C with the paper's numbers, 17 workers
-of one environment, {steps} million steps, [near start](../reference/world.md#near-start), one
-training seed per cell, as in the paper. The best model is that with the highest mean return of the interim
-evaluations (40 episodes every 50,000 steps); it plays 1,000 new episodes within 10 cm and 17
-degrees. Accuracy counts the distance alone, as the paper's (equation 8), success the angle, too.
-*Blind*: success of the best fixed list of actions, which sees nothing. {state}"""
+PROTOCOL = """**Protocol.** `knowarm study run paper-a3c`: A3C with the paper's numbers, 17
+workers of one environment, {steps} million steps, [near start](../reference/world.md#near-start),
+one training seed per cell, as in the paper. The best model is that with the highest mean return
+of the interim evaluations (40 episodes every 50,000 steps); it plays 1,000 new episodes within 10
+cm and 17 degrees. Accuracy counts the distance alone, as the paper's (equation 8), success the
+angle, too. *Blind*: success of the best fixed list of actions, which sees nothing. {state}"""
 
 ANOVA = """30 evaluation seeds of 100 episodes of each network, success, as the paper's. F compares
 two trained networks. It cannot tell the knowledge from the training seed: two seeds of one and the
