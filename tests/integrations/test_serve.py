@@ -177,7 +177,7 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
         ({"observation/state": np.zeros(5)}, "must hold"),
         ({"observation/state": np.full(6, np.nan)}, "not finite"),
         ({"observation/state": {"a": 1}}, "must be a list of numbers"),
-        ({"prompt": "usedFor flying"}, "knowledge must be"),
+        ({"prompt": "usedFor flying"}, "not understood"),
         (partial(packed, {b"__npgeneric__": True, b"dtype": "|i1", b"data": 300}), "msgpack"),
         (partial(packed, {b"__ndarray__": True, b"dtype": "i4,(", b"data": b""}), "msgpack"),
         (b"\xc1", "msgpack"),

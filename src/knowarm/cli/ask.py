@@ -30,8 +30,9 @@ class Ask(TableCommand):
     question: Annotated[
         tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]", help_behavior_hint="")
     ] = ""
-    """Such as "usedFor drinking and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart
-    >= 3", or SPARQL that selects ?object. May be left out with --browser."""
+    """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
+    and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
+    ?object. May be left out with --browser."""
     graph: str | None = None
     """Path of another graph, or the name of a shipped one; default: the run's."""
     format: str | None = None
@@ -71,6 +72,8 @@ class Ask(TableCommand):
 
         def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
             answers = [asker.answers(edited(graph, edits), question)]
+            if not self.browser:
+                print(printable(f"I read this as: {answers[0].question}"))
             if scene is None and edits:
                 with suppress(UserError):  # without the edits the question may have no answer
                     before = asker.answers(graph, question)
@@ -126,8 +129,7 @@ def _names(given: Sequence[str]) -> dict[str, str]:
 def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
-    title = f"Answers in the graph to: {asked.answers.question}"
-    print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
+    print_table("Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
     for what, facets in (("stand", asked.shown), ("the network names", asked.named)):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, packages_of
 from knowarm.integrations.runner import Runner, Start
+from knowarm.knowledge.queries.answers import row_of
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.viewing.watch import LOOPBACK, refusal
 
@@ -299,7 +300,10 @@ def act(runner: Runner, observation: Any) -> np.ndarray:
             names = ", ".join(runner.joint_names)
             raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(state)}")
         joints = dict(zip(runner.joint_names, state.tolist(), strict=True))
-        runner.reset(Start(joints, observation.get(PROMPT)))
+        prompt, rows = observation.get(PROMPT), runner.contract["knowledge"]["rows"]
+        if isinstance(prompt, str) and len(rows) > 1 and any(" " in row for row in rows):
+            prompt = row_of(prompt, rows)
+        runner.reset(Start(joints, prompt))
     runner.act({"image": image[None]})
     return runner.targets[0]
 
@@ -312,7 +316,8 @@ def metadata(runner: Runner) -> dict[str, Any]:
         "observation": {
             IMAGE: "uint8 RGB",
             STATE: "joint angles in the order of joints.names; read as an episode starts",
-            PROMPT: "a row of knowledge.rows; read as an episode starts",
+            PROMPT: "a row of knowledge.rows, or a query in plain words that means one; "
+            "read as an episode starts",
             RESET: "true starts an episode; so does a new connection",
         },
     }

@@ -72,9 +72,10 @@ class Queries(GraphOptions, TableCommand):
         facets = self._facets(graph)
         asked = QueryGraph(graph, facets)
         if self.ask is not None:
-            found = [*answer(graph, facets, self.ask).evidence]
-            print_table(f"Answers to: {self.ask}", ["object", "colour"], found)
-            return {"query": self.ask, "answers": found}
+            answers = answer(graph, facets, self.ask)
+            found = [*answers.evidence]
+            print_table(f"Answers to: {answers.question}", ["object", "colour"], found)
+            return {"query": answers.question, "answers": found}
         if self.agent is not None:
             return self._print_agreement(self.agent, asked)
         names = ("seed", "pairs", "hold_out")

@@ -7,11 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from knowarm.errors import Argument, UserError, unknown_name
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.expressions import Evidence, Part, QuestionReader
+from knowarm.knowledge.queries.plain_words import read_plain
 from knowarm.knowledge.queries.sparql import SparqlQuery
-from knowarm.questions import COLOUR_RELATION, ObjectColour
+from knowarm.knowledge.queries.vocabulary import Vocabulary
+from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
 
@@ -45,24 +49,96 @@ def answer(
         DataWarning: the graph has several entities with the name of an object.
     """
     entities = _entities(graph, dict.fromkeys(name for name, _ in facets), names or {})
-    colours = {colour for _, colour in facets}
-    part = (
-        _sparql(graph, text)
-        if _SPARQL.match(text)
-        else QuestionReader(text, graph, colours).whole()
-    )
-    evidence = {}
-    for name, colour in facets:
-        entity = entities[name]
-        why = None if entity is None else part(entity, colour)
-        if why is not None:
-            evidence[name, colour] = why
+    text = _reading(graph, entities, facets, text)
+    evidence = _evidence(graph, entities, facets, text)
     if not evidence:
         raise UserError(
             f"No object of the task answers the question {text!r}. Ask another one, or add the "
             "missing triple to the graph."
         )
     return Answers(text, np.array([facet in evidence for facet in facets]), evidence)
+
+
+def reading(
+    graph: KnowledgeGraph,
+    facets: Sequence[ObjectColour],
+    text: str,
+    names: Mapping[str, str] | None = None,
+) -> str:
+    """Return a question as `answer` reads it: plain English becomes conditions of the graph."""
+    entities = _entities(graph, dict.fromkeys(name for name, _ in facets), names or {})
+    return _reading(graph, entities, facets, text)
+
+
+def row_of(prompt: str, rows: Sequence[str]) -> str:
+    """Return the query among rows, "usedFor drinking and hasColor blue", that a prompt means.
+
+    Raises:
+        UserError: the prompt is not understood, or means none of them.
+    """
+    if prompt in rows:
+        return prompt
+    by_conditions = {frozenset(row.split(AND)): row for row in rows}
+    pairs = {tuple(c.split(" ", 1)) for each in by_conditions for c in each if " " in c}
+    graph = graph_of([("it", relation, value) for relation, value in pairs])
+    colours = sorted(value for relation, value in pairs if relation == COLOUR_RELATION)
+    text = read_plain(prompt, Vocabulary(graph, graph.heads[:1], colours), lambda _: set())
+    found = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
+    if found is None:
+        raise UserError(f"The policy knows no query {text!r}, as which {prompt!r} is read.")
+    return found
+
+
+def _reading(
+    graph: KnowledgeGraph,
+    entities: Mapping[str, int | None],
+    facets: Sequence[ObjectColour],
+    text: str,
+) -> str:
+    if _SPARQL.match(text):
+        return text
+    colours = dict.fromkeys(colour for _, colour in facets)
+    reader, exact = QuestionReader(text, graph, {*colours}), None
+    try:
+        reader.whole()
+        if _evidence(graph, entities, facets, text):
+            return text
+    except AmbiguousNameError:
+        raise
+    except UserError as error:
+        exact = error
+
+    def holders(question: str) -> set[int]:
+        found = _evidence(graph, entities, facets, question)
+        return {entity for name, _ in found if (entity := entities[name]) is not None}
+
+    known = [entity for entity in entities.values() if entity is not None]
+    try:
+        plain = read_plain(text, Vocabulary(graph, known, colours, entities), holders)
+    except UserError as error:
+        if exact is None:
+            return text
+        raise exact if reader.has_relation else error from None
+    return plain if exact is not None or holders(plain) else text
+
+
+def _evidence(
+    graph: KnowledgeGraph,
+    entities: Mapping[str, int | None],
+    facets: Sequence[ObjectColour],
+    text: str,
+) -> dict[ObjectColour, Evidence]:
+    """Return why facets answer a question, of those that do."""
+    colours = {colour for _, colour in facets}
+    is_sparql = _SPARQL.match(text)
+    part = _sparql(graph, text) if is_sparql else QuestionReader(text, graph, colours).whole()
+    found = {}
+    for name, colour in facets:
+        entity = entities[name]
+        why = None if entity is None else part(entity, colour)
+        if why is not None:
+            found[name, colour] = why
+    return found
 
 
 def _entities(

@@ -72,6 +72,7 @@ class QuestionReader:
     def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
         self.text, self.graph, self.colours = text, graph, colours
         self.words, self.place = [*_TOKEN.findall(text), ""], 0
+        self.has_relation = False  # Whether a relation was read: no sentence begins with one
         deep, count = self.words.count("(") + self.words.count("not"), len(self.words) - 1
         if deep > MOST_NESTED or count > MOST_WORDS:
             raise UserError(
@@ -234,9 +235,10 @@ class QuestionReader:
         if not (word := self.take().strip('"')):
             raise self.wrong("a relation")
         if name_key(local_name(word)) in _COLOUR:  # the image answers it, whoever else states it
-            names = self.graph.relation_names
+            names, self.has_relation = self.graph.relation_names, True
             return _Relation(COLOUR_RELATION, frozenset(names.find_local(COLOUR_RELATION)))
         relation = self.graph.relation_id(word)
+        self.has_relation = True
         return _Relation(local_name(self.graph.relation_names[relation]), frozenset([relation]))
 
     def links(self, entity: int, relation: _Relation) -> Iterator[tuple[str, int]]:

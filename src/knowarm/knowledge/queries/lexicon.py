@@ -1,0 +1,108 @@
+"""Lexicon of English: word lists, and how far words are from each other by form and synonyms."""
+
+import lzma
+import re
+import tomllib
+import unicodedata
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from knowarm.knowledge.graph.terms import name_key
+from knowarm.knowledge.vectors.words import DATA, word_forms
+
+INFLECTED, DERIVED, SYNONYM = 0.1, 0.2, 1.0
+"""Distances of two words; 0 is the same word, in singular or plural."""
+NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
+"""Pattern of numbers and dates."""
+_ENDINGS = {"en": "", "ical": "", "ic": "", "er": "r", "ular": "le"}
+"""Endings of adjectives, as in wooden and cylindrical, and what their nouns have instead."""
+_ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
+WORDS: dict[str, list[str]] = {name: words.split() for name, words in _ENGLISH["words"].items()}
+"""Words of one function in questions, by it; the file says what they are."""
+JOINS: dict[str, str] = _ENGLISH["joins"]
+"""What joins conditions: "and", "or", "but" or a comma, by word."""
+_TOKEN = re.compile(rf"(?:[<>!]=?|=){NUMBER}|{NUMBER}|[^\W\d_]+|\S")
+
+
+class Family(NamedTuple):
+    """Relations that mean alike in any graph, and how English speaks of them."""
+
+    relations: str = ""
+    strong: str = ""
+    weak: str = ""
+    describes: bool = False
+    large: str = ""
+    small: str = ""
+
+
+FAMILIES = {name: Family(**each) for name, each in _ENGLISH["relations"].items()}
+WEAK = {word for family in FAMILIES.values() for word in family.weak.split()} | {"by", "about"}
+"""Prepositions, and verbs such as "has"."""
+
+
+def tokens(text: str) -> list[str]:
+    """Return the words of a question, with comparisons such as "at least two" as one: ">=2"."""
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
+    text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold()).replace(
+        "ca not", "can not"
+    )
+    text = re.sub(r"&&|&", " and ", re.sub(r"\|\|", " or ", text))
+    text = re.sub(r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text)
+    text = re.sub(rf"\b({'|'.join(_ENGLISH['compared'])}|than) one\b", r"\1 1", text)
+    numbers = WORDS["numbers"]
+    several = "|".join(word for word in numbers if word != "one")  # "the one" is no number
+    text = re.sub(rf"\b({several})\b", lambda match: str(numbers.index(match[1])), text)
+    text = re.sub(rf"({NUMBER}) or (?:more|greater|higher|larger)", r">=\1", text)
+    text = re.sub(rf"({NUMBER}) or (?:less|fewer|lower|smaller)", r"<=\1", text)
+    text = re.sub(rf"({NUMBER}) (\w+) or more", r">=\1 \2", text)
+    for words, sign in _ENGLISH["compared"].items():
+        text = re.sub(rf"(?:\b|(?<=\s))(?:{words})\s+({NUMBER})", rf"{sign}\1", text)
+    text = re.sub(rf"([<>]=?|=)\s+({NUMBER})", r"\1\2", text)
+    return _TOKEN.findall(re.sub(r"[-_'’\"?!.;:`]+(?!\d)|(?<!\d)-", " ", text))
+
+
+def near(word: str, other: str, most: float) -> bool:
+    """Return whether a word is within a distance of another one."""
+    far = distance(word, other)
+    return far is not None and far <= most
+
+
+@cache
+def distance(word: str, other: str) -> float | None:
+    """Return how far a word is from another one that it may stand for, else None."""
+    if name_key(word) == name_key(other):
+        return 0.0
+    mine, wanted = _forms(word), _forms(other)
+    if mine & wanted:
+        return INFLECTED
+    derived = mine.union(*(_table()["d"][form] for form in mine))
+    if derived & wanted:
+        return DERIVED
+    kinds = "v" if other.endswith("ing") else "na"  # "fixing" is to fix, "store" a shop
+    alike = (_table()[kind][form] for kind in kinds for form in derived)
+    return SYNONYM if any(wanted & each for each in alike) else None
+
+
+@cache
+def _forms(word: str) -> frozenset[str]:
+    """Return a word and what it may be an inflected form of."""
+    found = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
+    for ending, other in _ENDINGS.items():
+        if word.endswith(ending) and len(word) > len(ending) + 2:
+            found.add(word.removesuffix(ending) + other)
+    doubled = {form[:-1] for form in found if len(form) > 3 and form[-2:] in ("ll", "ss", "tt")}
+    return frozenset(found | doubled)
+
+
+@cache
+def _table() -> dict[str, dict[str, set[str]]]:
+    """Return other words by kind and word: synonyms (n, v, a), derived (d), irregular (i)."""
+    table: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    text = lzma.decompress((DATA / "wordnet-synonyms.txt.xz").read_bytes()).decode()
+    for line in text.split("\n"):
+        kind, *words = line.split(" ")
+        for word in words:
+            table[kind][word] |= {*words} - {word}
+    return table
