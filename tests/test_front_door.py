@@ -179,6 +179,10 @@ def test_a_trained_agent_plays_environments_from_the_infos_of_their_resets():
     agents = (trained, trained.agent)
     whole, part = (knowarm.play(each, envs, episodes).steps.actions for each in agents)
     np.testing.assert_array_equal(whole, part)
+    for wrong in (images / 255, images[:, ::2, ::2], images.transpose(0, 3, 1, 2), [1, 2]):
+        trained.reset(infos)
+        with pytest.raises(knowarm.UserError, match=r"image must be \(64, 64, 3\) uint8"):
+            trained.act(wrong)
     trained.reset(infos)
     trained.act(images)
     with pytest.raises(knowarm.UserError, match="8 episodes have started, and there are 1 images"):
@@ -196,7 +200,7 @@ def test_a_trained_agent_plays_environments_from_the_infos_of_their_resets():
 
 @example("write_report")
 def test_write_report(run, tmp_path):
-    page = knowarm.write_report([run.folder.path], tmp_path / "report.html")
+    page = knowarm.write_report(run.folder.path, tmp_path / "report.html")
     assert "<html" in page.read_text()
 
 
@@ -287,6 +291,8 @@ def test_adapters():
     assert set(single.reset(seed=0)[0]) == {"image", "joints", "knowledge"}
     vector = knowarm.make("irb120", 2, image_size=8, **shown)
     assert knowarm.SB3VecEnv(vector, seed=0).reset()["knowledge"].shape == (2, 2)
+    with pytest.raises(knowarm.UserError, match="needs a vector environment"):
+        knowarm.SB3VecEnv(single)
     adapted = knowarm.NumpyToTorch(knowarm.make("irb120", 2, image_size=8))
     assert adapted.reset(seed=0)[0].shape == (2, 8, 8, 3)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from knowarm.cli import main as cli
+from knowarm.cli.list import KINDS
 from knowarm.cli.main import COMMANDS, main, with_flags
 from knowarm.cli.train import Train
 from knowarm.config import to_dict
@@ -139,7 +140,10 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
     file = tmp_path / "names.json"
     code, out, _ = run(capsys, "list", "--json", str(file))
     assert code == 0
-    assert all(name in out for name in (*ROBOTS, *AGENTS, *TARGETS))
+    assert all(f"knowarm list {kind}" in out for kind in KINDS if kind != "experiments")
+    assert len(out.splitlines()) < 25
+    for kind, every in (("robots", ROBOTS), ("agents", AGENTS), ("targets", TARGETS)):
+        assert all(name in run(capsys, "list", kind)[1] for name in every)
     names = json.loads(file.read_text())
     assert {"irb120", "tiago"} <= set(names["robots"])
     assert "irb120-full-a3c" in names["experiments"]
@@ -165,6 +169,12 @@ def test_list_shows_one_kind_only(capsys):
         (["evaluate", "runs/none/0"], ["is not a run folder"]),
         (["evaluate", "orakle"], ["'oracle'"]),
         (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
+        (["evaluate", "kitchen.csv"], ["is a file"]),
+        (["evaluate", "runs/X"], ["Give a run, such as runs/X/0"]),
+        (["list", "robot"], ["'robots'"]),
+        (["ask", "usedFor drinking"], ["Give a run, then a question"]),
+        (["study", "unpack", "kitchen.csv"], ["no pack of a study"]),
+        (["train", "full-fast", "--env.robot", "arm.urdf"], ["is a model file"]),
         (["knowledge", "shwo"], ["'show'"]),
         (["knowledge", "show", "--objects", "mgu"], ["mgu", "mug"]),
         (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], ["mpi_rad must be larger than 0"]),
@@ -178,19 +188,23 @@ def test_list_shows_one_kind_only(capsys):
 )
 def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "kitchen.csv").write_text("mug,usedFor,drinking\n")
+    (tmp_path / "runs" / "X" / "0").mkdir(parents=True)
+    (tmp_path / "runs" / "X" / "0" / "config.json").write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
     code, _, err = run(capsys, *arguments)
     assert code == 2, err
     assert err.startswith("knowarm: ")
     assert err.count("\n") == 1
     for word in words:
         assert word in err
-    assert list(tmp_path.iterdir()) == []  # nothing half-written
+    assert sorted(tmp_path.rglob("*")) == before  # nothing half-written
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["evaluate", "zero", "--episodes", "many"], "many"),
+        (["evaluate", "zero", "--episodes", "many"], "expected a whole number"),
         (["evaluate", "zero", "--epsiodes", "3"], "--episodes"),
     ],
 )
@@ -225,7 +239,7 @@ def test_characters_that_the_output_lacks_are_replaced(tmp_path):
     environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
     command = [sys.executable, "-m", "knowarm", "evaluate", "oracle", "--episodes", "2"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (0, "Playing 2 episodes.\n")
     assert "20?" in done.stdout
 
 

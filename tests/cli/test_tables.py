@@ -1,6 +1,7 @@
 """Tables at the width of a terminal: words stay whole, and names are no markup."""
 
 import pytest
+from rich.text import Text
 
 from knowarm.cli.bench import Bench
 from knowarm.cli.tables import UNLIMITED, make_console, print_table
@@ -32,6 +33,17 @@ def test_words_stay_whole_in_a_terminal(capsys, monkeypatch, width):
     tops = [line for line in lines if line.startswith("┏")]
     assert sum("irb120-choose-subgraph-fast" in line for line in lines) == len(tops)
     assert len(tops) == (1 if width > 60 else 2)
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_a_cell_that_may_not_wrap_stays_on_one_line(capsys, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    cell = "100.0 [98.7, 100.0] %"
+    names = [f"measure {i}" for i in range(6)]
+    rows = [["irb120-choose-subgraph-fast", *[Text(cell, no_wrap=True)] * 6]]
+    lines = printed(capsys, "title", ["experiment", *names], rows)
+    assert sum(line.count(cell) for line in lines) == 6
+    assert max(map(len, lines)) <= width
 
 
 def test_a_table_in_a_pipe_is_as_wide_as_its_content(capsys, monkeypatch):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,6 +86,20 @@ def test_a_resumed_training_has_the_bytes_of_an_uninterrupted_one(tmp_path: Path
         assert arrays
         for name, array in arrays.items():
             np.testing.assert_array_equal(array, others[name], err_msg=name)
+
+
+def test_an_attribute_of_its_own_named_best_does_not_collide(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register_algorithm("a2c:A2C")
+    update = sys.modules["a2c"].A2CTrainer.update
+
+    def with_best(self: Any, total_steps: int) -> Any:
+        self.best = self.evaluated_step = 0.5
+        return update(self, total_steps)
+
+    monkeypatch.setattr(sys.modules["a2c"].A2CTrainer, "update", with_best)
+    assert train(experiment_config(NAME, **SMALL), tmp_path).result.reason == "finished"
 
 
 def test_the_processes_of_a_study_know_what_is_registered_here() -> None:

@@ -80,6 +80,8 @@ def test_an_untrained_network_is_never_preferred_in_silence(tmp_path, capsys, ca
     arguments = ["irb120-full-ppo", "--runs", str(tmp_path / "my runs"), *flags(settings)]
     assert main(["train", *arguments]) == 0
     printed = capsys.readouterr().out
+    assert "success 0 %, return" in printed
+    assert f"knowarm report '{tmp_path / 'my runs'}'" in printed
     assert "at step 0\nThat is the untrained network" in printed
     path = tmp_path / "my runs" / "irb120-full-ppo" / "0"
     assert f"knowarm evaluate '{path}'" in printed

@@ -74,7 +74,7 @@ def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_pat
         monkeypatch.setattr(trainer, "evaluates_in_background", in_background)
         trainer.train(96 * 4)
         best.append(
-            (trainer.best.step, read_checkpoint(store.folder / "best").facts["return_mean"])
+            (trainer._best.step, read_checkpoint(store.folder / "best").facts["return_mean"])
         )
     assert best[0] == pytest.approx(best[1])
 

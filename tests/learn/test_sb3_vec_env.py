@@ -73,8 +73,9 @@ def test_multi_input_lstm_policy_trains_unchanged(kind):
     assert all(changed)
 
 
-def test_the_monitor_of_stable_baselines_reads_return_and_length():
-    env = VecMonitor(vectorized())
+@pytest.mark.parametrize("wrap", [VecMonitor, lambda env: env])
+def test_return_and_length_of_episodes_are_logged(wrap):
+    env = wrap(vectorized())
     env.reset()
     steps = [env.step(np.zeros((4, 6), np.int64)) for _ in range(6)]
     returns = sum(rewards for _, rewards, _, _ in steps)

@@ -235,7 +235,7 @@ def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> 
     draft = draft_robot(tmp_path / "arm.xml", targets, {})
     assert (draft.success_angle_deg, draft.ignore_roll) == (90.0, True)
     (tmp_path / "arm.toml").write_text(draft.toml(tmp_path / "arm.toml"))
-    checks = check_robot(tmp_path / "arm.toml", targets, angle_deg=90.0, ignore_roll=True)
+    checks = [*check_robot(tmp_path / "arm.toml", targets, angle_deg=90.0, ignore_roll=True)]
     assert [check for check in checks if not check.ok] == []
     assert len(checks) == 17
 

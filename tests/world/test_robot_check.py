@@ -13,7 +13,7 @@ from tests.world.helpers import EXAMPLES, write_robot
 
 
 def test_example_robot_passes_all_checks() -> None:
-    checks = check_robot(EXAMPLES / "scara.toml", ["bottle", str(EXAMPLES / "bowl.toml")])
+    checks = [*check_robot(EXAMPLES / "scara.toml", ["bottle", str(EXAMPLES / "bowl.toml")])]
     assert [check for check in checks if not check.ok] == []
     assert {check.name for check in checks} >= {
         "joints",
@@ -30,7 +30,8 @@ def test_example_robot_passes_all_checks() -> None:
         ({"rectangle_centre_m": "[0.75, 0.0]"}, "reach of bottle", "move or shrink the rectangle"),
         ({"camera_fovy_deg": "150.0"}, "yellow bottle in the image", "camera_fovy_deg"),
         ({"tcp_quaternion": "[1.0, 0.0, 0.0, 0.0]"}, "gripper", "tcp_quaternion"),
-        ({"servo_frequency_hz": "0.5"}, "servos", "servo_frequency_hz"),
+        ({"servo_frequency_hz": "0.5"}, "servos", "raise servo_frequency_hz"),
+        ({"servo_frequency_hz": "50"}, "servos", "lower servo_frequency_hz"),
         ({"rectangle_half_size_m": "[0.001, 0.001]"}, "without looking", "enlarge the rectangle"),
         ({"joints": '["shoulder", "knee"]'}, "scene", "home has"),
     ],
@@ -73,7 +74,7 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
 ) -> None:
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
-    checks = check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)
+    checks = [*check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)]
     assert [check for check in checks if not check.ok] == []
     assert "way to the grasps" in {check.name for check in checks}
     config = EnvConfig(
@@ -98,7 +99,7 @@ def test_surroundings_in_the_robots_file_are_left_out_and_listed(tmp_path: Path)
     assert full.ngeom == bare.ngeom + 1
     assert full.geom("robot/plinth").id >= 0
     assert full.nbody == bare.nbody
-    found = check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)[0].found
+    found = next(check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)).found
     assert "left out of arm.xml: an unnamed floor, body 'table', body 'cube';" in found
     assert found.endswith("taken for the robot's base: plinth")
 
@@ -121,7 +122,7 @@ def test_invisible_and_huge_robots_fail(
 ) -> None:
     (tmp_path / "arm.xml").write_text(THREE_JOINTS.replace(old, new))
     (tmp_path / "arm.toml").write_text(DESCRIPTION)
-    checks = check_robot(tmp_path / "arm.toml", ["bottle"], angle_deg=90.0, ignore_roll=True)
+    checks = [*check_robot(tmp_path / "arm.toml", ["bottle"], angle_deg=90.0, ignore_roll=True)]
     bad = {check.name: check for check in checks if not check.ok}
     assert words in bad[name].remedy
 

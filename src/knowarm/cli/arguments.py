@@ -50,7 +50,10 @@ def _integer(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
 def _to_integer(word: str) -> int:
     if re.fullmatch(r"\d+(\.\d*)?[eE]\+?\d{1,2}", word) and float(word).is_integer():
         return int(float(word))
-    return int(word)
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"expected a whole number, such as 200000 or 2e5, got {word!r}") from None
 
 
 # Alternatives such as tasks are options, not commands: the default says which one is meant.
@@ -164,10 +167,10 @@ def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str
 
     Without a name the usage is printed and the process ends.
     """
-    name, *rest = arguments or HELP
-    if name in HELP:
-        print(usage)
-        sys.exit(0)
+    if not arguments or arguments[0] in HELP:
+        print(usage, file=sys.stdout if arguments else sys.stderr)
+        sys.exit(0 if arguments else 2)
+    name, *rest = arguments
     if name.startswith("-"):
         problem = f"The first argument must be the name of an experiment, got {name}"
         raise UserError(f"{problem}; `knowarm list` explains their names.")

@@ -60,7 +60,13 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            raise UserError('Give a question, such as "usedFor drinking and not hasColor blue".')
+            given = (
+                "Give a question" if Path(self.agent).exists() else "Give a run, then a question"
+            )
+            raise UserError(
+                f"{given}: knowarm ask zoo/irb120-choose-answers-fast "
+                '"usedFor drinking and not hasColor blue".'
+            )
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)

@@ -1,6 +1,6 @@
 """``knowarm doctor``: checks of this installation or a robot, and drafts of descriptions."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
-from knowarm.errors import UserError
+from knowarm.errors import UserError, printable
 from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
@@ -84,34 +84,38 @@ class Doctor(TableCommand):
             self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
             config = EnvConfig(robot=self.robot or DEFAULT_ROBOT)
             overlay = self.image or Path("camera.png")
-            checks = check_camera(config, self.camera, self.points, overlay)
+            found: Iterable[Check] = check_camera(config, self.camera, self.points, overlay)
             what = f"camera of robot {config.robot}"
         elif self.task is not None:
             self._refuse("no --task", *DRAFT_OPTIONS, "image")
             robot = self.robot or DEFAULT_ROBOT
             options = {"success_angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
-            checks = check_objects(robot, self.task, self.targets, **options)
+            found = check_objects(robot, self.task, self.targets, **options)
             what = f"objects of robot {robot}"
         elif self.robot is None:
             from knowarm.experiment.installation_check import check_installation  # imports torch
 
             self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
-            checks, what = check_installation(self.runs), "installation"
+            found, what = check_installation(self.runs), "installation"
         else:
             targets = self.targets or EnvConfig().targets
-            checks, what = self._check_robot(self.robot, targets), f"robot {self.robot}"
-        rows = [["ok" if c.ok else "FAILED", c.name, c.found] for c in checks]
-        print_table(f"Checks of the {what}", ["result", "check", "found"], rows)
+            found, what = self._check_robot(self.robot, targets), f"robot {self.robot}"
+        print(f"Checks of the {what}; what runs for the first time is compiled, up to a minute:")
+        checks = []
+        for check in found:
+            checks.append(check)
+            line = f"{'ok' if check.ok else 'FAILED':<6}  {check.name}: {check.found}"
+            print(printable(line), flush=True)
         return {"what": what, "checks": [vars(check) for check in checks]}
 
-    def _check_robot(self, robot: str, targets: tuple[str, ...]) -> list[Check]:
+    def _check_robot(self, robot: str, targets: tuple[str, ...]) -> Iterator[Check]:
         """Check a description, after drafting it where the robot is a bare model file."""
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
             self._draw(robot, targets)
-            return check_robot(
-                robot, targets, angle_deg=self.angle_deg, ignore_roll=self.ignore_roll
-            )
+            options: dict[str, Any] = {"angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
+            yield from check_robot(robot, targets, **options)
+            return
         if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
         with TemporaryDirectory() as folder:
@@ -127,7 +131,7 @@ class Doctor(TableCommand):
                 temporary.write_text(draft.toml(file), "utf-8")
             self._draw(str(file), targets)
             angle, roll = draft.success_angle_deg, draft.ignore_roll
-            return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
+            yield from check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
 
     def _print(self, draft: Draft, file: Path) -> None:
         """Print a draft, and the commands for a task with an easier orientation."""

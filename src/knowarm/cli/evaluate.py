@@ -1,11 +1,14 @@
 """``knowarm evaluate``: the post-training evaluation of a trained or scripted agent."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import tyro
+from rich.text import Text
 
 from knowarm.cli.arguments import Command, answer_help, parse_options, take_option
 from knowarm.cli.tables import FilePath, TableCommand, print_table
@@ -31,6 +34,7 @@ from knowarm.experiment.probes import (
     LiftProbe,
     StepsProbe,
 )
+from knowarm.experiment.run_lock import is_locked
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Measure
@@ -165,6 +169,7 @@ class Evaluate(TableCommand):
 
         chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
+        report = partial(print, file=sys.stderr, flush=True)
         if is_scripted(self.agent, self.env):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
@@ -174,12 +179,22 @@ class Evaluate(TableCommand):
                     wanted = given.removeprefix("success-")
                     raise UserError(f"--env.{given} is of training: give --{wanted} here.")
             make = SCRIPTED_AGENTS[self.agent].make
-            result = evaluate(lambda env: make(env, how.seed), self.env, how, agent_name=self.agent)
+            result = evaluate(
+                lambda env: make(env, how.seed),
+                self.env,
+                how,
+                agent_name=self.agent,
+                report=report,
+            )
         else:
             options: dict[str, Any] = {"which": self.which, "perception": self.perception}
             greedy = how.actions == "greedy"
             trained = load_agent(self.agent, greedy=greedy, seed=how.seed, **options)
-            result = evaluate(trained, config=how, write=self.save)
+            if is_locked(trained.folder.path):
+                report(
+                    f"{self.agent} is still training: this is its network of step {trained.step:,}."
+                )
+            result = evaluate(trained, config=how, write=self.save, report=report)
         _print(result.summary)
         if result.folder is not None and self.save:
             print(f"Saved in {result.folder}")
@@ -252,15 +267,17 @@ def _print_groups(title: str, what: str, groups: "Mapping[str, Numbers]") -> Non
     print_table(title, [what, *(each.title for each in shown)], rows)
 
 
-def _cell(of: Measure, numbers: "Numbers") -> str:
+def _cell(of: Measure, numbers: "Numbers") -> Text:
     from knowarm.report.format import FORMATS, NARROW_SPACE
 
     number = numbers.get(of.name)
     if number is None:
-        return "-"
+        return Text("-")
     form = FORMATS[of.format]
     if not isinstance(number, Interval):
         shown = form(number)
     else:
-        shown = f"{form(number.estimate)} [{form(number.low)}, {form(number.high)}]"
-    return shown.replace(NARROW_SPACE, " ")
+        shown, unit, _ = form(number.estimate).partition(f"{NARROW_SPACE}%")
+        low, high = (form(each).removesuffix(unit) for each in (number.low, number.high))
+        shown = f"{shown} [{low}, {high}]{unit}"
+    return Text(shown.replace(NARROW_SPACE, " "), no_wrap=True)

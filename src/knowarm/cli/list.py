@@ -1,12 +1,13 @@
 """``knowarm list``: robots, targets, agents, algorithms and experiments."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
 import tyro
 
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.config import to_dict
+from knowarm.errors import unknown_name
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_names
@@ -18,22 +19,33 @@ from knowarm.world.objects import TARGETS
 from knowarm.world.robots import KNOWN_ARMS, ROBOTS, find_robot
 from knowarm.world.tasks import task_names
 
-Kind = Literal["robots", "agents", "algorithms", "targets", "experiments"]
+KINDS = ("robots", "agents", "algorithms", "targets", "experiments")
+FIRST = 5  # names of each kind that are shown if none is given
 
 
 @dataclass(frozen=True, kw_only=True)
 class List(TableCommand):
     """List robots, agents, algorithms, targets and names of experiments."""
 
-    kind: Annotated[Kind | None, tyro.conf.Positional, tyro.conf.arg(metavar="[KIND]")] = None
-    """Only robots, agents, algorithms, targets or experiments."""
+    kind: Annotated[
+        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[KIND]", help_behavior_hint="")
+    ] = None
+    """All robots, agents, algorithms or targets; without it, the first of each."""
 
     def result(self) -> dict[str, Any]:
-        """Print one table per kind."""
+        """Print the names of one kind, or the first of each."""
+        if self.kind not in (None, *KINDS):
+            raise unknown_name("kind of names", self.kind, KINDS)
         arms = [find_robot(name) for name in KNOWN_ARMS]
-        kinds = [self.kind] if self.kind else get_args(Kind)
-        if "robots" in kinds:
+        if self.kind is None:
+            every = ([*ROBOTS, *KNOWN_ARMS], [*AGENTS], [*algorithms()], [*TARGETS])
             rows: list[list[Any]] = [
+                [kind, len(names), ", ".join(names[:FIRST]), f"knowarm list {kind}"]
+                for kind, names in zip(KINDS, every, strict=False)
+            ]
+            print_table("Names", ["kind", "number", "the first", "for all"], rows)
+        if self.kind == "robots":
+            rows = [
                 [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
                 for name, entry in ROBOTS.items()
             ]
@@ -44,7 +56,7 @@ class List(TableCommand):
             print_table(title, ["robot", "name", "file"], rows)
             if "missing" in files:
                 print(f"To get the missing files: {HOW_TO_GET}.\n")
-        if "agents" in kinds:
+        if self.kind == "agents":
             grounded = "; grounded by the simulator's labels in training"
             rows = [
                 [name, agent.role, agent.about + grounded * agent.knows.is_grounded]
@@ -54,7 +66,7 @@ class List(TableCommand):
             rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
             title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
             print_table(title, ["agent", "description"], rows)
-        if "algorithms" in kinds:
+        if self.kind == "algorithms":
             rows = [
                 [
                     name,
@@ -66,13 +78,13 @@ class List(TableCommand):
             ]
             columns = ["algorithm", "steps", "simulator's state in training", "description"]
             print_table("Algorithms", columns, rows)
-        if "targets" in kinds:
+        if self.kind == "targets":
             alike: dict[str, list[str]] = {}
             for name, target in TARGETS.items():
                 alike.setdefault(", ".join(target.colours), []).append(name)
             rows = [[", ".join(names), colours] for colours, names in alike.items()]
             print_table("Targets", ["targets", "colours, the fixed one first"], rows)
-        if "experiments" in kinds:
+        if self.kind in (None, "experiments"):
             print(
                 "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for\n"
                 "randomized colours, and with the task after the robot if it is not reach. A\n"

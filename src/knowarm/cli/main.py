@@ -66,11 +66,11 @@ def _run_command(arguments: list[str]) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # characters that its encoding lacks
     try:
-        if not arguments or arguments[0] in ("-h", "--help"):
+        if not arguments or arguments[0] in ("-h", "--help", "help"):
             about = "Deep reinforcement learning of robot-arm policies with knowledge graphs."
             summaries = {name: what for name, (_, what) in COMMANDS.items()}
             print(group_help("knowarm", about, summaries))
-        elif arguments[0] == "--version":
+        elif arguments[0] in ("--version", "version"):
             print(f"knowarm {knowarm.__version__}")
         else:
             code = _parse(arguments[0], arguments[1:]).run()

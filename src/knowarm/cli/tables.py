@@ -44,7 +44,8 @@ class TableCommand:
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Print a table; numbers are right-aligned, floats have three decimals, from 10 one.
 
-    Cells wrap between words only. Columns for which the terminal is too narrow follow in further
+    Cells wrap between words only, and not at all where they are a ``Text`` with ``no_wrap``.
+    Columns for which the terminal is too narrow follow in further
     tables, each with the first column. Without a terminal a table is as wide as its content.
     """
     console = make_console()
@@ -58,7 +59,11 @@ def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) ->
     cells = [[each if isinstance(each, Text) else Text(_cell(each)) for each in r] for r in rows]
     columns = list(map(printable, columns))
     texts = [[name, *(row[i].plain for row in cells)] for i, name in enumerate(columns)]
-    words = [max(cell_len(word) for text in t for word in text.split() or [""]) for t in texts]
+    words = [max(cell_len(word) for word in name.split() or [""]) for name in columns]
+    for row in cells:
+        for i, cell in enumerate(row):
+            parts = [cell.plain] if cell.no_wrap else cell.plain.split()
+            words[i] = max([words[i], *map(cell_len, parts)])
     lines = [max(map(cell_len, column)) for column in texts]
     tables = []
     for block in _blocks(words, room):

@@ -36,7 +36,7 @@ from knowarm.experiment.names import (
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.own import named_by
 from knowarm.perception.config import PerceptionConfig
-from knowarm.reading import read_toml
+from knowarm.reading import read_json, read_toml
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
 
@@ -133,10 +133,15 @@ class Train:
             return 130
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
-            print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
+            success = read_json(run.folder.checkpoints / "best" / "meta.json")["facts"]["success"]
+            print(
+                f"Best interim evaluation: success {100 * success:.0f} %, return {best:.1f}, at "
+                f"step {result.best_step:,}"
+            )
             if result.best_step == 0:
                 print("That is the untrained network: none after it was better.")
         print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(where))}{self.own}")
+        print(f"Compare runs with: knowarm report {shlex.quote(str(self.runs))}{self.own}")
         return 0
 
 

@@ -113,6 +113,7 @@ def evaluate(
     *,
     agent_name: str = "agent",
     write: bool = True,
+    report: Callable[[str], None] = lambda line: None,
     **overrides: Any,
 ) -> EvaluationResult:
     """Play the fixed episodes and measure returns, accuracy and success.
@@ -128,6 +129,7 @@ def evaluate(
         agent_name: name in the summary; a trained agent has the name of its run.
         write: store the result in the run's folder, ``<run>/evaluation/<label>/``; without effect
             for an agent without a run.
+        report: receives lines on the progress.
         **overrides: fields of ``config`` to change, such as ``episodes=200``.
 
     Returns:
@@ -148,10 +150,11 @@ def evaluate(
         for probe in config.probes:
             probe.check(env)
         fixed = _episodes(env, config)
-        result = play(agent, env, fixed, record_images=config.films)
+        report(f"Playing {len(fixed):,} episodes.")
+        result = play(agent, env, fixed, record_images=config.films, report=report)
         columns = episode_columns(agent, result, env, config)
         is_trained = trained is not None and trained.which != "untrained"
-        played = Played(agent, env, fixed, result, config.seed, is_trained)
+        played = Played(agent, env, fixed, result, config.seed, is_trained, report)
         findings = Findings(columns)
         for probe in config.probes:
             probe.measure(played, findings)

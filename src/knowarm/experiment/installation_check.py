@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +22,21 @@ MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
 """Free memory and disk space that training needs."""
 
 
-def check_installation(runs: Path) -> list[Check]:
+def check_installation(runs: Path) -> Iterator[Check]:
     """Check every part of the installation by using it once; ``runs`` holds run folders."""
     parts = {"versions": _versions, "knowledge": _knowledge, "world": _world, "policy": _policy}
-    used = [_checked(name, check) for name, check in parts.items()]
+    for name, check in parts.items():
+        yield _checked(name, check)
     free = psutil.virtual_memory().available / 2**30
-    memory = Check(
+    yield Check(
         name="memory",
         ok=free >= MIN_MEMORY_GIB,
         found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
         remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
     )
     gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "none; not needed"
-    return [*used, memory, _disk(runs), Check(name="GPU", ok=True, found=gpu)]
+    yield _disk(runs)
+    yield Check(name="GPU", ok=True, found=gpu)
 
 
 def _checked(name: str, check: Callable[[], str]) -> Check:

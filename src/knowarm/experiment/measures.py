@@ -88,7 +88,7 @@ _all_lifts, _CORRECTED = (*OUTCOMES, NOT_REACHED), "corrected for chance"
 _ALL = (
     Measure("episodes", "episodes", "return", "count", format="integer"),
     Measure("success", "success", "success", about="distance and angle at one step"),
-    Measure("success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide"),
+    Measure("success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True),
     Measure("accuracy", "accuracy", "accurate", about="final distance only"),
     Measure("return_mean", "mean return", "return", "mean", format="number1"),
     Measure("return_std", "std of return", "return", "std", format="number1", detail=True),

@@ -14,7 +14,7 @@ from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
-from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS
+from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS, unknown_robot
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.sampling import Colours
 
@@ -47,6 +47,8 @@ class ExperimentName:
             ("algorithm", self.algorithm, algorithms()),
         ):
             if value not in names and not (what == "robot" and value.endswith(SUFFIX)):
+                if what == "robot":
+                    raise unknown_robot(value)
                 raise unknown_name(f"{what} of the experiment", value, names)
         if self.task not in (tasks := tasks_of(AGENTS[self.agent])):
             raise UserError(

@@ -1,6 +1,6 @@
 """Probes of an evaluation: what is recorded or measured of the episodes besides their outcome."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -28,6 +28,8 @@ class Played:
     seed: int
     is_trained: bool
     """Whether it is a trained agent, and not that of its initial weights."""
+    report: Callable[[str], None] = lambda line: None
+    """Receives lines on the progress."""
 
 
 @dataclass
@@ -123,6 +125,7 @@ class BlindProbe(BaseProbe):
         for name, entry in BLIND_AGENTS.items():
             blind = entry.make(played.agent, played.env, played.seed)
             chosen = played.episodes[: self.episodes]
+            played.report(f"Blind agent {name}: {len(chosen):,} episodes.")
             solved = play(blind, played.env, chosen).success
             share = wilson(int(np.count_nonzero(solved)), len(solved))
             numbers[name] = {"episodes": float(len(solved)), "success": share}

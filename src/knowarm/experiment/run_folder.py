@@ -85,10 +85,12 @@ class RunFolder:
         folder = cls(Path(path))
         if not folder.config_path.is_file():
             what = "has no config.json" if folder.path.is_dir() else "does not exist"
-            raise UserError(
-                f"{path} is not a run folder: it {what}. Give RUNS/EXPERIMENT/SEED of a training; "
-                "its last line names the folder."
-            )
+            what = "is a file" if folder.path.is_file() else what
+            inside = sorted(folder.path.glob("**/config.json")) if folder.path.is_dir() else []
+            give = "Give RUNS/EXPERIMENT/SEED of a training; its last line names the folder."
+            if inside:
+                give = f"Give a run, such as {inside[0].parent}."
+            raise UserError(f"{path} is not a run folder: it {what}. {give}")
         refuse_links(folder.path)
         found = folder.config().get("format")
         if found != FORMAT:

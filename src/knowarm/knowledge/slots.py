@@ -218,10 +218,10 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
         f"Its colours there: {', '.join(colours)}. "
-        "Add that fact to the graph, use ",
-        Argument("env.colours", "fixed"),
-        " if it has those, or ",
+        "Add that fact to the graph, or use ",
         Argument("knows.detail", "partial"),
+        "; if the colours are randomized and the graph has the fixed ones, ",
+        Argument("env.colours", "fixed"),
         ".",
     )
 

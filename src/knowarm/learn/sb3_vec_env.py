@@ -12,6 +12,8 @@ from gymnasium.vector import VectorEnv
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from knowarm.errors import UserError
+
 Observations = np.ndarray | dict[str, np.ndarray]
 
 
@@ -25,15 +27,22 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
+        if not isinstance(env, VectorEnv):
+            raise UserError(
+                f"SB3VecEnv needs a vector environment, got {type(env).__name__}: "
+                'knowarm.make("irb120", num_envs=8).'
+            )
         self.env = env  # read by the constructor of VecEnv, for its render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         if seed is not None:
             self.seed(seed)
         self._actions = np.zeros(0)
+        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
 
     def reset(self) -> Observations:
         """Start new episodes; the first call uses the seed, of `VecEnv.seed` if that was called."""
         observations, _ = self.env.reset(seed=self._seeds[0])
+        self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{}] * self.num_envs
         self._reset_seeds()
         return observations
@@ -45,18 +54,22 @@ class SB3VecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Advance by one step.
 
-        Where an episode ends, its info holds ``terminal_observation``, ``TimeLimit.truncated`` and
-        ``is_success``.
+        Where an episode ends, its info holds ``terminal_observation``, ``TimeLimit.truncated``,
+        ``is_success``, and return and length as ``episode``, of which SB3 logs the means.
         """
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         done = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
         listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
             listed[i] = {
                 "terminal_observation": infos["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 "is_success": bool(infos["final_info"]["is_success"][i]),
+                "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
             }
+        self._returns[done], self._lengths[done] = 0, 0
         return observations, np.asarray(rewards, np.float32), done, listed
 
     def close(self) -> None:

@@ -94,8 +94,6 @@ class Trainer(ABC):
             later steps. Checkpoints do not wait for them: they hold the parameters of pending
             evaluations, which are played after resuming.
         step: environment steps so far.
-        best: the best interim evaluation so far.
-        evaluated_step: step of the latest interim evaluation, pending or played.
         pending_evaluations: parameters by step of the interim evaluations that were pending in
             the checkpoint that `resume` restored; `train` plays them.
     """
@@ -117,8 +115,8 @@ class Trainer(ABC):
         self.policy = policy
         self.seed = seed
         self.step = 0
-        self.best = BestEvaluation()
-        self.evaluated_step: int | None = None
+        self._best = BestEvaluation()
+        self._evaluated_step: int | None = None  # of the latest interim evaluation
         self.pending_evaluations: dict[int, np.ndarray] = {}
         self.hooks = hooks or Hooks()
         self.checkpoints = checkpoints
@@ -162,7 +160,7 @@ class Trainer(ABC):
         finally:
             self._evaluations.close()
         return TrainingResult(
-            step=self.step, reason=reason, best_return=self.best.value, best_step=self.best.step
+            step=self.step, reason=reason, best_return=self._best.value, best_step=self._best.step
         )
 
     def resume(self) -> None:
@@ -175,8 +173,8 @@ class Trainer(ABC):
         checkpoint = self.checkpoints.load()
         self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
         self.step = checkpoint.facts["step"]
-        self.best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
-        self.evaluated_step = checkpoint.facts.get("evaluated_step", self.best.step)
+        self._best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
+        self._evaluated_step = checkpoint.facts.get("evaluated_step", self._best.step)
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
             self.pending_evaluations = {int(step): values for step, values in pending.items()}
@@ -193,9 +191,9 @@ class Trainer(ABC):
     def _save(self, checkpoint: Checkpoint) -> None:
         """Save a checkpoint, if there is a store, with the best and the pending evaluations."""
         if self.checkpoints is not None:
-            best = {"best_return": self.best.value, "best_step": self.best.step}
+            best = {"best_return": self._best.value, "best_step": self._best.step}
             facts = {"step": self.step, **checkpoint.facts, **best}
-            facts["evaluated_step"] = self.evaluated_step
+            facts["evaluated_step"] = self._evaluated_step
             pending = {
                 f"{_PENDING}{step}": values
                 for step, values in self._evaluations.pending()
@@ -213,7 +211,7 @@ class Trainer(ABC):
     @property
     def lacks_evaluation(self) -> bool:
         """Whether the present policy is still to be evaluated, as before and after training."""
-        return self.evaluates and self.evaluated_step != self.step
+        return self.evaluates and self._evaluated_step != self.step
 
     def parameters(self) -> np.ndarray:
         """Copy the parameters that interim evaluations play, those of the policy."""
@@ -221,7 +219,7 @@ class Trainer(ABC):
 
     def _evaluate(self, step: int, values: np.ndarray) -> None:
         """Submit an interim evaluation of the parameters ``values`` (P,)."""
-        self.evaluated_step = step
+        self._evaluated_step = step
         self._evaluations.submit(step, values)
 
     def _wait_for_evaluations(self, *, leave: int = 0) -> bool:
@@ -248,7 +246,7 @@ class Trainer(ABC):
     def _take_evaluations(self, *, timeout_s: float = 0.0) -> None:
         """Report completed evaluations to the hooks and save the best policy."""
         for done in self._evaluations.completed(timeout_s=timeout_s):
-            is_best = self.best.update(done.step, done.results["return_mean"])
+            is_best = self._best.update(done.step, done.results["return_mean"])
             if is_best and self.checkpoints is not None:
                 parameters = unflatten_parameters(self.policy, done.values)
                 facts = {"step": done.step, **done.results}

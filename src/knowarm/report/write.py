@@ -28,7 +28,9 @@ LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has 
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
-def write_report(run_paths: Sequence[Path | str], out: Path | str) -> Path:
+def write_report(
+    run_paths: Sequence[Path | str] | Path | str, out: Path | str = "runs/report.html"
+) -> Path:
     """Write one report from run folders.
 
     Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
@@ -36,7 +38,7 @@ def write_report(run_paths: Sequence[Path | str], out: Path | str) -> Path:
     files and no others. Equal folders give equal bytes.
 
     Args:
-        run_paths: run folders, or folders that hold them at any depth.
+        run_paths: run folders, or folders that hold them at any depth; one or several.
         out: the HTML file.
 
     Returns:
@@ -51,7 +53,8 @@ def write_report(run_paths: Sequence[Path | str], out: Path | str) -> Path:
         raise UserError(f"The report must be an .html file, got {out}.")
     with writing(out.parent):
         out.parent.mkdir(parents=True, exist_ok=True)
-    study = collect([Path(path) for path in run_paths])
+    paths = [run_paths] if isinstance(run_paths, str | Path) else run_paths
+    study = collect([Path(path) for path in paths])
     pages = build_pages(study)
     page = _render(study, pages, out)
     _write_data(study, pages, out)

@@ -108,8 +108,10 @@ def unpack_study(file: Path, out: Path) -> Path:
     Returns:
         ``out``, which `knowarm report` and `knowarm evaluate` read; its runs cannot be resumed.
     """
+    if not file.name.endswith(SUFFIX):
+        raise UserError(f"{file} is no pack of a study, whose name ends in {SUFFIX}.")
     if out.exists():
-        raise UserError(f"{out} exists: choose another folder, or remove it.")
+        raise UserError(f"{out} exists, and a pack is written to a new folder: give another one.")
     temporary = out.with_name(f".{out.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:

@@ -1,6 +1,7 @@
 """Stepping loop: plays agents on lists of episodes, for evaluation, recording and viewing."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,9 @@ from knowarm.errors import UserError
 from knowarm.world.agents.protocol import AgentProtocol, Batch
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
+
+REPORT_S = 5.0
+"""Least time between two lines on the progress [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +112,12 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
 
 
 def play(
-    agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes, *, record_images: int = 0
+    agent: AgentProtocol,
+    env: ArmVectorEnv,
+    episodes: Episodes,
+    *,
+    record_images: int = 0,
+    report: Callable[[str], None] = lambda line: None,
 ) -> EpisodeResults:
     """Play a list of episodes to their end, ``env.num_envs`` at a time.
 
@@ -117,12 +126,17 @@ def play(
         env: the environment; its current episodes are abandoned.
         episodes: what to play, N.
         record_images: number of episodes, from the first, whose images are kept.
+        report: receives a line on the progress every few seconds.
     """
+    said = time.monotonic()
     count, n = len(episodes), env.num_envs
     images: list[list[NDArray[np.uint8]]] = [[] for _ in range(min(count, record_images))]
     ends: dict[str, NDArray[Any]] = {}
     rows: list[dict[str, NDArray]] = []
     for first in range(0, count, n):
+        if time.monotonic() - said >= REPORT_S:
+            solved, said = ends["is_success"][:first].mean(), time.monotonic()
+            report(f"{first:,} of {count:,} episodes, {100 * solved:.0f} % solved.")
         chunk = episodes[first : first + n]
         for moment in play_steps(agent, env, chunk):
             ids, infos = np.flatnonzero(moment.played), moment.infos

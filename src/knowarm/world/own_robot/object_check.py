@@ -42,7 +42,7 @@ def check_objects(
         config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets), **options)
         scene = load_scene(config.robot, config.targets, area=config.task.area)
     except UserError as error:
-        return [Check("scene", False, str(error), "Correct the named field.")]
+        return [Check("scene", False, str(error), "Correct what that line names.")]
     # From border to border of the rectangle, (P, 2) [m].
     line, centre = np.linspace(-1, 1, PLACES), scene.robot.rectangle_centre_m
     signed = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)

@@ -37,6 +37,7 @@ MIN_ROBOT_SHARE, MAX_PART = 0.01, 2.0
 geoms relative to the length of the arm."""
 
 MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
+MIN_TRAILING = 0.4  # Least correlation of lags and commanded moves of servos that are too slow
 MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
 MIN_ORACLE, LEARNABLE_SHARE = 0.95, 0.6
 """Least success of the oracle, and share of the time limit in which three quarters of its episodes
@@ -67,10 +68,10 @@ def check_robot(
     *,
     angle_deg: float = 15.0,
     ignore_roll: bool = False,
-) -> list[Check]:
+) -> Iterator[Check]:
     """Check the robot of a TOML description or name for a task with some objects.
 
-    Return the results in order; only the first if the scene cannot be built. Agents play if all
+    Yield the results in order; only the first if the scene cannot be built. Agents play if all
     else is well.
     """
     options: dict[str, Any] = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
@@ -78,22 +79,28 @@ def check_robot(
     try:
         env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:
-        return [Check("scene", False, str(error), "Correct the named field.")]
-    scene = env.scene
+        yield Check("scene", False, str(error), "Correct what that line names.")
+        return
     env.reset(options={"episodes": evaluation_episodes(config, SAMPLES, 0)})
-    checks = [
-        _check_scene(scene),
-        check_joints(scene),
-        *_check_body(env),
-        _check_gripper(env),
-        _check_servos(env),
-    ]
-    for name in targets:
-        one = ArmVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
-        checks += [_check_reach(one), *_check_visible(one)]
-    if all(check.ok for check in checks):
-        checks += check_agents(replace(config, image_size=1))
-    return checks
+    is_well = True
+    for check in _check_parts(env):
+        yield check
+        is_well &= check.ok
+    if is_well:
+        yield from check_agents(replace(config, image_size=1))
+
+
+def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
+    """Check all but what agents do."""
+    yield _check_scene(env.scene)
+    yield check_joints(env.scene)
+    yield from _check_body(env)
+    yield _check_gripper(env)
+    yield _check_servos(env)
+    for name in env.config.targets:
+        one = ArmVectorEnv(replace(env.config, targets=(name,), colours="randomized"), SAMPLES)
+        yield _check_reach(one)
+        yield from _check_visible(one)
 
 
 def _check_scene(scene: Scene) -> Check:
@@ -202,16 +209,23 @@ def _check_gripper(env: ArmVectorEnv) -> Check:
 def _check_servos(env: ArmVectorEnv) -> Check:
     """Check the distance of the joints from their targets under random actions."""
     generator = np.random.default_rng(0)
-    lags = []
+    lags, moves = [], []
     for _ in range(10):
+        before = env.joint_targets.copy()
         env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
-        lags.append(np.abs(env.joint_positions - env.joint_targets))
-    lag = float(np.mean(lags, axis=(0, 1)).max())
+        lags.append(env.joint_targets - env.joint_positions)
+        moves.append(env.joint_targets - before)
+    lag = float(np.mean(np.abs(lags), axis=(0, 1)).max())
+    trailing = np.vdot(lags, moves) / (np.linalg.norm(lags) * np.linalg.norm(moves) or 1.0)
+    now = env.scene.robot.servo_frequency_hz
+    change = "raise" if trailing > MIN_TRAILING else "lower"
+    why = "the joints trail behind" if trailing > MIN_TRAILING else "the joints shake"
     return Check(
         "servos",
         lag < MAX_LAG_RAD,
         f"mean distance from target after a step at most {lag:.4f} rad per joint",
-        f"Above {MAX_LAG_RAD}: raise servo_frequency_hz, or look for links that collide with "
+        f"Above {MAX_LAG_RAD}, and {why}: {change} servo_frequency_hz, which is {now:g}, step by "
+        "step. If that does not help, look for links that collide with "
         "the support, and for damping or friction meant to hold a joint still.",
     )
 

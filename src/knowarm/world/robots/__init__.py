@@ -31,11 +31,18 @@ def find_robot(name: str) -> Robot:
         return read_description(Path(name), Robot)
     if name in KNOWN_ARMS:
         return read_description(KNOWN_ARMS[name], Robot)
+    if name not in ROBOTS:
+        raise unknown_robot(name)
+    return ROBOTS[name]
+
+
+def unknown_robot(name: str) -> UserError:
+    """Return the error for a name or file that is no robot."""
+    if not (Path(name).suffix or Path(name).is_file()):
+        return unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
     if name.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
-        raise UserError(
+        return UserError(
             f"{name!r} is a model file. Draft a description of it, and name that instead: "
             f"knowarm doctor --robot {name} --write ROBOT{SUFFIX}."
         )
-    if name not in ROBOTS:
-        raise unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
-    return ROBOTS[name]
+    return UserError(f"{name!r} is no description of a robot, which is a {SUFFIX} file.")
