@@ -49,7 +49,7 @@ def hand(inside: str = "", fingers: str = "") -> mujoco.MjModel:
 def test_tcp_is_the_robots_own_site() -> None:
     gripper = find_gripper(mujoco.MjModel.from_xml_path(str(SHIPPED.mjcf)))
     assert gripper.joints == SHIPPED.joints
-    assert gripper.tcp == {"tcp_site": "tcp"}
+    assert gripper.fields == {"tcp_site": "tcp"}
     assert "site 'tcp'" in gripper.how
 
 
@@ -57,11 +57,11 @@ def test_tcp_lies_between_the_ends_of_two_fingers() -> None:
     both = FINGERS.format("left", 0.02) + FINGERS.format("right", -0.02)
     gripper = find_gripper(hand(fingers=both))
     assert gripper.joints == ("a", "b", "c", "d")
-    assert gripper.tcp["tcp_body"] == "link4"
-    np.testing.assert_allclose(gripper.tcp["tcp_position_m"][:2], 0, atol=1e-6)
-    assert 0.10 < gripper.tcp["tcp_position_m"][2] < 0.13
+    assert gripper.fields["tcp_body"] == "link4"
+    np.testing.assert_allclose(gripper.fields["tcp_position_m"][:2], 0, atol=1e-6)
+    assert 0.10 < gripper.fields["tcp_position_m"][2] < 0.13
     matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.array(gripper.tcp["tcp_quaternion"]))
+    mujoco.mju_quat2Mat(matrix, np.array(gripper.fields["tcp_quaternion"]))
     np.testing.assert_allclose(matrix.reshape(3, 3)[:, 2], [0, 0, 1], atol=1e-5)
     # The fingers open along x of the hand.
     np.testing.assert_allclose(np.abs(matrix.reshape(3, 3)[:, 1]), [1, 0, 0], atol=1e-5)
@@ -102,9 +102,9 @@ def test_last_joint_without_these_signs_is_the_arms() -> None:
 
 def test_tcp_lies_between_a_jaw_and_the_fixed_one() -> None:
     gripper = find_gripper(hand(FIXED_JAW, JAW))
-    np.testing.assert_allclose(gripper.tcp["tcp_position_m"][:2], 0, atol=1e-3)
+    np.testing.assert_allclose(gripper.fields["tcp_position_m"][:2], 0, atol=1e-3)
     matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.array(gripper.tcp["tcp_quaternion"]))
+    mujoco.mju_quat2Mat(matrix, np.array(gripper.fields["tcp_quaternion"]))
     np.testing.assert_allclose(np.abs(matrix.reshape(3, 3)[:, 1]), [1, 0, 0], atol=1e-5)
 
 
@@ -115,20 +115,20 @@ def test_single_jaw_is_no_joint_of_the_arm() -> None:
 def test_site_that_points_elsewhere_is_turned() -> None:
     site = '<site name="pinch" pos="0 0 .1" euler="0 90 0"/>'
     gripper = find_gripper(hand(inside=site))
-    assert gripper.tcp["tcp_site"] == "tcp"
-    np.testing.assert_allclose(gripper.tcp["tcp_position_m"], [0, 0, 0.1], atol=1e-6)
+    assert gripper.fields["tcp_site"] == "tcp"
+    np.testing.assert_allclose(gripper.fields["tcp_position_m"], [0, 0, 0.1], atol=1e-6)
     assert "'pinch', turned" in gripper.how
 
 
 def test_arm_without_gripper_gets_a_tcp_in_front_of_its_end() -> None:
     gripper = find_gripper(hand())
-    np.testing.assert_allclose(gripper.tcp["tcp_position_m"], [0, 0, 0.08], atol=1e-6)
+    np.testing.assert_allclose(gripper.fields["tcp_position_m"], [0, 0, 0.08], atol=1e-6)
 
 
 def test_flange_whose_mesh_extends_backward() -> None:
     back = '<geom type="box" size=".02 .02 .05" pos="0 0 -.06"/><body name="flange" pos="0 0 .02"/>'
     gripper = find_gripper(hand(inside=back))
-    assert gripper.tcp["tcp_position_m"][2] > 0.05  # in front, where the wrist goes on
+    assert gripper.fields["tcp_position_m"][2] > 0.05  # in front, where the wrist goes on
 
 
 def test_file_without_an_arm_is_refused() -> None:
@@ -150,7 +150,7 @@ def test_layout_keeps_what_is_given_and_names_what_is_not_reached() -> None:
     reached = simulation.tcp_position[:, :2]
     np.testing.assert_allclose(np.ptp(reached, axis=0), [0.1, 0.2], atol=0.03)
     far = {**given, "rectangle_centre_m": (3.0, 0.0)}
-    with pytest.raises(UserError, match=r"bottle at 0\.50 m 0, mug at 0\.50 m 0\. Turn"):
+    with pytest.raises(UserError, match=r"bottle at 0\.50 m 0, mug at 0\.50 m 0\. Give"):
         find_layout(lambda height: scene, (0.5,), far)
 
 

@@ -15,9 +15,10 @@ from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.own_robot.camera_check import check_camera
+from knowarm.world.own_robot.check import Check
 from knowarm.world.own_robot.draft import Draft, draft_robot, read_overrides
 from knowarm.world.own_robot.object_check import check_objects
-from knowarm.world.own_robot.robot_check import Check, check_robot
+from knowarm.world.own_robot.robot_check import check_robot
 from knowarm.world.own_robot.scene_image import write_scene_image
 from knowarm.world.own_robot.urdf import MODEL_SUFFIXES, as_mjcf
 from knowarm.world.robots import DEFAULT_ROBOT

@@ -16,7 +16,7 @@ from knowarm.experiment.provenance import provenance
 from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.own_robot.robot_check import Check
+from knowarm.world.own_robot.check import Check
 
 MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
 """Free memory and disk space that training needs."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from knowarm.arrays import Floats
 from knowarm.reading import read_text, reading, replacing
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.own_robot.robot_check import Check
+from knowarm.world.own_robot.check import Check
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX

@@ -62,7 +62,7 @@ def spread_rad(branches: Sequence[Branch]) -> float:
     return float(np.ptp(np.concatenate([each.joints for each in branches]), axis=0).max())
 
 
-def _samples(scene: Scene, count: int) -> Floats:
+def samples(scene: Scene, count: int) -> Floats:
     """Spread joint angles over their ranges, (count, J)."""
     share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(count)
     return np.asarray(scene.joint_lower + share * (scene.joint_upper - scene.joint_lower))
@@ -70,7 +70,7 @@ def _samples(scene: Scene, count: int) -> Floats:
 
 def reach_m(scene: Scene) -> float:
     """Return how far the gripper reaches at the height of the grasps; 0 if never [m]."""
-    joints = _samples(scene, 3000)
+    joints = samples(scene, 3000)
     simulation = MujocoSimulator(scene, len(joints))
     simulation.set_joints(joints)
     place = simulation.tcp_position
@@ -104,9 +104,9 @@ def find_layout(
     raise UserError(
         f"Robot {scene.robot.name!r}: inverse kinematics reaches no rectangle in front of it with "
         f"any of the orientation tolerances tried. Places reached, of {len(NODES)}, by target and "
-        f"height of the base: {', '.join(f'{name} {n}' for name, n in most.items())}. Turn the "
-        "base (x forward), give another base_position_m or a table, name other targets, or check "
-        "the joints' ranges and the TCP."
+        f"height of the base: {', '.join(f'{name} {n}' for name, n in most.items())}. Give "
+        "another base_position_m or base_yaw_deg (the arm should face x), a table, other targets, "
+        "or other joints, or check their ranges and the TCP."
     )
 
 
@@ -154,7 +154,7 @@ def _branches(
     position = ground + (turn @ scene.grasp_position[target][..., None]).transpose(0, 2, 1)
     matrix = (turn @ scene.grasp_matrix[target]).reshape(-1, 9)
     solver = InverseKinematics(scene, starts=1, ignore_roll=roll)
-    starts = np.concatenate([scene.home[None], _samples(scene, STARTS)])
+    starts = np.concatenate([scene.home[None], samples(scene, STARTS)])
     row = np.repeat(np.arange(len(cases)), len(starts))
     start = np.tile(starts, (len(cases), 1))
     first = solver.solve(position[row, 0], matrix[row], start, attempts=1)

@@ -1,6 +1,7 @@
 """Checks of the objects of a task with several: reach, visibility, differences in the image."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -9,14 +10,15 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.questions import object_of
+from knowarm.world.agents import OracleAgent
+from knowarm.world.agents.play import play
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
-from knowarm.world.own_robot.robot_check import (
-    Check,
-    check_reach,
-    check_visible,
-    different_pixels,
-)
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.own_robot.check import Check
+from knowarm.world.own_robot.pixels import different_pixels
+from knowarm.world.own_robot.robot_check import check_reach, check_visible
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, load_scene, target_places
@@ -24,6 +26,7 @@ from knowarm.world.tasks import task_type
 from knowarm.world.tasks.ik import InverseKinematics
 
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
+EPISODES, MIN_ORACLE = 60, 0.8  # That the oracle plays, and its least success
 MIN_DIFFERENT = 6
 """Least number of pixels in which two objects of one colour differ, or one in two colours."""
 Images = dict[str, NDArray[np.int16]]
@@ -55,7 +58,25 @@ def check_objects(
     checks += [
         check_visible(name, np.stack([*shown.values()]), empty, remedy) for name, shown in images
     ]
-    return [*checks, *_check_differences(images)]
+    checks += _check_differences(images)
+    return [*checks, *([_check_oracle(config)] if all(check.ok for check in checks) else [])]
+
+
+def _check_oracle(config: EnvConfig) -> Check:
+    """Play the oracle of the task."""
+    try:
+        env = ArmVectorEnv(replace(config, image_size=1), EPISODES)
+    except UserError as error:
+        return Check("oracle", False, str(error), "Correct the named field.")
+    episodes = evaluation_episodes(env.config, EPISODES, 2)
+    share = play(OracleAgent(env), env, episodes).success.mean()
+    return Check(
+        "oracle",
+        bool(share >= MIN_ORACLE),
+        f"inverse kinematics succeeds in {100 * share:.0f} % of {EPISODES} episodes",
+        f"Below {100 * MIN_ORACLE:.0f} %: move or shrink areas.{config.task.area} of the robot, "
+        "turn the objects with target_yaws_deg, or leave objects out.",
+    )
 
 
 def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.float64]) -> Check:

@@ -1,7 +1,7 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach, visibility."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
@@ -18,14 +18,16 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.own_robot.draft_gripper import couplings, joint_name
+from knowarm.world.own_robot.check import Check
+from knowarm.world.own_robot.draft_chain import couplings, joint_name
+from knowarm.world.own_robot.pixels import different_pixels, robot_parts
+from knowarm.world.own_robot.servo_check import check_servos
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.mjcf import read_mjcf, surroundings
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.ik import IKSolution, InverseKinematics
-from knowarm.world.tasks.state import ACTION_LEVELS
 
 SAMPLES = 100  # Episodes per check
 MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics
@@ -37,29 +39,11 @@ MIN_ROBOT_SHARE, MAX_PART = 0.01, 2.0
 geoms relative to the length of the arm."""
 
 MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
-MIN_TRAILING = 0.4  # Least correlation of lags and commanded moves of servos that are too slow
-MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
 MIN_ORACLE, LEARNABLE_SHARE = 0.95, 0.6
 """Least success of the oracle, and share of the time limit in which three quarters of its episodes
 have to end."""
 
 BLIND_BUDGET, MAX_BLIND = 2_000, 0.6  # Fixed lists of actions tried, and their greatest success
-DIFFERENCE = 25
-"""Change of a colour channel from which a pixel counts as showing the target, of 255."""
-
-
-@dataclass
-class Check:
-    """Result of one check."""
-
-    name: str  # What was checked
-    ok: bool  # Whether the check passed
-    found: str  # What was found, with numbers
-    remedy: str = ""  # How to correct it; empty if the check passed
-
-    def __post_init__(self) -> None:
-        if self.ok:
-            self.remedy = ""
 
 
 def check_robot(
@@ -96,7 +80,7 @@ def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
     yield check_joints(env.scene)
     yield from _check_body(env)
     yield _check_gripper(env)
-    yield _check_servos(env)
+    yield check_servos(env.scene)
     for name in env.config.targets:
         one = ArmVectorEnv(replace(env.config, targets=(name,), colours="randomized"), SAMPLES)
         yield _check_reach(one)
@@ -124,7 +108,7 @@ def check_joints(scene: Scene) -> Check:
     """Check that no joints are coupled in the file; say what is held still and has no range."""
     robot = scene.robot
     file = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
-    limited = [file.joint(name).limited[0] for name in robot.joints]
+    limited = [scene.model.joint(ROBOT_PREFIX + name).limited[0] for name in robot.joints]
     ranges = zip(robot.joints, scene.joint_lower, scene.joint_upper, limited, strict=True)
     found = ", ".join(
         f"{name} [{low:.2f}, {high:.2f}]{'' if own else ' (no range in the file)'}"
@@ -156,8 +140,7 @@ def _check_body(env: ArmVectorEnv) -> Iterator[Check]:
     """Check that the image shows the robot, and that no part is far larger than the arm."""
     scene, simulation = env.scene, env.simulation
     model = scene.model
-    names = [model.geom(g).name for g in range(model.ngeom)]
-    parts = np.array([not name or name.startswith(ROBOT_PREFIX) for name in names])
+    parts = robot_parts(scene)
     poses = simulation.geom_position, simulation.geom_matrix
     renderer = make_renderer(scene, env.config, env.config.image_size)
     colours = resting_colours(scene, SAMPLES)
@@ -206,40 +189,37 @@ def _check_gripper(env: ArmVectorEnv) -> Check:
     )
 
 
-def _check_servos(env: ArmVectorEnv) -> Check:
-    """Check the distance of the joints from their targets under random actions."""
-    generator = np.random.default_rng(0)
-    lags, moves = [], []
-    for _ in range(10):
-        before = env.joint_targets.copy()
-        env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
-        lags.append(env.joint_targets - env.joint_positions)
-        moves.append(env.joint_targets - before)
-    lag = float(np.mean(np.abs(lags), axis=(0, 1)).max())
-    trailing = np.vdot(lags, moves) / (np.linalg.norm(lags) * np.linalg.norm(moves) or 1.0)
-    now = env.scene.robot.servo_frequency_hz
-    change = "raise" if trailing > MIN_TRAILING else "lower"
-    why = "the joints trail behind" if trailing > MIN_TRAILING else "the joints shake"
-    return Check(
-        "servos",
-        lag < MAX_LAG_RAD,
-        f"mean distance from target after a step at most {lag:.4f} rad per joint",
-        f"Above {MAX_LAG_RAD}, and {why}: {change} servo_frequency_hz, which is {now:g}, step by "
-        "step. If that does not help, look for links that collide with "
-        "the support, and for damping or friction meant to hold a joint still.",
-    )
-
-
 def _check_reach(env: ArmVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics.of_task(env.scene, env.running)
-    solution = solver.solve(env.running.goal_position, env.running.goal_matrix, env.joint_positions)
+    start, pose = env.joint_positions, (env.running.goal_position, env.running.goal_matrix)
+    solution = solver.solve(*pose, start)
+    reached = _reached(env.scene, env.config, start, solution)
+    if reached.any():  # the branch of the nearest place that is reached may also reach the others
+        distance = np.linalg.norm(pose[0][:, None] - pose[0][reached], axis=2)
+        near = solution.joints[reached][distance.argmin(axis=1)]
+        follow = InverseKinematics.of_task(env.scene, env.running, starts=1)
+        again = follow.solve(*pose, near, attempts=1)
+        better = ~reached & _reached(env.scene, env.config, start, again)
+        for name in ("joints", "distance", "angle", "contact"):
+            getattr(solution, name)[better] = getattr(again, name)[better]
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
-    return check_reach(
-        env.scene, env.config, 0, episodes.position, env.joint_positions, solution, remedy
-    )
+    return check_reach(env.scene, env.config, 0, episodes.position, start, solution, remedy)
+
+
+def _steps(scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution) -> Floats:
+    """Return the number of largest steps from joint angles to solutions, (n,)."""
+    largest = joint_increments(scene.robot, config).max()
+    return np.asarray(np.abs(solution.joints - start).max(axis=1) / largest)
+
+
+def _reached(scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution) -> Mask:
+    """Return which places are reached within the thresholds, without contact and in time."""
+    reached = solution.within(config.success_distance_m, config.success_angle_deg)
+    in_time = _steps(scene, config, start, solution) <= MOVING_SHARE * config.max_episode_steps
+    return reached & in_time
 
 
 def check_agents(config: EnvConfig) -> Iterator[Check]:
@@ -280,11 +260,8 @@ def check_reach(
 
     The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
     """
-    steps = (
-        np.abs(solution.joints - start).max(axis=1) / joint_increments(scene.robot, config).max()
-    )
-    reached = solution.within(config.success_distance_m, config.success_angle_deg)
-    reached &= steps <= (most := MOVING_SHARE * config.max_episode_steps)
+    steps, most = _steps(scene, config, start, solution), MOVING_SHARE * config.max_episode_steps
+    reached = _reached(scene, config, start, solution)
     share, where = float(reached.mean()), ""
     if not reached.all():
         missed = ~reached
@@ -331,8 +308,3 @@ def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], rem
         f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",
         f"Fewer than {MIN_PIXELS}: {remedy}",
     )
-
-
-def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> Integers:
-    """Count the pixels in which images (..., H, W, 3) differ, (...)."""
-    return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))

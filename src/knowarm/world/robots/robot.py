@@ -95,6 +95,8 @@ class Robot:
     """Objects that these fingers cannot lift at their grasp frame, with the reason."""
     base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the model's origin, world [m]."""
+    base_yaw_deg: float = 0.0
+    """Rotation of the model about the vertical through its origin, so that it faces x [deg]."""
     table: Table | None = None
     """Table on which the targets stand; None for the floor."""
     rectangle_centre_m: tuple[float, float]

@@ -18,6 +18,7 @@ from knowarm.world.scene.mjcf import (
     read_mjcf,
     strip,
     surroundings,
+    take_ranges,
 )
 
 ROBOT_PREFIX = "robot/"  # Prefix of all names of the robot's own file in the scene
@@ -41,7 +42,8 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     else:
         remedy = " Name one of them, or set tcp_body to have the site added."
         check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
-    strip(part)
+    take_ranges(part, robot.joints)
+    strip(part, spec)
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         part.delete(element)
     for joint in list(part.joints):
@@ -49,6 +51,8 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
             if joint.name in robot.held_joints:
                 hold(part, joint, robot.held_joints[joint.name], owner)
             part.delete(joint)
+    for joint in part.joints:
+        joint.actfrclimited = False  # a limit of its own motor; servos demand more
     for body in part.bodies:
         body.gravcomp = 1
     for geom in part.geoms:
@@ -56,7 +60,9 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
         geom.contype = ROBOT_BIT if collides else 0
         geom.conaffinity = SUPPORT_BIT if collides else 0
     hide_sites(part)
-    frame = spec.worldbody.add_frame(pos=robot.base_position_m)
+    half = np.radians(robot.base_yaw_deg) / 2
+    turn = [np.cos(half), 0, 0, np.sin(half)]
+    frame = spec.worldbody.add_frame(pos=robot.base_position_m, quat=turn)
     spec.attach(part, frame=frame, prefix=ROBOT_PREFIX)
 
 
@@ -77,7 +83,7 @@ def attach_target(
         )
     check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
     check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
-    strip(part)
+    strip(part, spec)
     for joint in list(part.joints):
         part.delete(joint)
     free = (name for i in count() if part.geom(name := f"geom_{i}") is None)

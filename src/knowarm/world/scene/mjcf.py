@@ -41,12 +41,26 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         ) from None
 
 
-def strip(part: mujoco.MjSpec) -> None:
-    """Delete what a file contains for its own demo; it would refer to removed joints, too."""
+def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
+    """Delete what a file contains for its own demo and not for the scene it is attached to."""
+    part.option = scene.option  # those that differ would be left out with a warning
     kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
     for kind in kinds.split():
         for element in list(getattr(part, kind)):
             part.delete(element)
+
+
+def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
+    """Give joints without a range that of the positions that their actuator is given."""
+    limited = part.compile().jnt_limited
+    for actuator in part.actuators:
+        joint = part.joint(actuator.target) if actuator.target in joints else None
+        if joint is None or limited[joint.id] or actuator.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+            continue
+        low, high = actuator.ctrlrange
+        if low < high:
+            joint.range = np.degrees(actuator.ctrlrange) if part.compiler.degree else (low, high)
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:

@@ -75,10 +75,16 @@ class InverseKinematics:
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
         """Make the solver of a task's episodes, which uses what an easier orientation allows."""
-        angle_deg = float(state.limits[1])
+        return cls.within_angle(scene, float(state.limits[1]), state.ignore_roll, **options)
+
+    @classmethod
+    def within_angle(
+        cls, scene: Scene, angle_deg: float, ignore_roll: bool, **options: Any
+    ) -> Self:
+        """Make the solver of a task with a success angle [deg]."""
         eased_deg = min(2 * (angle_deg - SUCCESS_ANGLE_DEG), angle_deg - MARGIN_DEG)
-        eased_deg = max(0.0, eased_deg) if state.ignore_roll else 0.0
-        return cls(scene, ignore_roll=state.ignore_roll, eased_deg=eased_deg, **options)
+        eased_deg = max(0.0, eased_deg) if ignore_roll else 0.0
+        return cls(scene, ignore_roll=ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
         self, position: Floats, matrix: Floats, start: Floats, attempts: int = ATTEMPTS

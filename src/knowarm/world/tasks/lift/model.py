@@ -22,6 +22,7 @@ PAD_SOLREF, PAD_SOLIMP = (0.004, 1.0), (0.95, 0.99)  # Stiff contacts of the fin
 GRIP_FORCE_N = 40.0  # Largest force of each finger
 FINGER_GAIN_N_M = 4_000.0  # Gain of the fingers' position servos
 FINGER_DAMPING_N_S_M = 80.0
+LEAST_OPENING_M = 0.005  # Fingers that are drawn nearer to each other are closed
 SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are gripped with full force
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
 
@@ -102,6 +103,11 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
     opening = min(
         mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in geoms[0] for b in geoms[1]
     )
+    if opening < LEAST_OPENING_M:
+        raise UserError(
+            f"Robot {robot.name!r}: its fingers {' and '.join(robot.fingers)} touch where they are "
+            "drawn; open them with held_joints, such as held_joints = { finger_joint1 = 0.04 }."
+        )
     for name, finger, ids in zip(robot.fingers, FINGERS, geoms, strict=True):
         inward = -across * np.sign((data.geom_xpos[ids[0]] - data.site_xpos[tcp]) @ across)
         body = spec.body(ROBOT_PREFIX + name)
