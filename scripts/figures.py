@@ -18,7 +18,7 @@ from knowarm.world.viewing.record import Frame
 FRAME_MS, LAST_MS = 90, 1_400
 """Display time of each image of a film, and of the last [ms]."""
 
-STYLE = files("knowarm.report") / "templates" / "style.css"
+STYLE = files("knowarm") / "style.css"
 
 
 def style() -> str:

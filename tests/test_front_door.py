@@ -100,8 +100,15 @@ class Silent(knowarm.Run):
 
 def test_every_public_name_and_member_is_in_the_reference():
     assert undocumented(Silent) == {"silent", "method"}
-    page = (SOURCE.parents[1] / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
-    assert set(re.findall(r":: knowarm\.(\w+)$", page, re.MULTILINE)) == set(knowarm.__all__)
+    folder = SOURCE.parents[1] / "docs" / "reference"
+    pages = "".join(path.read_text(encoding="utf-8") for path in folder.glob("api/*.md"))
+    for pattern, text in (
+        (r":: knowarm\.(\w+)$", pages),
+        (r"^   knowarm\.(\w+)$", pages),  # tables at their tops
+        (r"`(\w+)`", (folder / "api.md").read_text(encoding="utf-8").partition("|")[2]),
+    ):
+        names = re.findall(pattern, text, re.MULTILINE)
+        assert sorted(names) == sorted(knowarm.__all__), pattern
     classes = [each for name in knowarm.__all__ if inspect.isclass(each := getattr(knowarm, name))]
     found = {each.__name__: undocumented(each) for each in classes}
     assert not {name: members for name, members in found.items() if members}
@@ -198,6 +205,20 @@ def test_a_trained_agent_plays_environments_from_the_infos_of_their_resets():
         chooser.reset({})
 
 
+@example("ask", "Asked")
+def test_ask():
+    run = ZOO.parent / "irb120-choose-answers-fast"
+    found = knowarm.ask(run, "usedFor drinking and not hasColor blue")
+    assert isinstance(found, knowarm.Asked)
+    assert found.right
+    assert "which answers" in found.outcome
+    edit = ["- mug usedFor drinking", "+ lamp usedFor drinking"]
+    edited = knowarm.ask(run, "usedFor drinking", edit=edit)
+    assert edited.reached[0] == "lamp"
+    again = knowarm.ask(run, "usedFor drinking", scene=edited.scene)
+    assert again.reached == edited.shown[1]
+
+
 @example("write_report")
 def test_write_report(run, tmp_path):
     page = knowarm.write_report(run.folder.path, tmp_path / "report.html")
@@ -259,6 +280,25 @@ def test_purpose():
         "bottle.stopper",
         "bottle.neck",
     )
+
+
+class Dip(knowarm.Task):
+    """As `Reach`, by the state's own arrays."""
+
+    def success(self, state: knowarm.EpisodeState):
+        """Return which grippers are within the thresholds."""
+        return (state.distance <= state.thresholds[0]) & (state.angle <= state.thresholds[1])
+
+
+@example("EpisodeState", "Robot")
+def test_the_state_of_episodes_and_the_robot():
+    env = knowarm.make("irb120", num_envs=2, image_size=8)
+    env.reset(seed=0)
+    assert isinstance(env.running, knowarm.EpisodeState)
+    np.testing.assert_array_equal(Dip().success(env.running), [False, False])
+    robot = env.scene.robot
+    assert isinstance(robot, knowarm.Robot)
+    assert env.running.joint_targets.shape == (2, len(robot.joints))
 
 
 @example("Task", "Reach", "Choose", "TASKS", "register_task", "NameQueries", "GraphQueries")

@@ -29,6 +29,7 @@ Use one part alone::
 Experiments
     train               train a named experiment or a config, or resume a run
     evaluate            play fixed episodes and measure returns, accuracy and success
+    ask, Asked          ask a trained agent a question that a graph answers
     load_agent          load the trained agent of a run
     push_to_hub         share a run on the Hugging Face Hub (extra "hub")
     from_pretrained     load the trained agent of a repository of the Hub
@@ -48,6 +49,7 @@ World
     ArmEnv            single environment (Gymnasium)
     ArmVectorEnv      vector environment on NumPy arrays (Gymnasium)
     TorchArmVectorEnv vector environment on torch tensors
+    Robot               the fields of a robot's TOML description
     VisualRandomization, HeldOut    what varies in the image; colours and places held out
     evaluation_episodes draw a fixed list of episodes
     Episodes            start conditions of episodes
@@ -55,6 +57,7 @@ World
     OracleAgent         moves to the true goal by inverse kinematics
 Tasks
     Task                base of tasks; derive your own from it
+    EpisodeState        the running episodes, the argument of a task's methods
     Reach, Choose       reach one object; reach the object that answers a question
     Families            as Choose, with objects whose kinds have many instances
     Lift                close the fingers and lift an object

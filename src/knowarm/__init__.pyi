@@ -5,6 +5,8 @@ from .experiment.agents import Agent as Agent
 from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
 from .experiment.algorithms import register_algorithm as register_algorithm
+from .experiment.ask import Asked as Asked
+from .experiment.ask import ask as ask
 from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
@@ -61,6 +63,7 @@ from .world.envs.torch_env import TorchArmVectorEnv as TorchArmVectorEnv
 from .world.envs.vector_env import ArmVectorEnv as ArmVectorEnv
 from .world.objects import TARGETS as TARGETS
 from .world.robots import ROBOTS as ROBOTS
+from .world.robots.robot import Robot as Robot
 from .world.scene.appearance import VisualRandomization as VisualRandomization
 from .world.tasks import TASKS as TASKS
 from .world.tasks import register_task as register_task
@@ -72,6 +75,7 @@ from .world.tasks.lift.lift import Lift as Lift
 from .world.tasks.query_source import NameQueries as NameQueries
 from .world.tasks.reach import Reach as Reach
 from .world.tasks.sampling import Episodes as Episodes
+from .world.tasks.state import EpisodeState as EpisodeState
 from .world.tasks.task import Task as Task
 
 __version__: str

@@ -1,22 +1,34 @@
 """`knowarm ask`: answers, scene, arm, edits, other people's graphs, the page and its server."""
 
+import html
 import http.client
 import json
+import re
 import socket
 import threading
 import time
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from knowarm.cli.main import main
+from knowarm.errors import UserError
 from knowarm.experiment.ask import Asker
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
-from knowarm.integrations.ask_page import make_server, page
-from knowarm.knowledge.formats import shipped_graph
-from knowarm.knowledge.graph.edits import edited
+from knowarm.integrations.ask_page import (
+    LETTER,
+    LINE,
+    PADDING,
+    WIDTH,
+    make_server,
+    page,
+    place_labels,
+)
 from knowarm.perception.config import ModuleSpec
 
 ROOT = Path(__file__).parents[2]
@@ -31,8 +43,8 @@ def asker():
 
 
 def ask(asker, question, edits=()):
-    answers = asker.answers(edited(shipped_graph("objects"), edits), question)
-    return asker.ask(answers, asker.scene([answers]))
+    answers = asker.answers(question, edits)
+    return asker.play(answers, asker.scene([answers]))
 
 
 def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
@@ -71,8 +83,7 @@ def test_an_edit_leads_the_arm_to_another_object(asker, tmp_path, capsys):
     assert found["reached"].startswith("lamp")
     assert found["right"]
     assert any(name.startswith("mug") for name in found["shown"])
-    unedited = asker.answers(shipped_graph("objects"), "usedFor drinking")
-    again = asker.ask(unedited, found["scene"])
+    again = asker.ask("usedFor drinking", scene=found["scene"])
     assert again.reached[0] == "mug"
     assert again.right
     capsys.readouterr()
@@ -126,13 +137,12 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
 
 def test_without_one_visible_answer_the_arm_can_stay(asker):
     question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
-    answers = asker.answers(shipped_graph("objects"), question)
-    stays = asker.ask(answers, 0, "stop")
+    stays = asker.ask(question, scene=0, unclear="stop")
     assert stays.visible != 1
     assert stays.stopped
     assert "The arm stayed" in stays.outcome
     assert all((f.policy == stays.film[0].policy).all() for f in stays.film[:3])
-    assert not asker.ask(answers, 0, "guess").stopped
+    assert not asker.ask(question, scene=0).stopped
 
 
 @pytest.mark.parametrize(
@@ -158,7 +168,7 @@ def test_mistakes_are_one_line(arguments, message, capsys):
 def test_names_are_escaped_in_the_page(asker):
     found = ask(asker, 'usedFor "<img src=x>"', ['+ mug usedFor "<img src=x>"'])
     assert "<img src=x>" in found.table[0][2]
-    text = page(found, "<script>alert(1)</script>", ["<b>"], live=True)
+    text = page(found, "<script>alert(1)</script>", ["<b>"], asker=asker)
     assert "&lt;img src=x&gt;" in text
     assert "<script>" not in text
     assert "<img src=x>" not in text
@@ -166,11 +176,7 @@ def test_names_are_escaped_in_the_page(asker):
 
 @pytest.fixture
 def served(asker):
-    def answering(question, edits, scene):
-        answers = asker.answers(edited(shipped_graph("objects"), edits), question)
-        return asker.ask(answers, asker.scene([answers]) if scene is None else scene)
-
-    server = make_server(answering, "usedFor drinking")
+    server = make_server(asker, "usedFor drinking")
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     yield server.server_port
@@ -190,6 +196,10 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     status, text = get(served, "/")
     assert status == 200
     assert "which answers" in text
+    first = get(served, "/?q=")[1]
+    assert "A scene, with" in first
+    for link in re.findall(r'href="(/\?q=[^"]+)"', first)[:6:2]:  # an example, and values
+        assert "which answers" in get(served, html.unescape(link))[1], link
     status, text = get(served, "/?q=usedFor+lighting&edit=-+lamp+usedFor+lighting&scene=")
     assert status == 200
     assert "Answers in the graph" in text
@@ -204,6 +214,36 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert get(served, "/", host="[::1")[0] == 403
     assert get(served, "/?q=usedFor+drinking", **{"Sec-Fetch-Site": "cross-site"})[0] == 403
     assert get(served, "/?q=&scene=" + 5000 * "9")[0] == 200
+
+
+def test_the_page_says_what_can_be_asked_of_this_graph_and_this_policy(asker, tmp_path):
+    file = tmp_path / "home.csv"
+    file.write_text("mug,keepsWarm,coffee\nteapot,keepsWarm,tea\ncan,holds,fish\ncan,isA,tin\n")
+    home = Asker(load_agent(RUN), file)
+    assert home.words.keys() == {"hasColor", "keepsWarm"}
+    assert set(home.words["keepsWarm"]["tea"]) == {"teapot"}
+    assert set(home.examples) >= {"keepsWarm coffee", "keepsWarm coffee and not hasColor blue"}
+    text = page(None, "", (), asker=home)
+    assert "its scenes never show: can," in text
+    with pytest.raises(UserError, match=r"No scene shows .*: can\. The scenes .*: basket, bell"):
+        home.ask("holds fish")
+    home.close()
+
+
+def test_labels_never_cover_each_other(asker):
+    found = ask(asker, "usedFor drinking")
+    close = np.array([[0.5, 0.98], [0.51, 0.98], [0.52, 0.99], [0.99, 0.01]])
+    labels = place_labels(replace(found, points=close))
+    assert [label.answers for label in labels] == sorted(
+        [label.answers for label in labels], reverse=True
+    )
+    for one, other in combinations(labels, 2):
+        wide = 50 * (LETTER * (len(one.text) + len(other.text)) + 2 * PADDING) / WIDTH
+        apart = abs(one.left - other.left) >= wide - 1e-9
+        assert apart or abs(one.top - other.top) >= 100 * LINE / WIDTH - 1e-9
+    assert all(0 < label.top < 100 for label in labels)
+    named = replace(found, named=(("mug", "mauve"), *found.named[1:]))
+    assert [label.text for label in place_labels(named) if not label.right] == ["mauve mug"]
 
 
 def test_slow_headers_do_not_block_the_page(served):
@@ -223,7 +263,7 @@ def test_scenes_of_families_show_what_looks_like_the_names_of_the_network():
     config = experiment_config("irb120-families-answers-distil")
     spec = ModuleSpec.of(config.env, config.knows.grounding)
     families = Asker(SimpleNamespace(network=SimpleNamespace(spec=spec), config=config))
-    answers = families.answers(shipped_graph("families"), "usedFor drinking")
+    answers = families.answers("usedFor drinking")
     shown = families._shown[families.scene([answers])]
     assert answers.satisfies[shown].sum() == 1
     families.close()

@@ -1,7 +1,7 @@
 """``knowarm ask``: a question to a trained agent, answered by a graph, an image and an arm."""
 
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,11 +10,10 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, printable
-from knowarm.experiment.ask import Asked, Asker
+from knowarm.experiment.ask import Asked, Asker, ask
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import read_graph
-from knowarm.knowledge.graph.edits import edited
 from knowarm.perception.config import Unclear
 from knowarm.reading import read_text
 
@@ -70,31 +69,15 @@ class Ask(TableCommand):
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
-        asker = Asker(trained, self.seed, _names(self.names))
-        graph = (
-            read_graph(self.graph, self.format) if self.graph else trained.config.knows.read_graph()
-        )
-        assert graph is not None  # of an agent with a grounding network
-
-        def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
-            answers = [asker.answers(edited(graph, edits), question)]
-            if not self.browser:
-                print(printable(f"I read this as: {answers[0].question}"))
-            if scene is None and edits:
-                with suppress(UserError):  # without the edits the question may have no answer
-                    before = asker.answers(graph, question)
-                    if (before.satisfies != answers[0].satisfies).any():
-                        answers.insert(0, before)
-            number = asker.scene(answers) if scene is None else scene
-            return asker.ask(answers[-1], number, self.unclear)
-
-        try:
-            if self.browser:
-                serve_page(make_server(ask, self.question, self.edit, self.scene, self.port))
-                return {}
-            asked = ask(self.question, self.edit, self.scene)
-        finally:
-            asker.close()
+        graph = read_graph(self.graph, self.format) if self.graph else None
+        shared: dict[str, Any] = {"seed": self.seed, "names": _names(self.names)}
+        if self.browser:
+            with closing(Asker(trained, graph, **shared)) as asker:
+                first = (self.question, self.edit, self.scene)
+                serve_page(make_server(asker, *first, port=self.port, unclear=self.unclear))
+            return {}
+        given: dict[str, Any] = {"edit": self.edit, "scene": self.scene, "unclear": self.unclear}
+        asked = ask(trained, self.question, graph=graph, **given, **shared)
         _print(asked)
         if self.page is not None:
             write_page(Path(self.page), asked, self.edit)
@@ -135,12 +118,17 @@ def _names(given: Sequence[str]) -> dict[str, str]:
 def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
+    print(printable(f"I read this as: {asked.answers.question}"))
     print_table("Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
-    for what, facets in (("stand", asked.shown), ("the network names", asked.named)):
+    shown = asked.shown
+    named = sorted(asked.named, key=lambda each: (each not in shown, [*shown, each].index(each)))
+    for what, facets in (("stand", shown), ("the network names", named)):
         marked = [
-            " ".join(reversed(each)) + " (answers)" * (each in asked.answers.evidence)
+            " ".join(reversed(each))
+            + " (answers)" * (each in asked.answers.evidence)
+            + " (a mistake)" * (each not in shown)
             for each in facets
         ]
         print(printable(f"In scene {asked.scene} {what}: {', '.join(marked)}."))

@@ -2,23 +2,31 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.load import TrainedAgent
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.queries.answers import Answers, answer
+from knowarm.knowledge.queries.answers import Answers, Words, answer, words
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets
-from knowarm.questions import ObjectColour
+from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.viewing.record import Frame, record_episode
 
+EXAMPLES = 6
+"""Most questions given as examples."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
 
@@ -83,16 +91,15 @@ class Asked:
 
 
 class Asker:
-    """Asks a trained agent; scenes are drawn once.
-
-    Args:
-        trained: an agent of the choose task with a grounding network.
-        seed: seed of the scenes.
-        names: names of objects in graphs, as of `answer`.
-    """
+    """Asks a trained agent many questions; scenes are drawn once. The arguments are of `ask`."""
 
     def __init__(
-        self, trained: TrainedAgent, seed: int = 0, names: Mapping[str, str] | None = None
+        self,
+        trained: TrainedAgent,
+        graph: KnowledgeGraph | Path | str | None = None,
+        *,
+        seed: int = 0,
+        names: Mapping[str, str] | None = None,
     ) -> None:
         if trained.network is None:
             raise UserError(
@@ -101,6 +108,10 @@ class Asker:
             )
         self.trained, self.facets = trained, trained.network.spec.facets
         self._network, self._names = trained.network, names
+        if graph is None:
+            graph = trained.config.knows.read_graph()
+            assert graph is not None  # of an agent with a grounding network
+        self._graph = graph if isinstance(graph, KnowledgeGraph) else read_graph(graph)
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, trained.network.spec)
@@ -110,9 +121,60 @@ class Asker:
         """Close the environment."""
         self._env.close()
 
-    def answers(self, graph: KnowledgeGraph, question: str) -> Answers:
-        """Answer a question by a graph, among all that the network knows."""
-        return answer(graph, self.facets, question, self._names)
+    def ask(
+        self,
+        question: str,
+        edit: Sequence[str] = (),
+        scene: int | None = None,
+        unclear: Unclear = "guess",
+    ) -> Asked:
+        """Answer a question and play a scene; see `ask`."""
+        answers = [self.answers(question, edit)]
+        if scene is None and edit:
+            with suppress(UserError):  # without the edits the question may have no answer
+                before = self.answers(question)
+                if (before.satisfies != answers[0].satisfies).any():
+                    answers.insert(0, before)
+        number = self.scene(answers) if scene is None else scene
+        return self.play(answers[-1], number, unclear)
+
+    def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
+        """Answer a question by the graph with edits, among all that the network knows."""
+        return answer(edited(self._graph, edit), self.facets, question, self._names)
+
+    @cached_property
+    def seen(self) -> list[str]:
+        """The objects that scenes show; the network may know more."""
+        return sorted({self.facets[f][0] for f in np.unique(self._shown)})
+
+    @cached_property
+    def words(self) -> Words:
+        """What can be asked: by relation and value, the objects that scenes show."""
+        facets = [self.facets[f] for f in np.unique(self._shown)]
+        return words(self._graph, facets, self._names)
+
+    @cached_property
+    def examples(self) -> list[str]:
+        """Questions that a scene answers by one object, of several relations."""
+        facts = [
+            f"{relation} {max(values, key=lambda value: len(values[value]))}"
+            for relation, values in self.words.items()
+            if relation != COLOUR_RELATION
+        ]
+        joined = [f"{first} and not hasColor blue" for first in facts[:1]]
+        joined += [f"{first} or {second}" for first, second in pairwise(facts)][1:]
+        found = []
+        for question in [*joined[:2], *facts]:
+            with suppress(UserError):
+                self.scene([self.answers(question)])
+                found.append(question)
+        return found[:EXAMPLES]
+
+    def look(self, scene: int) -> tuple[np.ndarray, list[ObjectColour]]:
+        """Return the image of a scene, (480, 480, 3) uint8, and what stands in it."""
+        _check_scene(scene)
+        self._env.reset(options={"episodes": self._scenes[scene : scene + 1]})
+        return self._env.render()[0], [self.facets[f] for f in self._shown[scene]]
 
     def scene(self, answers: Sequence[Answers]) -> int:
         """Return the first scene in which one object answers, another one for each of several.
@@ -133,8 +195,8 @@ class Asker:
             if not named & {self.facets[f][0] for f in np.unique(self._shown)}:
                 raise UserError(
                     f"No scene shows what answers {answers[-1].question!r}: "
-                    f"{', '.join(sorted(named))}. The scenes show what this run was trained with; "
-                    "ask for another object."
+                    f"{', '.join(sorted(named))}. The scenes show what this run was trained with: "
+                    f"{', '.join(self.seen)}. Ask for one of these."
                 )
             raise UserError(
                 f"In none of {SCENES:,} scenes does exactly one object answer "
@@ -144,10 +206,9 @@ class Asker:
             )
         return int(fits.argmax())
 
-    def ask(self, answers: Answers, scene: int, unclear: Unclear = "guess") -> Asked:
+    def play(self, answers: Answers, scene: int, unclear: Unclear = "guess") -> Asked:
         """Play a scene with an agent that looks for the answers."""
-        if not 0 <= scene < SCENES:
-            raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene}.")
+        _check_scene(scene)
         episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         names = ("objects", "colours", "positions")
@@ -175,3 +236,44 @@ class Asker:
             reached=self.facets[shown[order][nearest]],
             film=tuple(film),
         )
+
+
+def ask(
+    agent: TrainedAgent | Path | str,
+    question: str,
+    *,
+    graph: KnowledgeGraph | Path | str | None = None,
+    edit: Sequence[str] = (),
+    scene: int | None = None,
+    seed: int = 0,
+    names: Mapping[str, str] | None = None,
+    unclear: Unclear = "guess",
+) -> Asked:
+    """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there.
+
+    Args:
+        agent: a run of the choose task with a grounding network, such as
+            ``zoo/irb120-choose-answers-fast``, or what `load_agent` returned.
+        question: such as "usedFor drinking and not hasColor blue", or SPARQL.
+        graph: another graph than the run's: a file, or the name of a shipped one.
+        edit: changes of the graph, such as "- mug usedFor drinking". The scene is then one with
+            another answer than without them, unless ``scene`` is given.
+        scene: number of the scene; None takes the first in which exactly one object answers.
+        seed: seed of the scenes.
+        names: the graph's names for objects, such as ``{"mug": "CoffeeMug"}``.
+        unclear: if the network sees no answer, or several: go to the most likely place, or stay.
+
+    Returns:
+        Answers with their evidence, what the network names, and what the arm did.
+
+    Raises:
+        UserError: a question, edit, graph or scene that does not fit the agent.
+    """
+    trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
+    with closing(Asker(trained, graph, seed=seed, names=names)) as asker:
+        return asker.ask(question, edit, scene, unclear)
+
+
+def _check_scene(scene: int) -> None:
+    if not 0 <= scene < SCENES:
+        raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene}.")

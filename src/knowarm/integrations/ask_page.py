@@ -2,29 +2,71 @@
 
 import threading
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.experiment.ask import Asked
+from knowarm.experiment.ask import Asked, Asker
+from knowarm.perception.config import Unclear
 from knowarm.pictures import data_uri, encode
 from knowarm.reading import replacing
 from knowarm.world.viewing.watch import ADDRESS, listen, refusal
 
-AskFunction = Callable[[str, tuple[str, ...], int | None], Asked]
-"""Asks a question of a graph with edits, in a scene of that number or a suitable one."""
-
 RED = (214, 39, 40)
 FRAME_MS, LAST_MS = 100, 1_500
 """Display time of each image of the film, and of the last [ms]."""
+LETTER, PADDING, LINE, WIDTH = 7.0, 12.0, 19.0, 340.0
+"""Sizes of a label and of the narrowest image that it fits in [px]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
+    """A name on an image: what it names, and where it stands, in % of the image."""
+
+    text: str
+    answers: bool
+    right: bool
+    x: float
+    y: float
+    left: float
+    top: float
+
+
+def place_labels(asked: Asked) -> list[Label]:
+    """Place the names that a network gives, none over another one; answers come first."""
+    found = sorted(
+        zip(asked.named, 100 * asked.points, strict=True),
+        key=lambda each: each[0] not in asked.answers.evidence,
+    )
+    high, taken, labels = 100 * LINE / WIDTH, list[tuple[float, float, float]](), []
+    for facet, (x, y) in found:
+        text = " ".join(reversed(facet))
+        half = 50 * (LETTER * len(text) + PADDING) / WIDTH
+        left = min(max(x, half), 100 - half)
+        steps = [k for i in range(1, 16) for k in (-i, i)]
+        tops = [y + step * high for step in steps if high / 2 <= y + step * high <= 100 - high / 2]
+        free = (
+            top
+            for top in tops
+            if all(abs(top - b) >= high or abs(left - a) >= half + h for a, b, h in taken)
+        )
+        top = next(free, tops[0])
+        taken.append((left, top, half))
+        places = {"x": float(x), "y": float(y), "left": float(left), "top": float(top)}
+        kind = {"answers": facet in asked.answers.evidence, "right": facet in asked.shown}
+        labels.append(Label(text=text, **kind, **places))
+    return labels
 
 
 def page(
@@ -32,24 +74,35 @@ def page(
     question: str,
     edits: Sequence[str],
     *,
-    live: bool,
+    asker: Asker | None = None,
     scene: int | None = None,
     problem: str = "",
 ) -> str:
-    """Return the page as self-contained HTML; ``live`` adds a form."""
+    """Return the page as self-contained HTML; an asker adds a form and what can be asked."""
     loader = PackageLoader("knowarm.integrations")
     template = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    pictures = {} if asked is None else _pictures(asked)
-    shown = {"live": live, "problem": problem, "scene": "" if scene is None else scene}
+    style = Markup((files("knowarm") / "style.css").read_text(encoding="utf-8"))
+    shown: dict[str, Any] = {"live": asker is not None, "problem": problem, "style": style}
+    shown |= {"scene": "" if scene is None else scene, "image": "", "standing": ""}
+    if asker is not None:
+        seen = asker.seen
+        unseen = sorted({name for name, _ in asker.facets} - {*seen})
+        shown |= {"words": asker.words, "examples": asker.examples, "seen": seen, "unseen": unseen}
+    if asked is not None:
+        shown |= {**_pictures(asked), "labels": place_labels(asked)}
+    elif asker is not None:
+        image, facets = asker.look(scene or 0)
+        names = ", ".join(" ".join(reversed(facet)) for facet in facets)
+        shown |= {"image": data_uri("PNG", encode(image, "PNG")), "standing": names}
     found = {"asked": asked, "question": question, "edits": edits}
-    return template.get_template("ask.html.j2").render(**found, **shown, **pictures)
+    return template.get_template("ask.html.j2").render(**found, **shown)
 
 
 def write_page(path: Path, asked: Asked, edits: Sequence[str]) -> None:
     """Write the page of a question to an HTML file."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The page must be an .html file, got {path}.")
-    text = page(asked, asked.answers.question, edits, live=False)
+    text = page(asked, asked.answers.question, edits)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -64,11 +117,13 @@ def serve_page(server: HTTPServer) -> None:
 
 
 def make_server(
-    ask: AskFunction,
+    asker: Asker,
     question: str,
     edits: tuple[str, ...] = (),
     scene: int | None = None,
+    *,
     port: int = 0,
+    unclear: Unclear = "guess",
 ) -> HTTPServer:
     """Make a server on the loopback interface, which listens and answers one question at a time."""
     computing = threading.Lock()
@@ -98,13 +153,13 @@ def make_server(
                 lines = tuple(line.strip() for line in every if line.strip())
                 wanted = given.get("scene", [""])[0].strip()
                 number = int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
-            if not text:
-                return page(None, text, lines, live=True, scene=number)
+            asked, problem = None, ""
             try:
-                asked = ask(text, lines, number)
+                if text:
+                    asked = asker.ask(text, lines, number, unclear)
             except UserError as error:
-                return page(None, text, lines, live=True, scene=number, problem=str(error))
-            return page(asked, text, lines, live=True, scene=number)
+                problem, number = str(error), None
+            return page(asked, text, lines, asker=asker, scene=number, problem=problem)
 
         def log_message(self, format: str, *arguments: Any) -> None:
             pass

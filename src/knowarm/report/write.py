@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -154,7 +155,7 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
         pages=pages,
         tasks=tasks,
         many_tasks=len(tasks) > 1,
-        style=Markup((templates / "style.css").read_text(encoding="utf-8")),
+        style=Markup((files("knowarm") / "style.css").read_text(encoding="utf-8")),
         script=Markup((templates / "script.js").read_text(encoding="utf-8")),
         version=version("knowarm"),
         json_link=quote(out.with_suffix(".json").name),

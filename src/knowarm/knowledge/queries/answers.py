@@ -20,6 +20,10 @@ from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
 
 
+Words = Mapping[str, Mapping[str, Sequence[str]]]
+"""Objects by relation and value."""
+
+
 class Answers(NamedTuple):
     """The answers to a question among F facets."""
 
@@ -138,6 +142,27 @@ def _evidence(
         why = None if entity is None else part(entity, colour)
         if why is not None:
             found[name, colour] = why
+    return found
+
+
+def words(
+    graph: KnowledgeGraph, facets: Sequence[ObjectColour], names: Mapping[str, str] | None = None
+) -> Words:
+    """Return what a graph can be asked about objects: colours first, then its facts.
+
+    Args:
+        graph, facets, names: as of `answer`.
+    """
+    found: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
+    for name, colour in facets:
+        found[COLOUR_RELATION].setdefault(colour, []).append(name)
+    for name, entity in _entities(graph, dict.fromkeys(n for n, _ in facets), names or {}).items():
+        for row in () if entity is None else graph.out_rows(entity):
+            tail = graph.names[graph.tails[row]]
+            relation = graph.relation_names.short(graph.relations[row])
+            if not tail.startswith(('"', "_:")) and local_name(relation) != COLOUR_RELATION:
+                value = graph.names.short(graph.tails[row])
+                found.setdefault(relation, {}).setdefault(value, []).append(name)
     return found
 
 
