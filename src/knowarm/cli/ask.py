@@ -59,11 +59,9 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            given = (
-                "Give a question" if Path(self.agent).exists() else "Give a run, then a question"
-            )
+            first = "" if Path(self.agent).exists() else "a run, then "
             raise UserError(
-                f"{given}: knowarm ask zoo/irb120-choose-answers-fast "
+                f"Give {first}a question: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
             )
         if self.browser and self.page is not None:

@@ -63,9 +63,16 @@ def place_labels(asked: Asked) -> list[Label]:
         )
         top = next(free, tops[0])
         taken.append((left, top, half))
-        places = {"x": float(x), "y": float(y), "left": float(left), "top": float(top)}
-        kind = {"answers": facet in asked.answers.evidence, "right": facet in asked.shown}
-        labels.append(Label(text=text, **kind, **places))
+        label = Label(
+            text=text,
+            answers=facet in asked.answers.evidence,
+            right=facet in asked.shown,
+            x=float(x),
+            y=float(y),
+            left=float(left),
+            top=float(top),
+        )
+        labels.append(label)
     return labels
 
 
