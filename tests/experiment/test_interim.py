@@ -14,10 +14,14 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.report.collect import collect
+from tests.snippets.test_snippets import PAGES
 from tests.tiny import ALGORITHM, flags, short
 
 ROOT = Path(__file__).parents[2]
 TOTAL = re.compile(r"total[-_]steps[\s=]+(\d[\d_,]*)")
+STEPS = re.compile(r"\b\d{2,3},\d{3}\b")
+SCALE, MOST = 1_000, 100
+"""Steps of the documentation per step of the test, and most steps of the test."""
 SMALL = {
     "ppo": ALGORITHM,
     "distil": ALGORITHM,
@@ -30,6 +34,20 @@ def documented_steps() -> list[int]:
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
     found = {number for page in pages for number in TOTAL.findall(page.read_text())}
     return sorted({int(re.sub("[_,]", "", each)) for each in found})
+
+
+def documented_trainings() -> dict[str, set[int]]:
+    """Return the numbers of steps that the documentation names for each algorithm."""
+    found: dict[str, set[int]] = {name: {entry.total_steps} for name, entry in algorithms().items()}
+    for page in PAGES:
+        text = (ROOT / page).read_text()
+        named = [(line, TOTAL.findall(line)) for line in text.replace("\\\n", " ").splitlines()]
+        if page.endswith("choose-an-algorithm.md"):  # a table row per algorithm
+            named += [(row, STEPS.findall(row)) for row in re.findall(r"^\| .*", text, re.M)]
+        for line, numbers in named:
+            for name in {*re.findall(r"(?:-|`)(fast|distil|ppo|a3c-tuned|a3c)\b(?!-)", line)}:
+                found[name] |= {int(re.sub("[_,]", "", each)) for each in numbers}
+    return found
 
 
 def evaluated(folder: RunFolder) -> list[int]:
@@ -59,6 +77,30 @@ def test_the_network_of_the_last_step_is_evaluated_once(tmp_path, algorithm):
     options["total_steps"] = 150
     more = train(name, tmp_path, resume=True, algorithm=SMALL[algorithm], **options)
     assert evaluated(run.folder)[-1] == more.result.step >= 150
+
+
+@pytest.mark.parametrize("algorithm", algorithms())
+def test_documented_trainings_are_evaluated_with_their_best_network(tmp_path, algorithm, capsys):
+    """Steps and intervals are scaled down. An earlier network is taken if it was better only."""
+    numbers = documented_trainings()
+    assert {24_000, 80_000, 200_000} <= numbers["distil"]
+    assert 500_000 in numbers["fast"]
+    trainer = experiment_config(f"irb120-bm-{algorithm}").algorithm.name
+    for steps in sorted({min(each // SCALE, MOST) for each in numbers[algorithm]}):
+        short = {"total_steps": steps, "interim": {"every_steps": 50, "episodes": 2}}
+        options = flags({**short, "algorithm": SMALL[trainer], "runs": tmp_path / str(steps)})
+        name = f"irb120-bm-{algorithm}"
+        assert main(["train", name, *options]) == 0
+        printed = capsys.readouterr().out
+        folder = RunFolder(tmp_path / str(steps) / name / "0")
+        rows = read_csv(folder.evaluations_path)
+        last, agent = int(rows[-1]["step"]), load_agent(folder.path)
+        assert last >= steps
+        assert f"Trained for {last:,} steps" in printed
+        assert f"at step {agent.step:,}\n" in printed
+        best = max(rows, key=lambda row: float(row["return_mean"]))
+        assert agent.step == int(best["step"])
+        assert agent.step > 0 or "untrained network" in printed
 
 
 def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(tmp_path, monkeypatch):

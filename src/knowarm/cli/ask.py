@@ -71,8 +71,8 @@ class Ask(TableCommand):
         shared: dict[str, Any] = {"seed": self.seed, "names": _names(self.names)}
         if self.browser:
             with closing(Asker(trained, graph, **shared)) as asker:
-                first = (self.question, self.edit, self.scene)
-                serve_page(make_server(asker, *first, port=self.port, unclear=self.unclear))
+                start = (self.question, self.edit, self.scene)
+                serve_page(make_server(asker, *start, port=self.port, unclear=self.unclear))
             return {}
         given: dict[str, Any] = {"edit": self.edit, "scene": self.scene, "unclear": self.unclear}
         asked = ask(trained, self.question, graph=graph, **given, **shared)
