@@ -199,7 +199,7 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     first = get(served, "/?q=")[1]
     assert "A scene, with" in first
     for link in re.findall(r'href="(/\?q=[^"]+)"', first)[:6:2]:  # an example, and values
-        assert "which answers" in get(served, html.unescape(link))[1], link
+        assert "Answers in the graph" in get(served, html.unescape(link))[1], link
     status, text = get(served, "/?q=usedFor+lighting&edit=-+lamp+usedFor+lighting&scene=")
     assert status == 200
     assert "Answers in the graph" in text

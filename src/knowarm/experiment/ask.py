@@ -27,6 +27,8 @@ from knowarm.world.viewing.record import Frame, record_episode
 
 EXAMPLES = 6
 """Most questions given as examples."""
+IN_WORDS = "something to drink from that is not blue"
+"""The first of them, where a graph answers it."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
 
@@ -164,7 +166,7 @@ class Asker:
         joined = [f"{first} and not hasColor blue" for first in facts[:1]]
         joined += [f"{first} or {second}" for first, second in pairwise(facts)][1:]
         found = []
-        for question in [*joined[:2], *facts]:
+        for question in [IN_WORDS, *joined[:2], *facts]:
             with suppress(UserError):
                 self.scene([self.answers(question)])
                 found.append(question)
