@@ -295,7 +295,10 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     write_json(stored.parent / "zero.json", weak)
     partial = weak | {"summary": {TABLE: {"cells": []}}}
     assert left_out([weak, partial]) == [f"zero <b> lacks cells of {TABLE}"]
-    table, _ = tables(read_rows(stored.parent))
+    table, asked = tables(read_rows(stored.parent))
+    assert not table["binds"]  # of a task without queries
+    # The oracle does not read them.
+    assert [line["binding"] for line in asked["lines"]] == ["+0.0 [+0.0, +0.0]", "–"]
     assert [(line["name"], line["rank"]) for line in table["lines"]] == [
         ("oracle", 1),
         ("zero <b>", 2),

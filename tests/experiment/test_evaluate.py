@@ -19,7 +19,14 @@ from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.measures import summarize
-from knowarm.experiment.probes import BlindProbe, FilmsProbe, LiftProbe, StepsProbe
+from knowarm.experiment.probes import (
+    BlindProbe,
+    FilmsProbe,
+    LiftProbe,
+    StepsProbe,
+    other_questions,
+)
+from knowarm.policy import PolicyAgent
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,
@@ -31,7 +38,9 @@ from knowarm.world.agents import (
     ZeroAgent,
 )
 from knowarm.world.agents.open_loop import search_open_loop
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, questions_of
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import _load_scene
 from knowarm.world.tasks.held_out import HeldOut
@@ -349,3 +358,35 @@ def test_files_of_an_earlier_evaluation_do_not_stay(result, tmp_path):
     replace(result, steps=None, films=()).write(tmp_path)
     assert not (tmp_path / "steps.parquet").exists()
     assert not (tmp_path / "films").exists()
+
+
+def test_binding_tells_whether_an_agent_follows_its_question(monkeypatch):
+    still = BlindEntry(make=lambda agent, env, seed: ZeroAgent(), about="")
+    monkeypatch.setattr("knowarm.world.agents.BLIND_AGENTS", {"zero": still})
+    trained = load_agent(ZOO.parent / "irb120-choose-answers-fast")
+    config = EvaluationConfig(episodes=24, probes=(BlindProbe(episodes=24),))
+    found = evaluate(trained, config=config, write=False).summary.interval("binding")
+    assert 0.7 < found.low <= found.estimate <= found.high <= 1
+    reset = PolicyAgent.reset
+
+    def deaf(agent, batch):
+        reset(agent, replace(batch, names=batch.names[[0] * batch.size]))
+
+    monkeypatch.setattr(PolicyAgent, "reset", deaf)
+    ignoring = evaluate(trained, config=config, write=False).summary
+    assert abs(ignoring["binding"]) < 0.35
+    assert "binding" not in evaluate(ZOO, config=replace(config, episodes=2), write=False).summary
+
+
+def test_the_other_question_is_of_another_visible_object():
+    config = load_agent(ZOO.parent / "irb120-choose-answers-fast").config.env
+    env = ArmVectorEnv(config, 1)
+    episodes = evaluation_episodes(config, 50, 3)
+    table, scene = questions_of(config), env.scene
+    rows = {query.name: row for row, query in enumerate(table.queries)}
+    for number, question in enumerate(other_questions(env, episodes, 0)):
+        shown = zip(episodes.objects[number], episodes.colours[number], strict=True)
+        facets = [(scene.targets[o].name, scene.colour_names[o][c]) for o, c in shown]
+        answers = [table.satisfies[rows[question], table.facets.index(each)] for each in facets]
+        assert sum(answers) == 1
+        assert not answers[0]

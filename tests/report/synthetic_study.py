@@ -328,6 +328,7 @@ def write_choice(
     numbers |= {"episodes": float(size.episodes), "choice": share, "success_if_chosen": reach}
     numbers |= {"choice_chance": chance, "choice_corrected": beyond}
     numbers["success_corrected"] = beyond * reach
+    numbers["binding"] = share - (1 - share) / 3
     if split == "S5":
         before = (1 - share) * old
         numbers |= {"chose_old_answer": before, "switched": share / (share + before)}

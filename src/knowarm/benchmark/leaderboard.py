@@ -6,10 +6,14 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, select_autoescape
 
-from knowarm.benchmark.rows import read_row
+from knowarm.benchmark.rows import binding, read_row
 from knowarm.benchmark.suites import CONTROLS, read_suite
 from knowarm.errors import UserError
 from knowarm.reading import replacing
+from knowarm.statistics import Interval
+
+NOTHING = "–"
+"""Cell of a figure that does not apply."""
 
 
 def read_rows(folder: Path) -> list[dict[str, Any]]:
@@ -39,11 +43,13 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 if row["suite"] == suite.name and row["summary"].get(name, {}).get("cells") == cells
             ]
             lines = [_line(row, name, cells, suite.training_seeds) for row in complete]
-            for line in lines:
+            for line, row in zip(lines, complete, strict=True):
+                line["binding"] = _points(binding(suite, row, cells))
                 line["rank"] = 1 + sum(other["low"] > line["high"] for other in lines)
             lines.sort(key=lambda line: (line["rank"], -line["mean"], line["name"]))
             controls = [c for c in CONTROLS if any(c in line["controls"] for line in lines)]
             table = {"suite": suite, "name": name, "cells": cells, "controls": controls}
+            table["binds"] = any(line["binding"] != NOTHING for line in lines)
             result.append(table | {"lines": lines, "short": [c.partition("-")[2] for c in cells]})
     return [table for table in result if table["lines"]]
 
@@ -72,6 +78,15 @@ def _line(row: dict[str, Any], table: str, cells: list[str], wanted: int) -> dic
         "cells": [row["cells"][name]["success"]["mean"] for name in cells],
         **{end: summary["success"][end] for end in ("mean", "low", "high")},
     }
+
+
+def _points(found: Interval | None) -> str:
+    """Return a difference of shares in points, with its interval."""
+    if found is None:
+        return NOTHING
+    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(
+        *(100 * end for end in (found.estimate, found.low, found.high))
+    )
 
 
 def write_leaderboard(rows: Sequence[dict[str, Any]], path: Path) -> list[Path]:

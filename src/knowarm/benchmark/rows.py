@@ -15,7 +15,7 @@ from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
 from knowarm.config import differences
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
-from knowarm.statistics import bootstrap, wilson
+from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import play
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol, Batch
 from knowarm.world.agents.scripted import BlindAgent, FrozenAgent, InformedAgent, OpenLoopAgent
@@ -218,6 +218,30 @@ def _share(seeds: Sequence[Bits], episodes: int) -> dict[str, Any]:
     else:
         found = replace(wilson(round(shares[0] * episodes), episodes), estimate=shares[0])
     return {"mean": found.estimate, "low": found.low, "high": found.high, "seeds": shares}
+
+
+def binding(suite: Suite, row: dict[str, Any], names: Sequence[str]) -> Interval | None:
+    """Return how many more choices in cells are right with the own query than with another's.
+
+    The interval is over training seeds if they differ, else over episodes; None without queries.
+    """
+
+    def gain(outcome: dict[str, Any], name: str) -> NDArray[np.float64]:
+        few = min(suite.control_episodes, len(suite.cells[name].episodes))
+        own, other = (
+            _outcomes(outcome[who]["right"], None)[:few] for who in ("policy", "shuffled query")
+        )
+        return own.astype(float) - other
+
+    outcomes = [row["cells"][name]["outcomes"] for name in names]
+    if not all("right" in each.get("shuffled query", {}) for each in outcomes[0]):
+        return None
+    seeds = [
+        np.concatenate([gain(outcome, name) for outcome, name in zip(each, names, strict=True)])
+        for each in zip(*outcomes, strict=True)
+    ]
+    means = np.array([each.mean() for each in seeds])
+    return bootstrap(means if len({*means}) > 1 else seeds[0], repetitions=2_000)
 
 
 def read_row(path: Path) -> dict[str, Any]:

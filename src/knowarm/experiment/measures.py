@@ -121,6 +121,12 @@ _ALL = (
         detail=True,
         **_points,
     ),
+    Measure(
+        "binding",
+        "follows its question [points]",
+        about="right choices, minus those when told the question of another visible object",
+        **_points,
+    ),
 )
 MEASURES = {each.name: each for each in _ALL}
 """Measures of every evaluation, by name, in the order in which they are stored and shown."""

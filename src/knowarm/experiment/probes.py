@@ -1,7 +1,8 @@
 """Probes of an evaluation: what is recorded or measured of the episodes besides their outcome."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from knowarm.errors import UserError
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs the simulator.
     from knowarm.experiment.measures import Number, Numbers
-    from knowarm.world.agents import AgentProtocol
+    from knowarm.world.agents import AgentProtocol, Batch
     from knowarm.world.agents.play import EpisodeResults
     from knowarm.world.envs.vector_env import ArmVectorEnv
     from knowarm.world.tasks.sampling import Episodes
@@ -91,7 +92,7 @@ class FilmsProbe(BaseProbe):
 
 @dataclass(frozen=True, kw_only=True)
 class BlindProbe(BaseProbe):
-    """Let agents that cannot see play the episodes of a trained one, and compare."""
+    """Let controls play the episodes of a trained agent: blind agents, and itself misinformed."""
 
     kind: Literal["blind"] = "blind"
     episodes: int = 200
@@ -107,11 +108,13 @@ class BlindProbe(BaseProbe):
         return len(BLIND_AGENTS) * min(self.episodes, episodes)
 
     def measure(self, played: Played, findings: Findings) -> None:
-        """Add the group ``blind`` and the number ``vision_gain``.
+        """Add the group ``blind`` and the numbers ``vision_gain`` and ``binding``.
 
         By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
         the agent over all episodes minus its own; ``vision_gain`` is the smallest difference to an
-        agent that sees nothing.
+        agent that sees nothing. ``binding`` is for agents that are told a question: the share of
+        episodes that end at its answer, minus that when the agent is told the question of another
+        visible object.
         """
         from knowarm.statistics import share_difference, wilson
         from knowarm.world.agents import BLIND_AGENTS
@@ -133,6 +136,59 @@ class BlindProbe(BaseProbe):
         findings.groups["blind"] = numbers
         seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
         findings.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
+        is_told = getattr(played.agent, "depends_on_rows", False)
+        if is_told and "is_right_object" in played.result.infos:
+            self._measure_binding(played, findings)
+
+    def _measure_binding(self, played: Played, findings: Findings) -> None:
+        """Play the episodes with the questions of other visible objects."""
+        from knowarm.statistics import bootstrap
+        from knowarm.world.agents.play import play
+        from knowarm.world.agents.scripted import InformedAgent
+
+        chosen = played.episodes[: self.episodes]
+        questions = other_questions(played.env, chosen, played.seed)
+        asked = np.flatnonzero(questions != "")
+        told = iter(questions[asked])
+
+        def misinform(batch: "Batch") -> "Batch":
+            left = [str(each) for each in islice(told, batch.size)]
+            filled = [*left, *batch.names[len(left) :]]  # the last batch repeats its last episode
+            return replace(batch, names=np.array(filled))
+
+        if len(asked):
+            result = play(InformedAgent(played.agent, misinform), played.env, chosen[asked])
+            right, misled = (r.infos["is_right_object"] for r in (played.result, result))
+            gain = right[asked].astype(float) - misled
+            findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
+
+
+def other_questions(env: "ArmVectorEnv", episodes: "Episodes", seed: int) -> np.ndarray:
+    """Draw a question that exactly one visible object answers, another than the right one, (n,).
+
+    It is one that the task asks; empty where the visible objects allow none.
+    """
+    from knowarm.world.config import questions_of
+
+    table = questions_of(env.config)
+    assert table is not None
+    numbers = {facet: number for number, facet in enumerate(table.facets)}
+    scene = env.scene
+    shown = np.array(
+        [
+            [
+                numbers[scene.targets[o].name, scene.colour_names[o][c]]
+                for o, c in zip(*both, strict=True)
+            ]
+            for both in zip(episodes.objects, episodes.colours, strict=True)
+        ]
+    )
+    answers = table.satisfies[:, shown]  # (Q, n, m)
+    asked = np.asarray(table.askable.any(axis=1))
+    fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]
+    drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
+    names = np.array([query.name for query in table.queries])
+    return np.where(fits.any(0), names[drawn], "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,6 +56,11 @@ SWITCH_COLUMNS = (
     column_of("choice", "new answer"),
     *shared("chose_old_answer", "switched"),
 )
+BINDING_NOTE = (
+    "Follows its question: right choices, minus those when the agent is told the question of "
+    "another visible object. 100 points: it always goes where it is told; 0: the question changes "
+    "nothing."
+)
 SWITCH_NOTE = (
     "Shares of episodes that ended at the object that the query means in the edited graph "
     "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
@@ -73,6 +78,11 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
         _measure(task, splits, "choice", "Choice", CHOICE_COLUMNS),
         _measure(task, splits, "success", "Reach", REACH_COLUMNS),
     ]
+    bound = [each for each in _all(splits) if each.level("binding")]
+    if bound:
+        title = "Does the arm follow its question?"
+        columns = shared("choice", "binding")
+        blocks.append(_table(task, "binding", title, columns, bound, BINDING_NOTE))
     edited = [each for each in _all(splits) if each.level("switched")]
     if edited:
         title = "Does the arm follow the edited graph?"
