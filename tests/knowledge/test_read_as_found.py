@@ -120,6 +120,71 @@ def test_what_is_left_out_or_doubtful_is_said_in_one_line(
     assert [str(each.message).count("\n") for each in caught] == [0]
 
 
+ONTOLOGY = {
+    "ofn": """Prefix(:=<http://e.org/>)
+Prefix(rdfs:=<http://www.w3.org/2000/01/rdf-schema#>)
+Ontology(<http://e.org/o>
+AnnotationAssertion(rdfs:label :mug "Becher"@en)
+SubClassOf(:mug ObjectIntersectionOf(:cup ObjectSomeValuesFrom(:usedFor :drinking)))
+ClassAssertion(:mug :m1)
+ObjectPropertyAssertion(:on :m1 :table)
+)""",
+    "omn": """Prefix: : <http://e.org/>
+Prefix: rdfs: <http://www.w3.org/2000/01/rdf-schema#>
+Ontology: <http://e.org/o>
+ObjectProperty: usedFor
+ObjectProperty: on
+Class: drinking
+Class: cup
+Class: mug
+    Annotations: rdfs:label "Becher"@en
+    SubClassOf: cup and (usedFor some drinking)
+Individual: table
+Individual: m1
+    Types: mug
+    Facts: on table
+""",
+    "owx": """<?xml version="1.0"?>
+<Ontology xmlns="http://www.w3.org/2002/07/owl#" ontologyIRI="http://e.org/o">
+<Prefix name="" IRI="http://e.org/"/>
+<AnnotationAssertion><AnnotationProperty IRI="http://www.w3.org/2000/01/rdf-schema#label"/>
+<IRI>http://e.org/mug</IRI><Literal xml:lang="en">Becher</Literal></AnnotationAssertion>
+<SubClassOf><Class IRI="http://e.org/mug"/><ObjectIntersectionOf><Class IRI="http://e.org/cup"/>
+<ObjectSomeValuesFrom><ObjectProperty IRI="http://e.org/usedFor"/>
+<Class IRI="http://e.org/drinking"/></ObjectSomeValuesFrom></ObjectIntersectionOf></SubClassOf>
+<ClassAssertion><Class IRI="http://e.org/mug"/><NamedIndividual IRI="http://e.org/m1"/>
+</ClassAssertion>
+<ObjectPropertyAssertion><ObjectProperty IRI="http://e.org/on"/>
+<NamedIndividual IRI="http://e.org/m1"/><NamedIndividual IRI="http://e.org/table"/>
+</ObjectPropertyAssertion></Ontology>""",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", ["its own", "owl"])
+@pytest.mark.parametrize("syntax", ONTOLOGY)
+def test_an_ontology_states_the_same_in_every_syntax(tmp_path, syntax, suffix):
+    name = syntax if suffix == "its own" else suffix
+    with pytest.warns(DataWarning, match="2 facts follow from class axioms"):
+        graph = read_graph(write(tmp_path / f"a.{name}", ONTOLOGY[syntax]))
+    named = {
+        t for t in graph if not any(each.startswith("_:") for each in t) and "w3.org" not in t[1]
+    }
+    assert named == {
+        E_MUG,
+        (E + "m1", E + "usedFor", E + "drinking"),
+        (E + "m1", E + "on", E + "table"),
+    }
+    assert graph.own_labels()[E + "mug"] == "Becher"
+
+
+def test_terms_of_obo_are_read(tmp_path):
+    text = "format-version: 1.2\nontology: x\n\n[Term]\nid: X:1\nname: mug\nrelationship: in X:3\n"
+    with pytest.warns(DataWarning, match="1 facts follow"):
+        graph = read_graph(write(tmp_path / "a.obo", text))
+    obo = "http://purl.obolibrary.org/obo/"
+    assert (obo + "X_1", obo + "x#in", obo + "X_3") in set(graph)
+
+
 REFUSED = [
     ("a.csv", "", "holds no triples"),
     ("a.csv", "head,relation,tail\n", "holds no triples"),
@@ -134,9 +199,11 @@ REFUSED = [
     ("a.jsonld", '{"@context": {"usedFor": "http://e.org/usedFor"}}', "holds no triples"),
     ("a.graphml", GRAPHML.replace("directed", "undirected"), "edges without a direction"),
     ("a.graphml", GRAPHML.replace("label", "weight"), "names the relation"),
-    ("a.owl", "Prefix(:=<http://e.org/>)\nOntology(<http://e.org/o>)", "OWL functional syntax"),
-    ("a.omn", "Prefix: : <http://e.org/>\nOntology: <http://e.org/o>\n", "Manchester syntax"),
-    ("a.owl", '<?xml version="1.0"?>\n<Ontology xmlns="http://www.w3.org/2002/07/owl#"/>', "XML"),
+    ("a.owl", "Prefix(:=<http://e.org/>)\nOntology(<http://e.org/o>", "line 2: .*functional"),
+    ("a.omn", "Prefix: : <http://e.org/>\nOntology: <http://e.org/o>\nClass: Mug SubClassOf some",
+     "line 3: not well-formed OWL Manchester syntax"),
+    ("a.owl", '<?xml version="1.0"?>\n<Ontology xmlns="http://www.w3.org/2002/07/owl#">\n<D',
+     "line 3: not well-formed OWL/XML"),
     ("a.ttl", "<!DOCTYPE html><html><body>404</body></html>", "this is an HTML page"),
     ("a.rdf", XML.replace("'http://e.org/'", "SYSTEM 'file:///etc/passwd'"), "external entity"),
     ("a.rdf", XML.replace("[ <", "SYSTEM 'a' [ <").replace("Köln", "&x;"), "document, 'a',"),

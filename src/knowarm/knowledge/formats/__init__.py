@@ -11,7 +11,7 @@ from pyoxigraph import RdfFormat
 from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
 from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
-from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
+from knowarm.knowledge.formats.rdf import read_owl, read_rdf, write_rdf
 from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -52,6 +52,15 @@ FORMATS: dict[str, Format] = {
         kind: Format(partial(read_with_networkx, kind=kind), (f".{kind}",), _PROLOG + f"<{kind}\\b")
         for kind in ("graphml", "gexf")
     },
+    **{
+        kind: Format(partial(read_owl, syntax=kind), (f".{kind}",), begins)
+        for kind, begins in (
+            ("ofn", r"(Prefix|Ontology)\("),
+            ("omn", "(Prefix|Ontology):"),
+            ("owx", _PROLOG + r"<(\w+:)?Ontology\b"),
+            ("obo", "format-version:"),
+        )
+    },
     "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=f'(?={_JSON}).*"@[a-z]+"', writes=True),
     "json": Format(read_json_graph, (".json",), _JSON),
     "turtle": _rdf(
@@ -79,14 +88,8 @@ _TEXT_RDF = ("turtle", "ntriples", "nquads", "trig", "n3")
 """Formats that the suffix tells apart, for their files may begin alike."""
 _BEGINNING = 1 << 16
 """Bytes by which content is recognized."""
-_NOT_READ = {
-    r"(Prefix|Ontology)\(": "OWL functional syntax",
-    r"(Prefix|Ontology):": "OWL Manchester syntax",
-    _PROLOG + r"<(\w+:)?Ontology\b": "OWL/XML",
-    r"format-version:": "OBO",
-    r"(?i:<!DOCTYPE html|<html)": "an HTML page",
-}
-"""What else files begin with."""
+_WEB_PAGE = "(?i:<!DOCTYPE html|<html)"
+"""How a page begins that was downloaded in place of a graph."""
 
 _DATA = Path(__file__).parent.parent / "data"
 HOUSEHOLD = _DATA / "household.ttl"
@@ -179,13 +182,8 @@ def _format_of(path: Path) -> str:
     found = next((name for name in tried if _begins(FORMATS[name].begins, body)), None)
     if named in _TEXT_RDF and found in _TEXT_RDF:
         return named
-    if found is None and (other := [w for p, w in _NOT_READ.items() if _begins(p, body)]):
-        line = 1 + text[: len(text) - len(body)].count("\n")
-        raise UserError(
-            f"{path}, line {line}: this is {other[0]}, which is not read. Save an ontology as "
-            f"RDF/XML or Turtle: in Protégé `File > Save as`, or "
-            f"`robot convert --input {path.name} --output {path.stem}.ttl`."
-        )
+    if found is None and _begins(_WEB_PAGE, body):
+        raise UserError(f"{path}: this is an HTML page. Download the file itself.")
     known = found or named
     if known is None:
         suffixes = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)

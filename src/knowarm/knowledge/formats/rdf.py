@@ -8,16 +8,17 @@ import io
 import re
 import xml.sax
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 from xml.sax.handler import EntityResolver, feature_external_ges
 from xml.sax.saxutils import XMLGenerator
 
 from pyoxigraph import BlankNode, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
-from knowarm.errors import UserError, warn
+from knowarm.errors import UserError, packages_of, warn
 from knowarm.knowledge.formats.files import open_bytes, open_compressed
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -55,6 +56,15 @@ TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
 """Syntaxes whose parser goes on behind a malformed term."""
 
 
+OWL_SYNTAXES = {
+    "ofn": "OWL functional syntax",
+    "omn": "OWL Manchester syntax",
+    "owx": "OWL/XML",
+    "obo": "OBO",
+}
+"""Syntaxes of ontologies that are translated to RDF."""
+
+
 def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """Read an RDF file, plain or compressed.
 
@@ -65,13 +75,12 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
         try:
-            with open_bytes(path) as file:
-                return _read(file, path, syntax)
+            return _read(partial(open_bytes, path), path, syntax)
         except SyntaxError as error:
             if syntax != RdfFormat.RDF_XML:
                 raise _malformed(path, syntax, error.lineno, _reason(error)) from error
         try:
-            return _read(_plain_xml(path), path, syntax)
+            return _read(partial(_plain_xml, path), path, syntax)
         except xml.sax.SAXParseException as error:
             line, reason = error.getLineNumber(), error.getMessage()
             raise _malformed(path, syntax, line, reason) from error
@@ -79,8 +88,41 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
             raise _malformed(path, syntax, error.lineno, _reason(error)) from error
 
 
+def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
+    """Read an ontology in another syntax (see `OWL_SYNTAXES`).
+
+    py-horned-owl translates it to RDF, by the mapping of the OWL 2 standard. Imports are not read.
+    """
+    with packages_of("owl", f"{path} is no RDF and"):
+        import pyhornedowl
+    with reading(path, "Correct the file."):
+        # py-horned-owl reads XML that is cut off for ever.
+        opened = _plain_xml if syntax == "owx" else open_bytes
+        try:
+            with opened(path) as file:
+                text = file.read().decode()
+        except xml.sax.SAXParseException as error:
+            raise UserError(
+                f"{path}, line {error.getLineNumber()}: not well-formed {OWL_SYNTAXES[syntax]}: "
+                f"{error.getMessage()}. Correct, copy or compress it again."
+            ) from error
+        try:
+            ontology = pyhornedowl.open_ontology_from_string(text, syntax)
+        except ValueError as error:
+            line = re.search(r"line_col: Pos\(\((\d+)", str(error))
+            where = f"{path}, line {line[1]}" if line else str(path)
+            raise UserError(
+                f"{where}: not well-formed {OWL_SYNTAXES[syntax]}. Correct it."
+            ) from error
+        as_rdf = ontology.save_to_string("owl").encode()
+        return _read(partial(io.BytesIO, as_rdf), path, RdfFormat.RDF_XML)
+
+
 def _read(
-    file: IO[bytes], path: Path, syntax: RdfFormat, found: Sequence[SyntaxError] = ()
+    opened: Callable[[], IO[bytes]],
+    path: Path,
+    syntax: RdfFormat,
+    found: Sequence[SyntaxError] = (),
 ) -> KnowledgeGraph:
     """Read an RDF file; again, triple by triple, if malformed IRIs were ``found`` in it.
 
@@ -91,25 +133,25 @@ def _read(
     about = set[str]()  # terms that stand for triples
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
-    quads = parse(file, format=syntax, base_iri=base, lenient=bool(found))
-    for quad in _sound(quads, syntax, bad):
-        head, tail, relation = quad.subject, quad.object, quad.predicate.value
-        if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
-            raise UserError(
-                f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
-            )
-        if found and not all(map(_is_sound, (head, quad.predicate, tail))):
-            no_iri += 1
-            continue
-        if type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
-            builder.add(head.value, relation, tail.value)
-        elif isinstance(head, Triple) or isinstance(tail, Triple):
-            about.add(str(head))
-        elif str(head) not in about:
-            builder.add_statement(_name(head), relation, _name(tail))
+    with opened() as file:
+        quads = parse(file, format=syntax, base_iri=base, lenient=bool(found))
+        for quad in _sound(quads, syntax, bad):
+            head, tail, relation = quad.subject, quad.object, quad.predicate.value
+            if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
+                raise UserError(
+                    f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
+                )
+            if found and not all(map(_is_sound, (head, quad.predicate, tail))):
+                no_iri += 1
+                continue
+            if type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
+                builder.add(head.value, relation, tail.value)
+            elif isinstance(head, Triple) or isinstance(tail, Triple):
+                about.add(str(head))
+            elif str(head) not in about:
+                builder.add_statement(_name(head), relation, _name(tail))
     if not found and any("IRI" in _reason(error) for error in bad):
-        with open_bytes(path) as again:
-            return _read(again, path, syntax, bad)
+        return _read(opened, path, syntax, bad)
     errors = [*found, *bad]
     if len(bad) + no_iri > len(builder.ids) // 30 + bool(builder.ids):
         raise errors[0]
