@@ -1,4 +1,5 @@
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -100,6 +101,12 @@ def test_fit_and_evaluate(capsys, tmp_path):
     run(capsys, "fit", *options, "--valid", "0.02", "--test", "0.02", "--out", model)
     run(capsys, "evaluate", model, "--json", tested)
     assert json.loads(tested.read_text())["triples"] == 11  # those that `fit` did not train on
+
+
+def test_a_long_fit_says_how_far_it_is_between_validations(capsys, monkeypatch):
+    monkeypatch.setattr("knowarm.cli.knowledge.fit.SILENT_S", 0.0)
+    _, text, _ = run(capsys, "fit", "--epochs", "3", "--evaluate-every", "3")
+    assert re.findall(r"epoch (\d) of 3: .*, at most [\d.]+ min left", text) == ["1", "2", "3"]
 
 
 def test_probe(capsys, tmp_path):

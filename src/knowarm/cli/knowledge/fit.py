@@ -1,5 +1,6 @@
 """`knowarm knowledge fit` and `evaluate`: train a graph embedding and test link prediction."""
 
+import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,9 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
 from knowarm.knowledge.formats.splits import is_split, read_split
 from knowarm.knowledge.kge import KgeConfig
+
+SILENT_S = 10.0
+"""Time after which a training says how far it is [s]."""
 
 if TYPE_CHECKING:
     from knowarm.knowledge.kge.train import Split
@@ -60,11 +64,18 @@ class Fit(SplitCommand):
         config, shares = self.training, {"valid": self.valid, "test": self.test}
         split = self.split(config.seed, shares)
         end = "\r" if is_terminal() else "\n"
+        started = said = time.monotonic()
+        latest = ""
 
         def on_epoch(epoch: int, loss: float, mrr: float | None) -> None:
+            nonlocal said, latest
+            now = time.monotonic()
             if mrr is not None:
-                epochs = f"epoch {epoch} of {config.epochs}"
-                print(f"{epochs}: loss {loss:.4f}, validation MRR {mrr:.4f}", end=end, flush=True)
+                latest = f", validation MRR {mrr:.4f}"
+            if mrr is not None or now - said > SILENT_S:
+                left, said = (config.epochs - epoch) * (now - started) / epoch / 60, now
+                line = f"epoch {epoch} of {config.epochs}: loss {loss:.4f}{latest}"
+                print(f"{line}, at most {left:.1f} min left", end=end, flush=True)
 
         parts: dict[str, Any] = {"valid": split.valid, "known": split.everything}
         sizes = split.entities, split.relations
