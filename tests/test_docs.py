@@ -239,3 +239,15 @@ def test_every_promise_about_security_names_tests_that_exist():
         assert named or "code**" in row, row
         for name in named:
             assert any(path.match(name) for path in (ROOT / "tests").rglob("test_*.py")), name
+
+
+def test_result_pages_begin_with_their_answer():
+    pages = files("docs/results", suffix=".md")
+    table = pages.pop("docs/results/README.md")
+    rows = re.findall(r"^\| .+\? \| (.{20,}) \| \[.+?\]\((.+?)\) \|$", table, re.M)
+    named = {f"docs/results/{page}" for _, page in rows}
+    for page, text in pages.items():
+        first = re.sub(r"<!--.*?-->\n", "", text).split("\n\n")[1]
+        is_answer = first.startswith("**") and not first.startswith("**Protocol")
+        assert is_answer or page.endswith("leaderboard.md"), page  # a table only, and written
+        assert page in named, f"no row of {page} in the table of results"

@@ -1,44 +1,110 @@
-"""Figures of README's table are those of the committed packs."""
+"""Figures of the table on README and start page are those of the committed packs."""
 
+import csv
 import json
 import re
 import tarfile
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.test_answer_page import agents_of
+
 ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
 
 
-@pytest.mark.parametrize(
-    ("pack", "experiment", "splits"),
-    [
-        ("answers", "irb120-choose-answers-fast", ("s4", "s3")),
-        ("answers", "tiago-choose-answers-fast", ("s4", "s3")),
-        ("answers-distil", "irb120-choose-answers-distil", ("s4", "s3")),
-        ("answers-distil", "tiago-choose-answers-distil", ("s4", "s3")),
-        ("families", "irb120-families-answers-distil", ("s3a", "s3b")),
-        ("families", "tiago-families-answers-distil", ("s3a", "s3b")),
-    ],
-)
-def test_figures_are_those_of_the_packs(pack, experiment, splits):
-    (row,) = re.findall(
-        rf"^\| `{experiment}` \(.*?\).*?\| (.+) \|$", (ROOT / "README.md").read_text(), re.M
-    )
-    shares = defaultdict(list)
-    with tarfile.open(ROOT / "docs/results" / f"{pack}.tar.xz") as file:
+@cache
+def shares(pack):
+    """Return the values in percent by experiment, split and measure, one per training seed."""
+    found = defaultdict(list)
+    with tarfile.open(RESULTS / f"{pack}.tar.xz") as file:
         for member in file:
-            pattern = rf"{experiment}/\d/evaluation/[a-z-]+-(\w+)/summary"
-            if found := re.search(pattern, member.name):
+            pattern = r"([\w-]+)/\d/evaluation/[a-z-]+-(\w+)/summary"
+            if at := re.search(pattern, member.name):
                 numbers = json.load(file.extractfile(member))["numbers"]
                 for measure in ("choice", "success"):
-                    shares[found[1], measure].append(100 * numbers[measure]["estimate"])
-    shown = [shares[split, measure] for split in splits for measure in ("choice", "success")]
-    assert row == " | ".join(f"{np.mean(each):.1f} %" for each in shown)
-    assert {len(each) for each in shown} == {5}
-    kinds = {key: np.mean(each) for key, each in shares.items()}
-    for measure in ("choice", "success"):  # the first split is among the best, the second the worst
-        worst = min(value for (_, name), value in kinds.items() if name == measure)
-        assert kinds[splits[1], measure] == worst
+                    value = 100 * numbers[measure]["estimate"]
+                    found[at[1], at[2], measure].append(value)
+    return found
+
+
+def span(values):
+    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def means(pack, algorithm, split, measure):
+    """Return the mean over five seeds of each robot."""
+    chosen = [
+        values
+        for (name, where, what), values in shares(pack).items()
+        if (where, what) == (split, measure) and name.endswith(f"-answers-{algorithm}")
+    ]
+    assert [len(each) for each in chosen] == [5, 5]
+    return [np.mean(each) for each in chosen]
+
+
+def of_seeds(agent):
+    values = shares("choose")[f"irb120-choose-{agent}-fast", "s4", "choice"]
+    assert len(values) == 3
+    return span(values)
+
+
+def lifted():
+    rows = list(csv.DictReader((RESULTS / "lift.csv").read_text("utf-8").splitlines()))
+    assert len(rows) == 6
+    return span([100 * float(row["lifted"]) for row in rows])
+
+
+def reached():
+    """Return success with and without knowledge of each robot, fixed colours."""
+    for cell in ("IRB120, fixed colours", "TIAGo, fixed colours"):
+        agents = agents_of(cell)
+        for name in ("full", "bm"):
+            assert agents[name][0] >= 5
+            yield agents[name][1].split()[0]
+
+
+def grasps():
+    """Return the share of reached poses that lift, of each robot by the paper's thresholds."""
+    page = (RESULTS / "grasp.md").read_text("utf-8")
+    row = r"^\| `(?:irb120|tiago)-full-fast` \| 10 cm.*?\| 100 \| 100 .*?\| \d+ .*?\| (\d+) \["
+    return span([int(each) for each in re.findall(row, page, re.M)])
+
+
+@pytest.mark.parametrize("file", ["README.md", "docs/index.md"])
+def test_the_answers_are_those_of_the_packs(file):
+    rows = re.findall(r"^\| .+\? \| (.+) \|$", (ROOT / file).read_text("utf-8"), re.M)
+    reach, words, objects, grasp = (re.sub(r"\[(.+?)\]\(.+?\)", r"\1", row) for row in rows)
+    with_it, without, tiago_with, tiago_without = reached()
+    assert reach == (
+        f"Not found: success {with_it} % with it, {without} % without (IRB120); "
+        f"{tiago_with} % and {tiago_without} % (TIAGo)"
+    )
+    assert words == (
+        f"Yes: {of_seeds('subgraph')} % right by the graph's vector, {of_seeds('query-onehot')} % "
+        f"by codes, 25 % by chance; {span(means('answers', 'fast', 's4', 'choice'))} % if the "
+        "graph itself answers"
+    )
+    new, kinds = (("answers", "fast", "s3"), ("families", "distil", "s3b"))
+    assert objects == (
+        f"Hardly: {span(means(*new, 'choice'))} % right, {span(means(*new, 'success'))} % succeed; "
+        f"of kinds never trained {span(means(*kinds, 'choice'))} % right, "
+        f"{span(means(*kinds, 'success'))} % succeed"
+    )
+    assert grasp == (
+        f"Rarely: {grasps()} % of the reached poses lift it; policies trained to lift lift "
+        f"{lifted()} %"
+    )
+
+
+def test_the_worst_split_of_each_pack_is_named():
+    for pack, algorithm, worst in (("answers", "fast", "s3"), ("families", "distil", "s3b")):
+        for measure in ("choice", "success"):
+            splits = {split for _, split, what in shares(pack) if what == measure}
+            least = {split: np.mean(means(pack, algorithm, split, measure)) for split in splits}
+            assert min(least, key=least.get) == worst
