@@ -35,6 +35,11 @@ def test_readme_has_the_answer_of_the_page():
     assert f"with {NUMBERS[fewest - 4]} seeds or more, no effect" in readme
     claims = re.findall(r"^\| .+ \| .+ \| .+ \| (.+) \|$", PAGE.read_text("utf-8"), re.M)[1:7]
     assert all(verdict.startswith("not found") for verdict in claims), claims
+    top = " ".join(PAGE.read_text("utf-8").split("\n## ")[0].split())
+    bounds = [int(each) for each in re.findall(r"excludes a saving of more than (\d+) %", top)]
+    assert len(bounds) == len(cells)
+    said = f"of the four cells exclude that it saves more than {min(bounds)} to {max(bounds)} %"
+    assert said in " ".join(readme.split())
 
 
 CLAIMANTS = ("README.md", "docs/faq.md", "docs/notebooks/knowledge.md")
