@@ -59,7 +59,16 @@ def test_inertias_are_repaired_and_named(tmp_path: Path) -> None:
     )
     file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
     assert "as the file has none: l0; impossible inertia repaired: l1, l2, l3, l4" in note
-    assert mujoco.MjModel.from_xml_path(str(file)).njnt == 5
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.njnt == 5
+    np.testing.assert_allclose(model.body("l1").inertia, 0.07 / 3, rtol=1e-4)
+    negative = (
+        urdf().replace('ixx="0.01"', 'ixx="-1"').replace('<mass value="1"/>', '<mass value="0"/>')
+    )
+    (tmp_path / "arm.urdf").write_text(negative)
+    file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "negative")
+    assert "impossible inertia repaired: l0, l1, l2, l3, l4" in note
+    assert mujoco.MjModel.from_xml_path(str(file)).body("l0").inertia.min() > 0
 
 
 def test_collada_keeps_its_colours_and_packages_are_found(tmp_path: Path) -> None:

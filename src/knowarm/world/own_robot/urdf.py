@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError, packages_of
 from knowarm.private_apis import xacro_packages
 from knowarm.reading import one_line, read_text, reading, writing
@@ -23,15 +24,14 @@ MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 XACRO, MESHES = ".xacro", "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
+LEAST_KG, LEAST_INERTIA = 1e-4, 1e-6  # Of a link that moves [kg], [kg m^2]
+ROUNDING = 1e-4  # Relative error of inertias as they are written
 COMPILER = {
     "discardvisual": "false",
     "fusestatic": "false",
     "strippath": "false",
-    "balanceinertia": "true",
-    "boundmass": "1e-4",
-    "boundinertia": "1e-6",
 }
-"""Options of MuJoCo's compiler that keep visuals and fixed links, and repair inertias."""
+"""Options of MuJoCo's compiler that keep visuals and fixed links."""
 
 
 class _Part(NamedTuple):
@@ -69,7 +69,7 @@ def as_mjcf(
         return path, ""
     if folder.exists():
         raise UserError(f"The folder {folder} for the converted model exists; remove or rename it.")
-    notes = [f"converted from {path.name}", *_inertia_notes(root)]
+    notes = [f"converted from {path.name}", *_repair_inertias(root)]
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / name
@@ -78,6 +78,9 @@ def as_mjcf(
         ElementTree.ElementTree(root).write(file)
         try:
             spec = mujoco.MjSpec.from_file(str(file))
+            for mesh in spec.meshes:  # a visual has no mass, and may have no volume
+                if mesh.name.startswith("visual"):
+                    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             for body in spec.bodies[1:]:  # frames without shape, such as tool0
                 if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
                     body.add_site(name=body.name)
@@ -147,8 +150,8 @@ def _compiler(root: ElementTree.Element) -> None:
     ElementTree.SubElement(extension, "compiler", COMPILER)
 
 
-def _inertia_notes(root: ElementTree.Element) -> Iterator[str]:
-    """Name the links that move and whose inertia is missing or impossible."""
+def _repair_inertias(root: ElementTree.Element) -> Iterator[str]:
+    """Make the inertias of a URDF possible; name the links that move and whose inertia is not."""
     moved = {
         joint.find("child").get("link")  # type: ignore[union-attr]
         for joint in root.iter("joint")
@@ -156,21 +159,40 @@ def _inertia_notes(root: ElementTree.Element) -> Iterator[str]:
     }
     missing, repaired = [], []
     for link in root.findall("link"):
-        if (name := link.get("name", "")) not in moved:
-            continue
+        name = link.get("name", "")
         inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
         if inertia is None or mass is None:
-            missing.append(name)
+            missing += [name] * (name in moved)
+            if link.find("collision") is None:
+                part = ElementTree.SubElement(link, "inertial")
+                ElementTree.SubElement(part, "mass", value=str(LEAST_KG))
+                diagonal = np.diag(3 * [LEAST_INERTIA])
+                ElementTree.SubElement(part, "inertia", _six(diagonal))
             continue
-        keys = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
-        matrix = np.array([float(inertia.get(key, 0)) for key in keys]).reshape(3, 3)
-        low, middle, high = np.linalg.eigvalsh(matrix)
-        if float(mass.get("value", 0)) <= 0 or low <= 0 or low + middle < high * (1 - 1e-6):
-            repaired.append(name)
+        matrix = np.zeros((3, 3))
+        matrix[_UPPER] = [float(inertia.get(key, 0)) for key in _SIX]
+        values, axes = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
+        heavy = float(mass.get("value", 0)) >= LEAST_KG
+        if not heavy or values[0] <= 0 or values[0] + values[1] < values[2] * (1 - ROUNDING):
+            repaired += [name] * (name in moved)
+            values = np.maximum(values, LEAST_INERTIA)
+            if values[0] + values[1] < values[2]:
+                values[:] = values.mean()  # as MuJoCo's balanceinertia does
+        values[2] = min(values[2], (values[0] + values[1]) * (1 - ROUNDING))
+        inertia.attrib.update(_six(axes @ np.diag(values) @ axes.T))
+        mass.set("value", str(max(float(mass.get("value", 0)), LEAST_KG)))
     if missing:
         yield f"inertia from shapes or least values, as the file has none: {', '.join(missing)}"
     if repaired:
         yield f"impossible inertia repaired: {', '.join(repaired)}"
+
+
+_SIX, _UPPER = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), np.triu_indices(3)
+
+
+def _six(matrix: Floats) -> dict[str, str]:
+    """Return the attributes of an inertia in a URDF."""
+    return dict(zip(_SIX, map(str, matrix[_UPPER].tolist()), strict=True))
 
 
 def _convert_meshes(
@@ -190,7 +212,7 @@ def _convert_meshes(
             source = _mesh_file(mesh.get("filename", ""), path, find)
             key = (source, shape.tag)
             if key not in known:
-                stem = f"{len(known)}_{re.sub(r'[^A-Za-z0-9]+', '_', source.stem)}"
+                stem = f"{shape.tag}_{len(known)}_{re.sub(r'[^A-Za-z0-9]+', '_', source.stem)}"
                 known[key] = _convert_mesh(source, folder / stem, shape.tag == "visual")
             link.remove(shape)
             for part in known[key]:
