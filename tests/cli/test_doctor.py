@@ -65,6 +65,7 @@ def test_the_commands_for_an_eased_orientation_parse(
         task_options=lambda: f"{angle} --env.ignore-roll".strip(),
         success_angle_deg=60.0 if angle else 15.0,
         ignore_roll=True,
+        distance_m=0.05,
     )
     monkeypatch.setattr("knowarm.cli.doctor.draft_robot", lambda *args: draft)
     monkeypatch.setattr("knowarm.cli.doctor.check_robot", lambda *args, **options: [])
@@ -82,6 +83,7 @@ def test_the_commands_for_an_eased_orientation_parse(
     degrees = 60 if angle else EvaluationConfig().angle_deg
     oracle = found["evaluate"]
     assert (oracle.evaluation.angle_deg, oracle.env.ignore_roll) == (degrees, True)
+    assert (oracle.evaluation.distance_m, found["doctor"].distance_m) == (0.05, 0.05)
 
 
 def test_an_installation_that_works_passes_every_check(

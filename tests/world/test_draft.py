@@ -235,7 +235,9 @@ def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> 
     draft = draft_robot(tmp_path / "arm.xml", targets, {})
     assert (draft.success_angle_deg, draft.ignore_roll) == (90.0, True)
     (tmp_path / "arm.toml").write_text(draft.toml(tmp_path / "arm.toml"))
-    checks = [*check_robot(tmp_path / "arm.toml", targets, angle_deg=90.0, ignore_roll=True)]
+    assert draft.distance_m == 0.05
+    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": 0.05}
+    checks = [*check_robot(tmp_path / "arm.toml", targets, **options)]
     assert [check for check in checks if not check.ok] == []
     assert len(checks) == 17
 

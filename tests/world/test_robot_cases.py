@@ -154,7 +154,7 @@ def test_drafts_pass_all_checks(name: str, tmp_path: Path) -> None:
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
     (tmp_path / "arm.toml").write_text(found.toml(tmp_path / "arm.toml"))
     angle, roll = found.success_angle_deg, found.ignore_roll
-    options = {"angle_deg": angle, "ignore_roll": roll}
+    options = {"angle_deg": angle, "ignore_roll": roll, "distance_m": found.distance_m}
     checks = [*check_robot(tmp_path / "arm.toml", ["mug", "bottle"], **options)]
     assert [check for check in checks if not check.ok] == []
     assert checks[-1].name == "without looking"

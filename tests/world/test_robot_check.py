@@ -13,7 +13,8 @@ from tests.world.helpers import EXAMPLES, write_robot
 
 
 def test_example_robot_passes_all_checks() -> None:
-    checks = [*check_robot(EXAMPLES / "scara.toml", ["bottle", str(EXAMPLES / "bowl.toml")])]
+    targets = ["bottle", str(EXAMPLES / "bowl.toml")]
+    checks = [*check_robot(EXAMPLES / "scara.toml", targets, distance_m=0.06)]
     assert [check for check in checks if not check.ok] == []
     assert {check.name for check in checks} >= {
         "joints",
@@ -74,7 +75,8 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
 ) -> None:
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
-    checks = [*check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)]
+    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": 0.05}
+    checks = [*check_robot(file, ["bottle"], **options)]
     assert [check for check in checks if not check.ok] == []
     assert "way to the grasps" in {check.name for check in checks}
     config = EnvConfig(

@@ -18,7 +18,7 @@ from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.check import Check
 from knowarm.world.own_robot.draft import Draft, draft_robot, read_overrides
 from knowarm.world.own_robot.object_check import check_objects
-from knowarm.world.own_robot.robot_check import check_robot
+from knowarm.world.own_robot.robot_check import EVALUATION_M, check_robot
 from knowarm.world.own_robot.scene_image import write_scene_image
 from knowarm.world.own_robot.urdf import MODEL_SUFFIXES, as_mjcf
 from knowarm.world.robots import DEFAULT_ROBOT
@@ -52,6 +52,8 @@ class Doctor(TableCommand):
     """Largest angle between gripper and grasp frame in the checks of a robot [deg]."""
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in the checks of a robot."""
+    distance_m: float = EVALUATION_M
+    """Distance of success in an evaluation with which the check of a fixed list judges [m]."""
     write: FilePath = None
     """Write the drafted description to this TOML file (model file only); a converted URDF goes
     into a folder of the same name."""
@@ -114,7 +116,8 @@ class Doctor(TableCommand):
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
             self._draw(robot, targets)
-            options: dict[str, Any] = {"angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
+            names = ("angle_deg", "ignore_roll", "distance_m")
+            options: dict[str, Any] = {name: getattr(self, name) for name in names}
             yield from check_robot(robot, targets, **options)
             return
         if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
@@ -131,26 +134,28 @@ class Doctor(TableCommand):
             with replacing(file) as temporary:
                 temporary.write_text(draft.toml(file), "utf-8")
             self._draw(str(file), targets)
-            angle, roll = draft.success_angle_deg, draft.ignore_roll
-            yield from check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
+            options = {"angle_deg": draft.success_angle_deg, "ignore_roll": draft.ignore_roll}
+            yield from check_robot(file, targets, **options, distance_m=draft.distance_m)
 
     def _print(self, draft: Draft, file: Path) -> None:
-        """Print a draft, and the commands for a task with an easier orientation."""
+        """Print a draft, and the commands that come next."""
         title = f"Draft of a description of {self.robot}"
         print_table(title, ["topic", "choice"], list(draft.how.items()))
         print(draft.toml(file))
-        if task := draft.task_options():
-            bare, agent = task.replace("env.success-", "").replace("env.", ""), "full-fast"
-            file = self.write or Path(file.name)
-            print(
-                "The arm can do the task with an easier orientation, which every command needs:\n"
-                f"  knowarm doctor --robot {file} {bare}\n"
-                f"  knowarm view {file} {bare}\n"
-                f"  knowarm evaluate oracle --env.robot {file} {task.replace('env.success-', '')}\n"
-                f"  knowarm train {agent} --env.robot {file} {task}\n"
-                f"  knowarm evaluate runs/{file.stem}-{agent}/0 "
-                f"{bare.removesuffix('--ignore-roll').strip()}\n"
-            )
+        file, agent = self.write or Path(file.name), "full-fast"
+        eased = draft.success_angle_deg != EnvConfig.success_angle_deg
+        angle = f"--angle-deg {draft.success_angle_deg:.0f}" if eased else ""
+        roll = "ignore-roll" if draft.ignore_roll else ""
+        near = f"--distance-m {draft.distance_m:g}" if draft.distance_m < EVALUATION_M else ""
+        lines = (
+            f"doctor --robot {file} {angle} {roll and f'--{roll}'} {near}",
+            f"view {file} {angle} {roll and f'--{roll}'}",
+            f"evaluate oracle --env.robot {file} {angle} {roll and f'--env.{roll}'} {near}",
+            f"train {agent} --env.robot {file} {draft.task_options()}",
+            f"evaluate runs/{file.stem}-{agent}/0 {angle} {near}",
+        )
+        print("Next, each with the options that this arm needs:")
+        print("".join(f"  knowarm {' '.join(line.split())}\n" for line in lines))
 
     def _draw(self, robot: str, targets: tuple[str, ...]) -> None:
         """Write the image if one is wanted."""

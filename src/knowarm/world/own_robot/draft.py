@@ -20,6 +20,7 @@ from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.world.own_robot.draft_reach import find_layout, spread_rad
 from knowarm.world.own_robot.draft_view import FOVY_DEG, choose_view
+from knowarm.world.own_robot.robot_check import EVALUATION_M
 from knowarm.world.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
@@ -28,6 +29,11 @@ from knowarm.world.scene.scene import Scene, build_scene
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)  # Heights of the base above the floor that are tried [m]
 BASE_FIELDS = {"base_position_m", "base_yaw_deg", "table"}
 """Fields that say where the base is; if one is given, no other place is searched."""
+
+SCALE, EASY_DEG = 0.35, 30.0
+"""Distance of success in an evaluation relative to half the diagonal of the rectangle, at most
+`EVALUATION_M`, and the angle above which it is at most that of the task: a small arm, or one of
+few joints, is not tested with thresholds that a fixed list of actions meets."""
 
 START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
@@ -50,10 +56,13 @@ class Draft:
     how: dict[str, str]  # What was chosen and why, by topic
     success_angle_deg: float  # Orientation tolerance of the task that the arm can do [deg]
     ignore_roll: bool  # Whether that task ignores the rotation about the approach axis
+    distance_m: float  # Distance within which an evaluation counts success [m]
 
     def task_options(self) -> str:
-        """Return the options of ``knowarm train`` for a task with an easier orientation, or ''."""
+        """Return the options of ``knowarm train`` for the task that the arm can do, or ''."""
         options = []
+        if self.distance_m < EnvConfig.success_distance_m:
+            options.append(f"--env.success-distance-m {self.distance_m:g}")
         if self.success_angle_deg != EnvConfig.success_angle_deg:
             options.append(f"--env.success-angle-deg {self.success_angle_deg:.0f}")
         if self.ignore_roll:
@@ -65,6 +74,8 @@ class Draft:
         lines = [f"# {topic}: {text}" for topic, text in self.how.items()]
         if task := self.task_options():
             lines.append(f"# train with: {task}")
+        if self.distance_m < EVALUATION_M:
+            lines.append(f"# evaluate with: --distance-m {self.distance_m:g}")
         mjcf = self.robot.mjcf.resolve()
         folder = file.resolve().parent if file else Path.cwd()
         if mjcf.is_relative_to(folder):
@@ -169,7 +180,16 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         values["servo_frequency_hz"], best = best_frequency(scene)
         how["servos"] = f"{best:.4f} rad from their targets; {lag:.4f} rad at the usual 7 Hz"
     robot = _robot(path, values)
-    return Draft(robot=robot, fields=values, how=how, success_angle_deg=angle, ignore_roll=roll)
+    size_m = float(np.linalg.norm(robot.rectangle_half_size_m))
+    most_m = EVALUATION_M if angle <= EASY_DEG else EnvConfig.success_distance_m
+    return Draft(
+        robot=robot,
+        fields=values,
+        how=how,
+        success_angle_deg=angle,
+        ignore_roll=roll,
+        distance_m=min(most_m, max(0.02, round(SCALE * size_m, 2))),
+    )
 
 
 def _wide_scene(path: Path, values: dict[str, Any], targets: Sequence[str]) -> Scene:

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.renderer import make_renderer
-from knowarm.world.scene.appearance import resting_colours
+from knowarm.world.scene.appearance import TargetColours
 from knowarm.world.scene.scene import Scene, project, target_places
 
 SIDE = 512  # Side of each of the two images [px]
@@ -29,8 +29,8 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
         data.mocap_pos[mocap] = corners[k % 4]
     mujoco.mj_kinematics(model, data)
     poses = data.geom_xpos[None], data.geom_xmat[None]
-    colours = resting_colours(scene, 1)
-    colours[:, scene.geom_target >= 0, 3] = 1.0
+    shown = np.arange(len(scene.targets))[None]
+    colours = TargetColours(scene)(shown, np.zeros_like(shown))
     small = make_renderer(scene, config, config.image_size, 1).draw(*poses, colours)[0]
     # One image is drawn faster with full meshes than they are simplified.
     full = replace(config, mesh_detail="full")
