@@ -13,11 +13,7 @@ import argparse
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from knowarm.experiment.build import build
-from knowarm.experiment.names import experiment_config
-from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.envs.single_env import ArmEnv
-from knowarm.world.envs.vector_env import ArmVectorEnv
+import knowarm
 
 
 def main() -> None:
@@ -28,15 +24,17 @@ def main() -> None:
     parser.add_argument("--single", action="store_true", help="step environments one by one")
     arguments = parser.parse_args()
 
-    chosen = experiment_config(arguments.experiment)
-    shown = {"observe": ("image", "knowledge"), "knowledge": build(chosen).table}
+    chosen = knowarm.experiment_config(arguments.experiment)
+    table = chosen.knows.embed(chosen.env, chosen.seed).table
+    shown = {"observe": ("image", "knowledge"), "knowledge": table}
     if arguments.single:
-        env = DummyVecEnv([lambda: ArmEnv(**shown, **vars(chosen.env))] * arguments.envs)
+        alone = [lambda: knowarm.ArmEnv(**shown, **vars(chosen.env))] * arguments.envs
+        env = VecMonitor(DummyVecEnv(alone))  # logs return and length of the episodes
     else:
-        env = SB3VecEnv(ArmVectorEnv(chosen.env, arguments.envs, **shown), seed=0)
+        env = knowarm.SB3VecEnv(knowarm.ArmVectorEnv(chosen.env, arguments.envs, **shown), seed=0)
     model = RecurrentPPO(
         "MultiInputLstmPolicy",
-        VecMonitor(env),  # logs return and length of the episodes
+        env,
         n_steps=25,
         batch_size=25 * arguments.envs // 4,
         n_epochs=2,

@@ -108,7 +108,10 @@ def test_every_public_name_and_member_is_in_the_reference():
         (r"`(\w+)`", (folder / "api.md").read_text(encoding="utf-8").partition("|")[2]),
     ):
         names = re.findall(pattern, text, re.MULTILINE)
-        assert sorted(names) == sorted(knowarm.__all__), pattern
+        wanted = knowarm.__all__
+        if pattern.startswith("^"):  # registries are dictionaries, whose words are those of `dict`
+            wanted = [name for name in wanted if not isinstance(getattr(knowarm, name), dict)]
+        assert sorted(names) == sorted(wanted), pattern
     classes = [each for name in knowarm.__all__ if inspect.isclass(each := getattr(knowarm, name))]
     found = {each.__name__: undocumented(each) for each in classes}
     assert not {name: members for name, members in found.items() if members}

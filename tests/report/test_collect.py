@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table, write_table
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import Summary
+from knowarm.learn.algorithms import DistilConfig
+from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.report.collect import collect
 from knowarm.report.model import Evaluation
@@ -364,10 +367,16 @@ def test_a_column_without_any_number_is_left_out(tmp_path):
     assert write_report(paths, tmp_path / "report.html").exists()
 
 
-def test_only_reaching_is_compared_with_the_paper(tmp_path):
+def test_only_reaching_learned_from_rewards_is_compared_with_the_paper(tmp_path):
     write_run(tmp_path / "reach" / "0", "full", 0, 0.5, size=LIGHT)
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full")["accuracy"] == 0.92
+    imitation = {"algorithm": to_dict(DistilConfig()), "algorithm_name": "distil"}
+    own = read_json(tmp_path / "reach/0/config.json")
+    edit(tmp_path / "reach/0/config.json", **imitation)
+    (task,) = collect([tmp_path]).tasks
+    assert published_result(task, "full") is None
+    edit(tmp_path / "reach/0/config.json", **{name: own[name] for name in imitation})
     edit(tmp_path / "reach/0/config.json", env=env_of() | {"task": {"kind": "lift"}})
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full") is None

@@ -12,7 +12,6 @@ from knowarm.report.blocks import Figure, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData, TaskData
 from knowarm.report.pages import build_pages, inputs
-from knowarm.report.pages.paper import paper_blocks
 from knowarm.report.verdicts.claims import claims, scores
 from knowarm.report.verdicts.knowledge import answer, finding, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
@@ -348,10 +347,3 @@ def test_few_seeds_are_shown_and_differences_of_equal_ones_have_no_interval(tmp_
     claim = next(claim for claim in claims(study) if claim.outcome == "success")
     assert "full against bm: +40.0 points (no interval" in claim.sentence()
     assert "training seeds +30.0, +30.0 and +30.0" in vision_verdict(task).reasons[0]
-
-
-@pytest.mark.parametrize("success", [0.0, 0.9])
-def test_learning_time_is_saved_only_by_agents_that_learned(tmp_path, success):
-    task = evaluated(tmp_path, {"bm": [0.9] * 2, "full": [success] * 2}, 0.0)
-    rows = paper_blocks(StudyData((task,)))[0].table.rows
-    assert (rows[1]["agent"], rows[1]["saved"] is not None) == ("full", success > 0.5)

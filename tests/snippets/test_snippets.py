@@ -116,7 +116,7 @@ def test_the_snippets_of_a_page_run(page, tmp_path):
             assert code == 0, shown
             mark = ("", "")
         elif language == "python":
-            script += re.sub(r"(total_steps=)[\d_]+", r"\g<1>1600", block) + "\n"
+            script += re.sub(r"(total_(?:time)?steps=)[\d_]+", r"\g<1>1600", block) + "\n"
             (tmp_path / "script.py").write_text(script)
             code, shown = run([sys.executable, "script.py"])
             assert code == 0, shown

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
@@ -16,6 +17,7 @@ from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
 from knowarm.experiment.measures import AGAIN
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import Summary
+from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, mean_of_runs
 
@@ -241,8 +243,11 @@ class TaskData:
 
     @property
     def is_published(self) -> bool:
-        """Whether the task is the paper's."""
-        return not self.groups[0].runs[0].config.env.task.title
+        """Whether the task is the paper's, and learned from its reward."""
+        config = self.groups[0].runs[0].config
+        return not (
+            config.env.task.title or "teacher" in privileged_uses(to_dict(config.algorithm))
+        )
 
     @cached_property
     def baseline(self) -> Group | None:

@@ -25,7 +25,7 @@ class HeldOut:
     """Names of held-out colours. Every target needs a colour among them and one outside, or none of
     its colours among them."""
     places: tuple[float, float, float, float] | None = None
-    """Held-out part of the rectangle of positions: x from, x to, y from, y to, in -1..1."""
+    """Held-out part of the rectangle, as x from, x to, y from and y to in -1..1."""
     play: Literal["rest", "held_out"] = "rest"
     """Whether this environment shows the held-out part or the rest."""
 
