@@ -49,7 +49,8 @@ def freeze(
     queries = np.unique(np.concatenate([cell.episodes.question for cell in cells]))
     for cell in cells:
         for field in fields(Episodes):
-            arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
+            if field.name != "names":  # the config of the cell has them
+                arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
         numbers = np.searchsorted(queries, cell.episodes.question)
         arrays[f"{cell.name}/question"] = numbers.astype(np.int64)
         arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)

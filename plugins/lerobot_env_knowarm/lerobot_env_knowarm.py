@@ -70,7 +70,16 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move each joint by the increment that leads nearest to its target [rad]."""
+        """Move each joint by the increment that leads nearest to its target [rad].
+
+        Raises:
+            UserError: the action is not one finite number per joint.
+        """
+        if np.shape(action) != self.action_space.shape or not np.isfinite(action).all():
+            raise UserError(
+                f"An action must be finite numbers of shape {self.action_space.shape}, got "
+                f"{np.ravel(action).tolist()} of shape {np.shape(action)}."
+            )
         targets = self._arm.joint_targets[:, None] + self._increments
         reached = targets.clip(self._lower[:, None], self._upper[:, None])
         levels = np.abs(reached - np.asarray(action)[:, None]).argmin(1)

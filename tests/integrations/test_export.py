@@ -170,7 +170,7 @@ def test_another_contract_than_the_model_was_exported_with_is_refused(copied, ch
     (copied / "contract.json").write_text(json.dumps(contract))
     with pytest.raises(ValueError, match=r"contract\.json is not that of "):
         Runner.load(copied)
-    contract["format"] = "knowarm-contract-99"
-    (copied / "contract.json").write_text(json.dumps(contract))
-    with pytest.raises(ValueError, match="no contract of the format"):
-        Runner.load(copied)
+    for other in (contract | {"format": "knowarm-contract-99"}, [contract]):
+        (copied / "contract.json").write_text(json.dumps(other))
+        with pytest.raises(ValueError, match="no contract of the format"):
+            Runner.load(copied)

@@ -147,8 +147,9 @@ def _exported(spec: str, folder: Path) -> Entrant:
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
         if len(rows) > 1 and not set(env.config.task.knowledge_rows(env.facets)) <= set(rows):
             raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
-        if not set(policy.joint_names) <= set(env.scene.robot.joints):
-            raise UserError(f"{spec} moves the joints {', '.join(policy.joint_names)}.")
+        if policy.joint_names != tuple(env.scene.joint_names):
+            joints = ", ".join(policy.joint_names)
+            raise UserError(f"{spec} moves the joints {joints}, and {cell.name} has others.")
         return played
 
     uses = ("image", "words") if len(rows) > 1 else ("image",)

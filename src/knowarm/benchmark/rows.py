@@ -280,13 +280,15 @@ def _check_declared(suite: Suite, row: dict[str, Any]) -> None:
     for text in (row["name"], said["training"], *said["inputs"], *said["specs"], *said["digests"]):
         if not text.isprintable() or len(text) > MOST_TEXT:
             raise ValueError(f"{text!r:.40} is not one line of at most {MOST_TEXT} characters")
-    if not row["cells"] or not said["specs"]:
-        raise ValueError("it has no cells or no policy")
+    if not row["name"] or not row["cells"] or not said["specs"]:
+        raise ValueError("it has no name, no cells or no policy")
     if unknown := set(said["inputs"]) - set(INPUTS):
         raise ValueError(f"policy.inputs names {', '.join(unknown)}")
     for name in ("seeds", "digests"):
         if len(said[name]) != len(said["specs"]):
             raise ValueError(f"policy.{name} and policy.specs differ in length")
+    if len(stated := [each for each in said["digests"] if each]) > len({*stated}):
+        raise ValueError("policy.digests names one policy twice")
     for name, cell in row["cells"].items():
         needed = {"policy", *_required(suite.cells[name], said["inputs"])}
         for seed in zip(said["specs"], cell["outcomes"], strict=True):

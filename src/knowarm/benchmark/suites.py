@@ -107,9 +107,11 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     queries = np.array(values.pop("queries"))
     cells = {}
     for name, cell in values.pop("cells").items():
-        episodes = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
-        episodes["question"] = queries[episodes["question"]]
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
+        stored = [field.name for field in fields(Episodes) if field.name != "names"]
+        episodes = {each: columns[f"{name}/{each}"] for each in stored}
+        episodes["question"] = queries[episodes["question"]]
+        episodes["names"] = np.array(env.targets)[episodes["objects"]]
         if (graph := cell.pop("graph", None)) is not None:
             triples = [tuple(text.split("\t")) for text in graph["triples"]]
             cell["graph"] = graph_of(triples, nodes=graph["entities"])

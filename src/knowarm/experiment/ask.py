@@ -213,7 +213,7 @@ class Asker:
         _check_scene(scene)
         episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
-        names = ("objects", "colours", "positions")
+        names = ("objects", "names", "colours", "positions")
         episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
         agent = self.trained.answering(answers.satisfies[None])
         agent.unclear = unclear

@@ -104,7 +104,7 @@ def torch_model(module: nn.Module, names: Sequence[str]) -> Model:
 
     @torch.inference_mode()
     def call(inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-        found: Any = module(*(torch.tensor(inputs[name]) for name in names))
+        found: Any = module(*(torch.from_numpy(inputs[name].copy()) for name in names))
         return [each.numpy() for each in (found if isinstance(found, tuple) else (found,))]
 
     return call

@@ -62,7 +62,7 @@ class Runner:
 
         folder = Path(folder)
         contract = json.loads((folder / "contract.json").read_text("utf-8"))
-        if contract.get("format") != FORMAT:
+        if not isinstance(contract, dict) or contract.get("format") != FORMAT:
             raise ValueError(f"{folder} has no contract of the format {FORMAT}; export again")
         names = ["policy.onnx", "knowledge.npy"]
         names += ["recognition.onnx"] * bool(contract["recognition"])

@@ -229,12 +229,18 @@ class Client:
 
     def __init__(self, url: str) -> None:
         self._url = url
+        self._joints: Any = None  # names, if the server says them
         self._links = [self._connect()]
 
     def reset(self, batch: Batch) -> None:
         """Start an episode of each connection with the next step."""
         while len(self._links) < batch.size:
             self._links.append(self._connect())
+        if self._joints not in (None, [*batch.joints]):
+            raise UserError(
+                f"The policy server at {self._url} moves other joints than {[*batch.joints]}, or "
+                f"in another order: {self._joints!r:.300}"
+            )
         self._batch, self._reset = batch, True
 
     def act(self, observations: Observations) -> NDArray[np.int64]:
@@ -259,6 +265,8 @@ class Client:
             raise UserError(f"No policy server answers at {self._url}: {error}.") from None
         if isinstance(about, str):  # no metadata
             raise UserError(f"The policy server at {self._url} refuses: {about:.300}")
+        with contextlib.suppress(ValueError, TypeError, KeyError):  # of another library
+            self._joints = unpack(about)["joints"]["names"]
         return link
 
     def _ask(self, link: ClientConnection, seen: dict[str, Any]) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.errors import UserError
 from knowarm.policy.policy import Policy, sample
 
 
@@ -80,8 +81,16 @@ class PolicyAgent:
 
     @torch.inference_mode()
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Choose actions, (n, J) int64 levels; ``observations["image"]`` is (n, H, W, 3) uint8."""
-        images = torch.as_tensor(observations["image"])
+        """Choose actions, (n, J) int64 levels; ``observations["image"]`` is (n, H, W, 3) uint8.
+
+        Raises:
+            UserError: images of another size or type.
+        """
+        seen, size = np.asarray(observations["image"]), self.policy.shape.image_size
+        wanted = len(self.rows), size, size, 3
+        if seen.shape != wanted or seen.dtype != np.uint8:
+            raise UserError(f"Images must be {wanted} uint8, RGB, got {seen.shape} {seen.dtype}.")
+        images = torch.from_numpy(seen.copy())  # also of backward views and read-only arrays
         if self.knowledge is None:
             self.knowledge = self.recognize(images)
         logits, _, self._state = self.policy.step(

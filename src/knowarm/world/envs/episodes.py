@@ -25,6 +25,7 @@ class EpisodeSource:
         self._moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
         self._reach = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
         self._objects = config.task.sampler(setting)
+        self._names = np.array([target.name for target in scene.targets])
 
     def __call__(self, streams: NDArray[np.uint64], indices: NDArray[np.uint64]) -> Episodes:
         """Draw n episodes; each depends only on its stream's seed and its number in it."""
@@ -33,7 +34,10 @@ class EpisodeSource:
         u = uniforms(streams, indices, rest + self._objects.draws)
         offsets = np.where(self._moved, (2 * u[:, _JOINTS:looks] - 1) * self._reach, 0.0)
         drawn = self._objects(u[:, :_JOINTS], u[:, rest:])
-        return Episodes(joint_offsets=offsets, look=u[:, looks:rest], **drawn._asdict())
+        names = self._names[drawn.objects]
+        return Episodes(
+            joint_offsets=offsets, look=u[:, looks:rest], names=names, **drawn._asdict()
+        )
 
 
 def draw_episodes(

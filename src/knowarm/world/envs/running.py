@@ -229,12 +229,12 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
                     f"The episodes hold {given} {what}, and this environment has {needed}; draw "
                     "them with its config."
                 )
-        numbers = episodes.objects
-        most = len(self.scene.targets) - 1
-        if len(episodes) and (numbers.min() < 0 or numbers.max() > most):
+        numbers, names = episodes.objects, np.array([each.name for each in self.scene.targets])
+        inside = (numbers >= 0) & (numbers < len(names))
+        if not (inside & (names[numbers * inside] == episodes.names)).all():
             raise UserError(
-                f"The episodes show the objects {numbers.min()} to {numbers.max()}, and this "
-                f"environment has 0 to {most}; draw them with its config."
+                "The episodes show other objects than this environment has, or count them in "
+                f"another order than {', '.join(names[:9])}; draw them with its config."
             )
         shown = [name for name, _ in self.facets]
         counts = np.array([shown.count(target.name) for target in self.scene.targets])
@@ -251,7 +251,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         question = find_rows("query of this environment", episodes.question, self._query_rows)
         self.joint_targets = _put(self.joint_targets, ids, joints)
         for field in fields(episodes):
-            if field.name != "joint_offsets":
+            if field.name not in ("joint_offsets", "names"):
                 rows = question if field.name == "question" else getattr(episodes, field.name)
                 setattr(self, field.name, _put(getattr(self, field.name), ids, rows))
         self.steps = _put(self.steps, ids, 0)

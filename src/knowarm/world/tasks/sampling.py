@@ -65,6 +65,8 @@ class Episodes:
     """Query that the episode asks, (n,), as "usedFor drinking"; empty without questions."""
     look: Floats
     """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
+    names: Names
+    """Names of the visible objects, (n, m): ``objects`` counts in the order of one config."""
 
     @property
     def target(self) -> Integers:
