@@ -41,7 +41,7 @@ def mutate(data: bytes, random: np.random.Generator, *, is_json: bool = False) -
     """Return a file with one to four random mutations."""
     for _ in range(int(random.integers(1, 5))):
         if is_json and random.random() < 0.5:
-            data = _mutate_json(data, random)
+            data = mutate_json(data, random)
         else:
             data = MUTATIONS[int(random.integers(len(MUTATIONS)))](data, random)
     return data
@@ -102,7 +102,7 @@ def _swap_lines(data: bytes, random: np.random.Generator) -> bytes:
 MUTATIONS = [_flip, _delete, _repeat, _truncate, _insert, _number, _swap_lines]
 
 
-def _mutate_json(data: bytes, random: np.random.Generator) -> bytes:
+def mutate_json(data: bytes, random: np.random.Generator) -> bytes:
     """Replace or remove a value at a random place, or give it a wrong name."""
     try:
         whole = json.loads(data)

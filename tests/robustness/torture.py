@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.robustness.edges import clocks, forged_rows, links, permuted_doors, sockets
 from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
 from tests.robustness.study_storm import kill_study
@@ -33,6 +34,11 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9": (20, kill_study),
     "mutations of files": (20_000, mutations),
     "injected file errors": (500, inject_file_errors),
+    "links": (300, links),
+    "clocks": (3_000, clocks),
+    "sockets": (500, sockets),
+    "forged rows": (500, forged_rows),
+    "permuted doors": (90, permuted_doors),
 }
 """Tries of the long form, and the function that makes them."""
 
