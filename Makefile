@@ -60,7 +60,7 @@ fast-tests: $(VENV)/.dev ## run the fast tests
 # Ray stays out of .venv, which the tests need as users have it.
 RAY := $(CURDIR)/build/ray
 test-ray: $(VENV)/.dev ## install Ray beside .venv, and run a study on a cluster of two nodes
-	test -e $(RAY)/bin/ray || $(PIP) --target $(RAY) 'ray>=2.50'
+	test -e $(RAY)/bin/ray || $(PIP) --target $(RAY) 'ray>=2.54'
 	PATH="$(RAY)/bin:$$PATH" PYTHONPATH=$(RAY) $(PY) -m pytest tests/study/test_ray.py
 
 torture: $(VENV)/.dev ## kill and damage it for twenty minutes or more: docs/reliability.md

@@ -80,13 +80,7 @@ class TrainedAgent:
             UserError: no episodes have started, or another number; the image is another one.
         """
         seen = observations["image"] if isinstance(observations, Mapping) else observations
-        size, seen = self.config.env.image_size, np.asarray(seen)
-        if seen.shape[-3:] != (size, size, 3) or seen.ndim not in (3, 4) or seen.dtype != np.uint8:
-            raise UserError(
-                f"The image must be ({size}, {size}, 3) uint8, or n of them, got {seen.shape} "
-                f"{seen.dtype}: resize it, and keep values of 0 to 255."
-            )
-        images = seen.reshape(-1, *seen.shape[-3:])
+        images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
         if self._is_new:
             env = self.config.env
             any_name = env.task.knowledge_rows(facets_of(env))[:1]

@@ -89,7 +89,10 @@ class PolicyAgent:
         seen, size = np.asarray(observations["image"]), self.policy.shape.image_size
         wanted = len(self.rows), size, size, 3
         if seen.shape != wanted or seen.dtype != np.uint8:
-            raise UserError(f"Images must be {wanted} uint8, RGB, got {seen.shape} {seen.dtype}.")
+            raise UserError(
+                f"The image must be ({size}, {size}, 3) uint8, or n of them, got {seen.shape} "
+                f"{seen.dtype}: resize it, and keep values of 0 to 255."
+            )
         images = torch.from_numpy(seen.copy())  # also of backward views and read-only arrays
         if self.knowledge is None:
             self.knowledge = self.recognize(images)
