@@ -217,6 +217,7 @@ FORGED = {
     "one policy twice": (("policy", "digests"), ["ab", "ab"], "one policy twice"),
     "no policy": (("policy", "specs"), [], "no policy"),
     "no name": (("name",), "", "no name"),
+    "another field": (("extra",), 1, "lacks, or has, extra"),
     "no cells": (("cells",), {}, "no cells"),
     "a heading as name": (("name",), "x\n# Winner", "is not one line"),
     "a long training": (("policy", "training"), "x" * 4_000_000, "is not one line"),

@@ -443,5 +443,6 @@ def test_a_run_does_not_set_its_own_speed_limit(tmp_path, capsys, monkeypatch):
     assert main(["ros", str(run)]) == 0
     values["env"]["mpi_rad"] = 1.0
     (run / "config.json").write_text(json.dumps(values))
-    assert main(["ros", str(run)]) == 2
-    assert "by up to 1 rad per step" in capsys.readouterr().err
+    for command in ("ros", "serve", "export"):
+        assert main([command, str(run)]) == 2
+        assert "by up to 1 rad per step" in capsys.readouterr().err

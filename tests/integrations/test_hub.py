@@ -174,13 +174,18 @@ def test_a_link_is_not_uploaded(tmp_path):
 
 @pytest.mark.parametrize(
     "error",
-    [KeyError("sha"), ValueError("two\nlines"), UnicodeEncodeError("ascii", "\xe9", 0, 1, "no")],
+    [
+        KeyError("sha"),
+        ValueError("401\nbad token hf_1"),
+        UnicodeEncodeError("ascii", "\xe9", 0, 1, "no"),
+    ],
 )
 def test_what_the_hub_answers_is_one_line(error):
     """huggingface_hub raises many types for answers that it does not expect."""
     with pytest.raises(UserError, match="The Hub did not serve a/b: ") as caught, _access("a/b"):
         raise error
     assert "\n" not in str(caught.value)
+    assert "hf_1" not in str(caught.value)
 
 
 @pytest.mark.slow(8)

@@ -27,6 +27,7 @@ FORMAT = 2
 MOST_TEXT = 300
 """Longest text of a row: a name, a spec, or how a policy was trained."""
 MOST_TOLERANCE = 0.1
+FIELDS = {"format", "suite", "digest", "name", "policy", "version", "cells", "summary"}
 OWN_CONTROL = "shuffled graph"  # of agents that answer by a graph, and of no others
 Bits = NDArray[np.bool_]
 
@@ -282,6 +283,8 @@ def _check_declared(suite: Suite, row: dict[str, Any]) -> None:
             raise ValueError(f"{text!r:.40} is not one line of at most {MOST_TEXT} characters")
     if not row["name"] or not row["cells"] or not said["specs"]:
         raise ValueError("it has no name, no cells or no policy")
+    if other := row.keys() ^ FIELDS:
+        raise ValueError(f"it lacks, or has, {', '.join(sorted(other))}")
     if unknown := set(said["inputs"]) - set(INPUTS):
         raise ValueError(f"policy.inputs names {', '.join(unknown)}")
     for name in ("seeds", "digests"):

@@ -107,6 +107,8 @@ class VerifyRow:
     def run(self) -> None:
         """Check and say so."""
         row = read_row(self.row)
+        if self.tolerance and not self.play:
+            raise UserError("--no-play compares no episodes: leave out --tolerance.")
         if self.play:
             specs = self.policy or tuple(row["policy"]["specs"])
             if code := [spec for spec in specs if not (self.policy or is_safe(spec))]:

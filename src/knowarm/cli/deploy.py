@@ -12,7 +12,6 @@ import tyro
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.cli.tables import FilePath
 from knowarm.config import at_least
-from knowarm.errors import UserError
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment, export, tcp_position
@@ -91,13 +90,6 @@ class Ros(OfRun):
         from knowarm.integrations.ros import drive
 
         parts = deployment(load_agent(self.run_folder, which=self.which))
-        step, robot = parts.contract["joints"]["mpi"], parts.scene.robot
-        if step > robot.mpi_rad:
-            raise UserError(
-                f"{self.run_folder} moves a joint by up to {step:g} rad per step, and the "
-                f"description of {robot.name} allows mpi_rad = {robot.mpi_rad:g}. A run does not "
-                "set its own limit: train with that of the robot."
-            )
         rules = partial(tcp_position, parts.scene), self.safety, self.knowledge
         drive(Driver(parts.runner(), *rules, resize=self.resize), self.topic)
 

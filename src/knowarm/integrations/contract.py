@@ -75,7 +75,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
     """Take a trained agent apart.
 
     Raises:
-        UserError: the agent's knowledge comes from the simulator only.
+        UserError: the policy closes fingers, or its MPI is larger than that of the robot.
     """
     env, policy = trained.config.env, trained.policy
     rows = env.task.knowledge_rows(facets_of(env))
@@ -90,6 +90,13 @@ def deployment(trained: TrainedAgent) -> Deployment:
         )
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
+    increments = joint_increments(scene.robot, env)
+    if (step := increments.max()) > scene.robot.mpi_rad:
+        raise UserError(
+            f"{trained.folder.path} moves a joint by up to {step:g} rad per step, and the "
+            f"description of {scene.robot.name} allows mpi_rad = {scene.robot.mpi_rad:g}. A run "
+            "does not set its own limit: train with that of the robot."
+        )
     table = np.ascontiguousarray(table, dtype=np.float32)
     recognized: dict[str, Any] | None = None
     if recognition is not None:
@@ -110,7 +117,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
         },
         "control_period_s": CONTROL_PERIOD_S,
         "max_episode_steps": env.max_episode_steps,
-        "joints": _joints(scene, joint_increments(scene.robot, env)),
+        "joints": _joints(scene, increments),
         "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
         "camera": _camera(scene, env.image_size),
         "knowledge": {

@@ -102,7 +102,9 @@ def _access(repo_id: str) -> Iterator[Any]:
             403: "Your token may not write there.",
             404: "Check owner, name and revision.",
         }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
-        raise UserError(f"The Hub did not serve {repo_id}: {one_line(error)}. {remedy}") from error
+        first = str(error).strip().partition("\n")[0]  # what follows may repeat the token
+        reason = one_line(Exception(first or type(error).__name__))
+        raise UserError(f"The Hub did not serve {repo_id}: {reason}. {remedy}") from error
 
 
 def _card(repo_id: str, text: str) -> str:
