@@ -129,10 +129,6 @@ class Doors:
         export(self.trained, self.folder / "exported")
         return self.folder / "exported"
 
-    @cached_property
-    def asker(self) -> Asker:
-        return Asker(self.trained)
-
 
 def gymnasium_ids(doors: Doors, random: Random) -> list[str]:
     """`gymnasium.make` and `make_vec`: actions of other types, one environment of several."""
@@ -361,8 +357,9 @@ def ask(doors: Doors, random: Random) -> list[str]:
     every = np.arange(len(triples))
 
     def answers(question=f"{first} and {second}", order=every):
-        found = doors.asker.answers(graph_of([triples[i] for i in order]), question)
-        return [found.satisfies.tolist(), doors.asker.scene([found]), sorted(found.evidence)]
+        asker = Asker(doors.trained, graph_of([triples[i] for i in order]))
+        found = asker.answers(question)
+        return [found.satisfies.tolist(), asker.scene([found]), sorted(found.evidence)]
 
     orders = {"triples": random.permutation(every), "one twice": [*every, 0]}
     questions = {"parts": f"{second} and {first}", "spaces": f"  {first}  and {second}"}
