@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.robustness.edges import clocks, forged_rows, links, sockets
 from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
 
@@ -15,3 +16,9 @@ def test_damaged_files_end_in_an_error_for_users(tmp_path):
 @pytest.mark.slow
 def test_file_errors_end_in_an_error_for_users_and_leave_what_was_stored():
     assert inject_file_errors(30, 0) == (30, [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("campaign", [clocks, forged_rows, links, sockets])
+def test_the_edges_keep_what_they_promise(campaign):
+    assert campaign(20, 0) == (20, [])
