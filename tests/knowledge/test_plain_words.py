@@ -75,6 +75,10 @@ def test_questions_are_read_rightly_or_refused(held_out):
         ("something in turquoise", "'turquoise' fits nothing here"),
         ("hasColor turquoise", "blue"),
         ("where is something red", "only questions for an object"),
+        (
+            "something round and brown or cylindrical and red",
+            "with brackets, as (hasShape round or hasColor brown) and hasColor red.",
+        ),
         ("something red or with a lid and round", "'and' and 'or' can be joined in several ways"),
         ("something " + "red " * 60, "allowed are 1 to 60"),
     ],

@@ -31,7 +31,7 @@ def joined(conditions: Sequence[ReadCondition]) -> str:
         for phrase in _split(segment, _is_thing):
             groups = _split(phrase, lambda each, before: not _is_value(each, before))
             joins = {group[0].join for group in groups[1:]}
-            if len(joins) > 1:
+            if len(joins) > 1 or any(map(_is_open, groups, [[], *groups], [*groups[1:], []])):
                 return ""
             parts = [_either(group) for group in groups]
             alternatives += parts if joins == {"or"} else [_both(parts)]
@@ -68,6 +68,16 @@ def _is_thing(condition: ReadCondition, before: ReadCondition) -> bool:
 def _is_value(condition: ReadCondition, before: ReadCondition) -> bool:
     """Return whether "or" joins a condition to the value before it: "red or blue"."""
     return condition.join == "or" and (condition.is_bare or condition.relation == before.relation)
+
+
+def _is_open(
+    group: Sequence[ReadCondition],
+    before: Sequence[ReadCondition],
+    after: Sequence[ReadCondition],
+) -> bool:
+    """Return whether "and" may bind closer than "or": "round and brown or flat and red"."""
+    mixed = len({each.relation for each in group}) > 1 and not group[-1].is_whole
+    return mixed and any(each.is_bare for each in (*before[-1:], *after[:1]))
 
 
 def _either(group: Sequence[ReadCondition]) -> str:

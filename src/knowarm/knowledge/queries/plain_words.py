@@ -98,7 +98,11 @@ class _Reader:
         if len(alike) > 1:
             raise self.refused(f"it may mean {', or '.join(alike[:3])}")
         if not texts[0]:
-            raise self.refused("'and' and 'or' can be joined in several ways; use brackets")
+            found = [f"{'not ' * each.negated}{each.text}" for each in conditions]
+            remedy = f"({' or '.join(found[:2])}) and {found[-1]}"
+            raise self.refused(
+                f"'and' and 'or' can be joined in several ways; write it with brackets, as {remedy}"
+            )
         return conditions
 
     def reason(self, furthest: int) -> str:
