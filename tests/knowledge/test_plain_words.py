@@ -75,6 +75,7 @@ def test_questions_are_read_rightly_or_refused(held_out):
         ("something in turquoise", "'turquoise' fits nothing here"),
         ("hasColor turquoise", "blue"),
         ("where is something red", "only questions for an object"),
+        ("I want to decorate the living room", "'living' fits nothing here"),
         (
             "something round and brown or cylindrical and red",
             "with brackets, as (hasShape round or hasColor brown) and hasColor red.",
@@ -87,6 +88,11 @@ def test_what_is_not_understood_is_refused_in_one_line(question, message):
     with pytest.raises(UserError, match=re.escape(message)) as refusal:
         answer(graph_named("objects"), FACETS, question)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_negation_ends_with_its_thing():
+    text = reading(graph_named("objects"), FACETS, "not the blue one, the red one")
+    assert text == "not hasColor blue and hasColor red"
 
 
 def test_a_value_of_two_relations_is_refused_until_one_is_said():

@@ -98,11 +98,9 @@ class _Reader:
         if len(alike) > 1:
             raise self.refused(f"it may mean {', or '.join(alike[:3])}")
         if not texts[0]:
-            found = [f"{'not ' * each.negated}{each.text}" for each in conditions]
-            remedy = f"({' or '.join(found[:2])}) and {found[-1]}"
-            raise self.refused(
-                f"'and' and 'or' can be joined in several ways; write it with brackets, as {remedy}"
-            )
+            first, second, *_, last = [f"{'not ' * c.negated}{c.text}" for c in conditions]
+            remedy = f"write it with brackets, as ({first} or {second}) and {last}"
+            raise self.refused(f"'and' and 'or' can be joined in several ways; {remedy}")
         return conditions
 
     def reason(self, furthest: int) -> str:
@@ -144,7 +142,8 @@ class _Reader:
                 said = replace(state, weak=state.weak + weak, join=join, noun="")
                 yield 1, replace(said, negated=not state.negated)
         elif not self.is_object(place, 1):
-            yield from self.cues(place, state)
+            is_part = any(not far and len(each.words) > 1 for each, far in self.found[place])
+            yield from () if is_part else self.cues(place, state)  # "living room" is not to live
 
     def cues(self, place: int, state: _State) -> Iterator[tuple[int, _State]]:
         """Yield the state behind a word that says a relation, or changes nothing."""
@@ -265,7 +264,8 @@ class _Reader:
         if negated is None and state.done and state.join and not state.is_new:
             before = state.done[-1]
             same = before.relation == condition.relation or join == "or"
-            inherits = before.negated and condition.is_bare and same and join != "but"
+            is_open = before.negated and not before.is_whole  # "not the blue one, the red one"
+            inherits = is_open and condition.is_bare and same and join != "but"
         whole = replace(
             condition,
             join=join,
