@@ -193,6 +193,7 @@ REFUSED = [
     ("a.json", '{"nodes": [{"id": "mug"}], "links": []}', "holds no triples"),
     ("a.json", '{"entities": {"Q1": {"labels": {}}}}', "this JSON is neither JSON-LD nor a graph"),
     ("a.json", '[{"image_id": 1, "relationships": []}]', "is no link with the names of a head"),
+    ("a.json", '{"nodes": [{"id": ["a"]}], "links": []}', "a node is named by text or a number"),
     ("a.json", '[["mug", "usedFor"]]', "is no link"),
     ("a.json", '[["mug", "usedFor", "drinking"]', "a.json is damaged or of another format"),
     ("a.json", '[{"source": "mug", "target": "lamp", "weight": 3}]', "names the relation"),

@@ -79,6 +79,8 @@ class _Records:
 
     def add_node(self, key: Any, values: Any) -> None:
         """Add an entity with its label, by its identifier or number."""
+        if not isinstance(key, str | int | float):
+            raise UserError(f"{self.path}: a node is named by text or a number, not {key!r:.80}.")
         values = values if isinstance(values, dict) else {}
         name = self.nodes[key] = name_of_cell(str(key))
         self.builder.add_node(name)
