@@ -91,9 +91,9 @@ def deployment(trained: TrainedAgent) -> Deployment:
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
     increments = joint_increments(scene.robot, env)
-    if (step := increments.max()) > scene.robot.mpi_rad:
+    if (mpi := increments.max()) > scene.robot.mpi_rad:
         raise UserError(
-            f"{trained.folder.path} moves a joint by up to {step:g} rad per step, and the "
+            f"{trained.folder.path} moves a joint by up to {mpi:g} rad per step, and the "
             f"description of {scene.robot.name} allows mpi_rad = {scene.robot.mpi_rad:g}. A run "
             "does not set its own limit: train with that of the robot."
         )
