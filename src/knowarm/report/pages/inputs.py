@@ -47,8 +47,8 @@ KINDS = (
 that a task has describes it."""
 
 PRIVILEGED_TRAINING = (
-    "{agents}: training used the simulator's state. The policy receives the image alone, in "
-    "training and in every evaluation."
+    "{agents}: training used the simulator's state. The policy never receives it: its "
+    "inputs are the image and the vector below."
 )
 
 

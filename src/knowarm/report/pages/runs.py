@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from knowarm.experiment.agents import AGENTS
 from knowarm.report.blocks import (
     Block,
     Column,
@@ -19,6 +20,7 @@ from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData
+from knowarm.report.pages.results import conditions
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
@@ -106,6 +108,9 @@ def _results(study: StudyData) -> Figure:
             name = f"{axis.title} of each agent on {task.title}"
             title = axis.title if alone else task.title
             panels.append(Panel(svg=dot_chart(dots, name, axis, left=124), title=title))
+    first = next((e for task in study.tasks for g in task.groups for e in g.evaluations), None)
+    agents = dict.fromkeys(group.agent for task in study.tasks for group in task.groups)
+    known = [f"{name}: {AGENTS[name].about}" for name in agents if name in AGENTS]
     measured = [key for key in KEYS if any(row[key] is not None for row in rows)]
     return Figure(
         table=DataTable(
@@ -114,9 +119,9 @@ def _results(study: StudyData) -> Figure:
             columns=shared(*["task"] * (not alone), "agent", "seeds", *measured, "vision_gain"),
             rows=rows,
             sources=[run.path for run in study.runs],
-            note="Success: distance and angle within the thresholds at once. Accuracy: final "
-            "distance within the threshold, as in the paper. Depends on vision: success minus that "
-            "of the better agent that sees nothing.",
+            note=f"{conditions(first)}. {'; '.join(known)}. Success: distance and angle within the "
+            "thresholds at once. Accuracy: final distance within the threshold, as in the paper. "
+            "Depends on vision: success minus that of the better agent that sees nothing.",
         ),
         caption="Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
         "several, over episodes where there is one. Small dots: single seeds.",
