@@ -138,11 +138,27 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
 def test_without_one_visible_answer_the_arm_can_stay(asker):
     question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
     stays = asker.ask(question, scene=0, unclear="stop")
-    assert stays.visible != 1
+    assert len(stays.candidates) != 1
     assert stays.stopped
     assert "The arm stayed" in stays.outcome
     assert all((f.policy == stays.film[0].policy).all() for f in stays.film[:3])
-    assert not asker.ask(question, scene=0).stopped
+    assert not asker.ask(question, scene=0, unclear="guess").stopped
+
+
+def test_the_user_picks_where_several_objects_may_be_meant(monkeypatch, capsys, tmp_path):
+    path = tmp_path / "found.json"
+    words = ["ask", RUN, "not red", "--scene", "0"]
+    words += ["--unclear", "ask", "--json", str(path)]
+    monkeypatch.setattr("builtins.input", lambda prompt: "2")
+    assert main(words) == 0
+    found, printed = json.loads(path.read_text()), capsys.readouterr().out
+    assert len(found["candidates"]) > 1
+    assert "The arm stayed: it sees several answers: " in printed
+    assert f"2: the {' '.join(reversed(found['candidates'][1].split('/')))}" in printed
+    assert found["reached"] == found["candidates"][1]
+    monkeypatch.setattr("builtins.input", lambda prompt: "x")
+    assert main(words) == 0
+    assert json.loads(path.read_text())["steps"] == 50  # it stays to the end
 
 
 @pytest.mark.parametrize(

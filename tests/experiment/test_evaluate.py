@@ -378,6 +378,25 @@ def test_binding_tells_whether_an_agent_follows_its_question(monkeypatch):
     assert "binding" not in evaluate(ZOO, config=replace(config, episodes=2), write=False).summary
 
 
+def test_coverage_and_questions_are_counted_at_a_level():
+    run = ZOO.parent / "irb120-choose-answers-fast"
+    config = EvaluationConfig(episodes=40, probes=())
+    found = {
+        level: evaluate(
+            run, config=config, test=(ReasoningTest(unclear="ask", level=level),), write=False
+        )
+        for level in (0.5, 0.99)
+    }
+    few, most = found.values()
+    assert few.summary["coverage"] < most.summary["coverage"]
+    assert most.summary["coverage"] > 0.9
+    asked = few.episodes["visible_answers"] != 1
+    assert few.summary["questions"] == asked.mean()
+    assert (few.episodes["length"][asked] == few.episodes["length"].max()).all()  # it stays
+    assert few.summary.label.endswith("-ask-level-50")
+    assert "coverage" not in evaluate(run, config=config, episodes=2, write=False).summary
+
+
 def test_the_other_question_is_of_another_visible_object():
     config = load_agent(ZOO.parent / "irb120-choose-answers-fast").config.env
     env = ArmVectorEnv(config, 1)

@@ -138,7 +138,7 @@ def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
     episodes = evaluation_episodes(env.config, 4, 0)
     nothing = np.zeros(answers_of(trained).shape, bool)
     moved = {}
-    for unclear in ("stop", "guess"):
+    for unclear in ("stop", "seen", "ask", "guess"):
         agent = trained.answering(nothing)
         agent.unclear = unclear
         assert isinstance(agent, AnsweringAgent)
@@ -146,7 +146,7 @@ def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
         assert (agent.visible_answers == 0).all()
         assert [len(part) for part in agent.log] == [4]
         moved[unclear] = (result.steps.actions != 0).any()
-    assert moved == {"stop": False, "guess": True}
+    assert moved == {"stop": False, "seen": False, "ask": False, "guess": True}
 
 
 @torch.no_grad()

@@ -1,7 +1,7 @@
 """``knowarm ask``: a question to a trained agent, answered by a graph, an image and an arm."""
 
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,11 +10,12 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, printable
-from knowarm.experiment.ask import Asked, Asker, ask
+from knowarm.experiment.ask import LEVEL, Asked, Asker
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import read_graph
 from knowarm.perception.config import Unclear
+from knowarm.questions import ObjectColour
 from knowarm.reading import read_text
 
 SHOWN = 12  # most objects whose evidence is printed
@@ -46,8 +47,12 @@ class Ask(TableCommand):
     """Number of the scene; default: the first in which exactly one object answers."""
     seed: int = 0
     """Seed of the scenes."""
-    unclear: Unclear = "guess"
-    """If the network sees no answer, or several: move to the most likely place, or stay."""
+    unclear: Unclear = "seen"
+    """If the network sees no answer, or several: move to the most likely place ("guess"), do so if
+    it sees any ("seen"), stay ("stop"), or ask which one is meant ("ask")."""
+    level: float = LEVEL
+    """How often the object that is meant shall be among those that count as answers; calibrated on
+    images that training did not see."""
     page: FilePath = None
     """Write an HTML page with answers, evidence, map of places and film."""
     browser: bool = False
@@ -68,15 +73,19 @@ class Ask(TableCommand):
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
         graph = read_graph(self.graph, self.format) if self.graph else None
-        shared: dict[str, Any] = {"seed": self.seed, "names": _names(self.names)}
-        if self.browser:
-            with closing(Asker(trained, graph, **shared)) as asker:
+        how: dict[str, Any] = {"seed": self.seed, "names": _names(self.names)}
+        with closing(Asker(trained, graph, **how, level=self.level)) as asker:
+            if self.browser:
                 start = (self.question, self.edit, self.scene)
                 serve_page(make_server(asker, *start, port=self.port, unclear=self.unclear))
-            return {}
-        given: dict[str, Any] = {"edit": self.edit, "scene": self.scene, "unclear": self.unclear}
-        asked = ask(trained, self.question, graph=graph, **given, **shared)
-        _print(asked)
+                return {}
+            asked = asker.ask(self.question, self.edit, self.scene, self.unclear)
+            _print(asked)
+            if self.unclear == "ask" and asked.stopped:
+                picked = _pick(asked.candidates or asked.named)
+                if picked is not None:
+                    asked = asker.play(asked.answers, asked.scene, picked=picked)
+                    print(printable(asked.outcome))
         if self.page is not None:
             write_page(Path(self.page), asked, self.edit)
             print(f"Wrote {self.page}")
@@ -86,12 +95,23 @@ class Ask(TableCommand):
             "scene": asked.scene,
             "shown": ["/".join(facet) for facet in asked.shown],
             "named": ["/".join(facet) for facet in asked.named],
-            "visible_answers": asked.visible,
+            "candidates": ["/".join(facet) for facet in asked.candidates],
             "reached": "/".join(asked.reached),
             "right": asked.right,
             "success": asked.film[-1].success,
             "steps": asked.film[-1].step,
         }
+
+
+def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
+    """Ask the user which object is meant; None if no number of one is given."""
+    for number, (name, colour) in enumerate(choices, 1):
+        print(f"  {number}: the {colour} {name}")
+    with suppress(EOFError):
+        given = input("Which one is meant? Its number, or nothing to stay: ").strip()
+        if given in map(str, range(1, len(choices) + 1)):
+            return choices[int(given) - 1]
+    return None
 
 
 def _names(given: Sequence[str]) -> dict[str, str]:

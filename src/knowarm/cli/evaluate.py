@@ -84,6 +84,8 @@ class ConditionOptions:
     """What an agent with a grounding network answers queries by, instead of its own."""
     unclear: Unclear = "guess"
     """What an agent that answers by a graph does if it sees no answer, or several."""
+    level: float | None = None
+    """How often the right object shall be among those that it counts as possible answers."""
     damage: Damage | None = None
     """Damage the graph that the agent knows."""
     damage_share: float = 0.3
@@ -102,8 +104,9 @@ class ConditionOptions:
             conditions.append(SplitTest(split=self.split, edited=self.edited))
         if self.graph is not None:
             conditions.append(GraphTest(graph=self.graph))
-        if self.reasoning is not None or self.unclear != "guess":
-            conditions.append(ReasoningTest(by=self.reasoning, unclear=self.unclear))
+        reasoning = ReasoningTest(by=self.reasoning, unclear=self.unclear, level=self.level)
+        if reasoning != ReasoningTest():
+            conditions.append(reasoning)
         if self.damage is not None or self.repair is not None:
             how: dict[str, Any] = {"share": self.damage_share, "seed": self.damage_seed}
             conditions.append(DamageTest(damage=self.damage, repair=self.repair, **how))

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ EXAMPLES = 6
 """Most questions given as examples."""
 IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
+LEVEL = 0.9
+"""How often the object that is meant is among the candidates."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
 
@@ -51,10 +53,10 @@ class Asked:
     """Where it does, column and row in units of the image, (m, 2)."""
     heat: np.ndarray
     """Share of every place in the choice, (h, w), sum 1."""
-    visible: int
-    """Number of named objects that answer."""
+    candidates: tuple[ObjectColour, ...]
+    """Which of the named objects may answer, at the level of confidence."""
     stopped: bool
-    """Whether the arm stayed because it did not see exactly one answer."""
+    """Whether the arm stayed because it saw no answer, or several."""
     reached: ObjectColour
     """What the gripper was nearest to at the end."""
     film: tuple[Frame, ...]
@@ -69,15 +71,17 @@ class Asked:
     def outcome(self) -> str:
         """What the arm did, in a sentence."""
         end, name = self.film[-1], " ".join(reversed(self.reached))
+        seen = ", ".join(f"the {colour} {name}" for name, colour in self.candidates)
         if self.stopped:
-            return f"The arm stayed: the network sees {self.visible} answers, not one."
+            return f"The arm stayed: it sees {'several answers: ' + seen if seen else 'no answer'}."
+        several = f" It saw several answers: {seen}." if len(self.candidates) > 1 else ""
         what = "reached" if end.success else "ended nearest to"
         verdict = "which answers" if self.right else "which does not answer"
         wanted = self.shown[0]
         grasp = "its grasp" if self.reached == wanted else f"that of the {wanted[1]} {wanted[0]}"
         return (
             f"The arm {what} the {name}, {verdict}, after {end.step} steps: "
-            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from {grasp}."
+            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from {grasp}.{several}"
         )
 
     @property
@@ -102,6 +106,7 @@ class Asker:
         *,
         seed: int = 0,
         names: Mapping[str, str] | None = None,
+        level: float = LEVEL,
     ) -> None:
         if trained.network is None:
             raise UserError(
@@ -109,7 +114,7 @@ class Asker:
                 "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
             )
         self.trained, self.facets = trained, trained.network.spec.facets
-        self._network, self._names = trained.network, names
+        self._network, self._names, self._level = trained.network, names, level
         if graph is None:
             graph = trained.config.knows.read_graph()
             assert graph is not None  # of an agent with a grounding network
@@ -128,7 +133,7 @@ class Asker:
         question: str,
         edit: Sequence[str] = (),
         scene: int | None = None,
-        unclear: Unclear = "guess",
+        unclear: Unclear = "seen",
     ) -> Asked:
         """Answer a question and play a scene; see `ask`."""
         answers = [self.answers(question, edit)]
@@ -143,6 +148,11 @@ class Asker:
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
         return answer(edited(self._graph, edit), self.facets, question, self._names)
+
+    @cached_property
+    def threshold(self) -> float:
+        """Likelihood from which a visible object counts as an answer."""
+        return self.trained.threshold(self._level)
 
     @cached_property
     def seen(self) -> list[str]:
@@ -208,21 +218,32 @@ class Asker:
             )
         return int(fits.argmax())
 
-    def play(self, answers: Answers, scene: int, unclear: Unclear = "guess") -> Asked:
-        """Play a scene with an agent that looks for the answers."""
+    def play(
+        self,
+        answers: Answers,
+        scene: int,
+        unclear: Unclear = "seen",
+        picked: ObjectColour | None = None,
+    ) -> Asked:
+        """Play a scene with an agent that looks for the answers, or for the one that is picked."""
         _check_scene(scene)
         episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         names = ("objects", "names", "colours", "positions")
         episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
-        agent = self.trained.answering(answers.satisfies[None])
-        agent.unclear = unclear
+        wanted = answers.satisfies
+        if picked is not None:
+            wanted, unclear = np.array([facet == picked for facet in self.facets]), "guess"
+        agent = self.trained.answering(wanted[None])
+        agent.unclear, agent.threshold = unclear, self.threshold
         film = record_episode(agent, self._env, episode)
         infos = self._env.config.task.infos(self._env.running)
         nearest = int(np.flatnonzero(infos["objects"][0] == infos["reached_object"][0])[0])
         with torch.inference_mode():
             image = torch.as_tensor(film[0].policy)[None]
-            seen = agent.recognition.see(image, agent.recognition.knowledge)
+            seen = agent.recognition.see(image, torch.from_numpy(answers.satisfies[None]))
+        named = [self.facets[f] for f in seen.named[0].tolist()]
+        may_answer = seen.candidates(self.threshold)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
         size = self._network.spec.image_size
         return Asked(
@@ -230,11 +251,11 @@ class Asker:
             known=Counter(name for name, _ in self.facets),
             scene=scene,
             shown=tuple(self.facets[f] for f in shown[order]),
-            named=tuple(self.facets[f] for f in seen.named[0].tolist()),
+            named=tuple(named),
             points=(centres(size)[seen.places[0]] / size).numpy(),
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
-            visible=int(seen.visible[0]),
-            stopped=unclear == "stop" and int(seen.visible[0]) != 1,
+            candidates=tuple(compress(named, may_answer)),
+            stopped=not agent.moves[0],
             reached=self.facets[shown[order][nearest]],
             film=tuple(film),
         )
@@ -249,7 +270,8 @@ def ask(
     scene: int | None = None,
     seed: int = 0,
     names: Mapping[str, str] | None = None,
-    unclear: Unclear = "guess",
+    unclear: Unclear = "seen",
+    level: float = LEVEL,
 ) -> Asked:
     """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there.
 
@@ -263,7 +285,11 @@ def ask(
         scene: number of the scene; None takes the first in which exactly one object answers.
         seed: seed of the scenes.
         names: the graph's names for objects, such as ``{"mug": "CoffeeMug"}``.
-        unclear: if the network sees no answer, or several: go to the most likely place, or stay.
+        unclear: if the network sees no answer, or several: go to the most likely place ("guess"),
+            do so if it sees any ("seen"), or stay ("stop", "ask"). `Asked.candidates` says which
+            it sees.
+        level: how often the object that is meant shall be among those; calibrated on images that
+            training did not see.
 
     Returns:
         Answers with their evidence, what the network names, and what the arm did.
@@ -272,7 +298,7 @@ def ask(
         UserError: a question, edit, graph or scene that does not fit the agent.
     """
     trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
-    with closing(Asker(trained, graph, seed=seed, names=names)) as asker:
+    with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
         return asker.ask(question, edit, scene, unclear)
 
 

@@ -31,6 +31,8 @@ class Subject:
     """What it answers queries by; None for what it was trained with."""
     unclear: Unclear = "guess"
     """What it does if it sees no answer, or several."""
+    level: float | None = None
+    """How often the right object is to be among those that count as answers; None: by name."""
 
     @property
     def trained(self) -> ExperimentConfig:
@@ -198,17 +200,24 @@ class ReasoningTest(BaseTest):
     controls of it "graph-shuffled", with permuted tails, or "colours", without facts. None takes
     the agent's own."""
     unclear: Unclear = "guess"
-    """What an agent that answers by a graph does if it sees no answer, or several: move to the most
-    likely place ("guess"), or stay ("stop")."""
+    """What an agent that answers by a graph does if it sees no answer, or several. Nobody answers
+    what it asks in an evaluation, so there it stays."""
+    level: float | None = None
+    """Count an object as an answer if it may be one, so that the right one is counted with this
+    probability: calibrated on held-out images. None counts what the network names so, but for
+    ``unclear`` "ask", which takes .9."""
 
     @property
     def label(self) -> str:
-        """What is answered by, and whether the arm stops."""
-        return "-".join(filter(None, [self.by, "stop" if self.unclear == "stop" else ""]))
+        """What is answered by, whether the arm stays, and the level."""
+        unclear = "" if self.unclear == "guess" else self.unclear
+        level = "" if self.level is None else f"level-{100 * self.level:g}"
+        return "-".join(filter(None, [self.by, unclear, level]))
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent answer so."""
-        return replace(subject, reasoning=self.by, unclear=self.unclear)
+        level = 0.9 if self.level is None and self.unclear == "ask" else self.level
+        return replace(subject, reasoning=self.by, unclear=self.unclear, level=level)
 
 
 AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest

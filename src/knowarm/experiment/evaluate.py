@@ -26,6 +26,7 @@ from knowarm.experiment.probes import Findings, Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
+from knowarm.perception.calibration import covered
 from knowarm.policy import PolicyAgent
 from knowarm.questions import AND
 from knowarm.reading import write_json, writing
@@ -236,10 +237,10 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     """Return a trained agent with what it knows in a test."""
     config, env, graph, by = subject.trained, subject.env, subject.graph, subject.reasoning
     knows = config.knows.reasoning_by(by, config.agent)
-    if subject.unclear != "guess" and not knows.answers_by_graph:
+    if (subject.unclear != "guess" or subject.level is not None) and not knows.answers_by_graph:
         raise UserError(
-            f"unclear={subject.unclear!r} is for agents that answer by a graph, and "
-            f"{config.agent!r} does not. Leave it out, or reason by the graph."
+            f"unclear={subject.unclear!r} and level are for agents that answer by a graph, and "
+            f"{config.agent!r} does not. Leave them out, or reason by the graph."
         )
     same = graph is None and by is None and config is trained.config
     if same and knows.keeps_agent:
@@ -258,6 +259,8 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     agent = trained.with_knowledge(knowledge)
     if isinstance(agent, AnsweringAgent):
         agent.unclear = subject.unclear
+        if subject.level is not None:
+            agent.threshold = trained.threshold(subject.level)
     return agent
 
 
@@ -308,6 +311,13 @@ def episode_columns(
         columns |= condition.columns(env.config, columns)
     if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
         columns["visible_answers"] = np.concatenate(agent.log)[:count]
+        if agent.threshold is not None:
+            places, candidates = (
+                np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True)
+            )
+            right = result.infos["object_positions"][:, 0]
+            size = env.config.image_size
+            columns["covered"] = covered(places, candidates, env.scene, right, size)
     return columns
 
 

@@ -33,6 +33,7 @@ FURTHER_COLUMNS = {
     "chance": ("float64", "share of right objects of an agent that picks one at random"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
+    "covered": ("bool", "whether the right object is among those that may answer"),
     "lift": ("string", "how the lift of the object ended: see OUTCOMES of the lift test"),
     "lift_rise_m": ("float64", "rise of the object's centre of mass in the lift [m]"),
 }

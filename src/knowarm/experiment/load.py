@@ -16,6 +16,7 @@ from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
+from knowarm.perception.calibration import calibrated_threshold
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
@@ -100,6 +101,11 @@ class TrainedAgent:
     def network(self) -> GroundingNetwork | None:
         """The grounding network of an agent that has one."""
         return cast(GroundingNetwork, self.module) if self.config.knows.is_grounded else None
+
+    def threshold(self, level: float) -> float:
+        """Return the likelihood from which its network takes an object for a possible answer."""
+        assert self.network is not None
+        return calibrated_threshold(self.network, self.config.env, level, self.config.seed)
 
     def with_knowledge(self, knowledge: KnowledgeInput) -> PolicyAgent:
         """Return an agent with this policy and other knowledge."""

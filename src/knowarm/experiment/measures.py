@@ -69,6 +69,11 @@ def _saw(is_so: Callable[[np.ndarray], np.ndarray]) -> Callable[[Columns], Inter
     return lambda episodes: _share(is_so(episodes[name])) if name in episodes else None
 
 
+def _asks(episodes: Columns) -> Interval | None:
+    """Return the share of first images in which an agent sees not exactly one candidate."""
+    return _saw(lambda count: count != 1)(episodes) if "covered" in episodes else None
+
+
 def _lifts(outcome: str, of: tuple[str, ...]) -> Callable[[Columns], Interval | None]:
     """Return the share of an outcome of lifts among some outcomes."""
 
@@ -106,6 +111,8 @@ _ALL = (
     Measure("switched", "switched", compute=_switched, about="new of new and old answers"),
     Measure("saw_no_answer", "saw no answer", compute=_saw(lambda count: count == 0)),
     Measure("saw_several_answers", "saw several", compute=_saw(lambda count: count > 1)),
+    Measure("coverage", "right one among the candidates", "covered"),
+    Measure("questions", "asks", compute=_asks, about="not exactly one candidate"),
     Measure("lifted", "lifted of all", compute=_lifts("lifted", _all_lifts)),
     Measure("grasps", "lifted of the successes", compute=_lifts("lifted", tuple(OUTCOMES))),
     *(

@@ -130,7 +130,7 @@ def make_server(
     scene: int | None = None,
     *,
     port: int = 0,
-    unclear: Unclear = "guess",
+    unclear: Unclear = "seen",
 ) -> HTTPServer:
     """Make a server on the loopback interface, which listens and answers one question at a time."""
     computing = threading.Lock()

@@ -30,8 +30,19 @@ class SeenAnswers(NamedTuple):
     """Facets of the m visible objects, surest first, (n, m) int64."""
     places: Tensor
     """Where they stand, (n, m) int64."""
-    visible: Tensor
-    """Number of the named facets that answer, (n,) int64."""
+    answering: Tensor
+    """Whether these facets answer, (n, m) bool."""
+    likelihood: Tensor
+    """Probability that what stands there answers, (n, m) float32."""
+
+    @property
+    def visible(self) -> Tensor:
+        """Number of the named facets that answer, (n,) int64."""
+        return self.answering.sum(1)
+
+    def candidates(self, threshold: float | None) -> Tensor:
+        """Return which objects may answer: by a likelihood, or without one by name, (n, m)."""
+        return self.answering if threshold is None else self.likelihood >= threshold
 
 
 class AnswerGrounding(FrameRecognition):
@@ -45,7 +56,12 @@ class AnswerGrounding(FrameRecognition):
         answers = knowledge > 0
         frames, scores, by_place = self._find(images, answers)
         named, places = self._name(by_place)
-        return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
+        at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
+        part = self.module.part_of
+        same = part[:, None] == part[named][:, None]  # of the named part of an object, (n, F, m)
+        shares = at_place.masked_fill(~same, -torch.inf).softmax(1)
+        likelihood = (shares * answers[:, :, None]).sum(1)
+        return SeenAnswers(frames, scores, named, places, answers.gather(1, named), likelihood)
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `Recognition.place_scores`."""
@@ -100,33 +116,46 @@ class AnsweringAgent(PolicyAgent):
     Attributes:
         recognition: the answers and where they stand.
         unclear: what to do where no visible object answers, or several do.
+        threshold: likelihood from which a visible object counts as an answer; see `calibration`.
+            None counts those whose name answers.
         visible_answers: how many visible objects answer in each environment, (n,) int64.
     """
 
     recognition: AnswerGrounding
     unclear: Unclear = "guess"
+    threshold: float | None = None
     visible_answers: np.ndarray
 
     def __init__(self, policy: Policy, **options: Any) -> None:
         super().__init__(policy, **options)
         self.log: list[np.ndarray] = []
         """``visible_answers`` of every reset, in order."""
+        self.seen: list[tuple[np.ndarray, np.ndarray]] = []
+        """Places of the named objects of every reset, and which of them may answer, (n, m)."""
 
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`; counts the visible answers in the images."""
         known = self.recognition.of_rows(self.rows)
         parts = zip(images.split(BATCH), known.split(BATCH), strict=True)
         seen = [self.recognition.see(*part) for part in parts]
-        self.visible_answers = torch.cat([each.visible for each in seen]).numpy()
+        candidates = torch.cat([each.candidates(self.threshold) for each in seen]).numpy()
+        self.seen.append((torch.cat([each.places for each in seen]).numpy(), candidates))
+        self.visible_answers = candidates.sum(1)
         self.log.append(self.visible_answers)
         return torch.cat([each.frames for each in seen])
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """As `PolicyAgent.act`; with ``unclear`` "stop" nothing moves without exactly one answer.
+        """As `PolicyAgent.act`; ``unclear`` decides who stays.
 
         Action 0 adds nothing to the joint targets.
         """
-        actions = super().act(observations)
-        if self.unclear == "stop":
-            actions = np.where((self.visible_answers == 1)[:, None], actions, 0)
-        return actions
+        actions = super().act(observations)  # counts the answers in the first image
+        return np.where(self.moves[:, None], actions, 0)
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Whether the arm moves in each environment, (n,) bool."""
+        count = self.visible_answers
+        if self.unclear in ("guess", "seen"):
+            return np.asarray(count >= (self.unclear == "seen"))
+        return np.asarray(count == 1)

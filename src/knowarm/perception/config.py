@@ -9,8 +9,9 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
 from knowarm.world.objects.families import look_of
 
-Unclear = Literal["guess", "stop"]
-"""What an agent does that sees no answer, or several: move to the most likely place, or stay."""
+Unclear = Literal["guess", "seen", "stop", "ask"]
+"""What an agent does that sees no answer, or several: move to the most likely place ("guess"), do
+so if it sees any ("seen"), stay ("stop"), or stay and ask which one is meant ("ask")."""
 
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 

@@ -90,18 +90,22 @@ class ImageSampler:
         self._seed = None
         episodes = self._world.running
         objects, ground = episodes.objects, target_places(scene, episodes.positions)
-        # Right and up from the centre, in half image widths.
-        point = project(scene, (ground + np.array([0, 0, HEIGHT_M])).reshape(-1, 3))
-        pixels = (1 + point * [1, -1]) / 2 * images.shape[1]
         axes = scene.grasp_matrix.reshape(-1, 3, 3)[objects][..., [0, 2]].swapaxes(-1, -2)
         return LabelledImages(
             torch.from_numpy(images),
             torch.from_numpy(self._first_facets[objects] + episodes.colours),
             torch.from_numpy(episodes.question),
-            _float(pixels.reshape(*objects.shape, 2)),
+            pixels_of(scene, episodes.positions, images.shape[1]),
             _float(ground + scene.grasp_position[objects]),
             _float(axes.reshape(*objects.shape, 6)),
         )
+
+
+def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
+    """Return where objects at x and y (..., 2) [m] stand in the image, (..., 2) float32 [px]."""
+    raised = target_places(scene, positions) + np.array([0, 0, HEIGHT_M])
+    point = project(scene, raised.reshape(-1, 3))  # right and up from the centre, in half widths
+    return _float(((1 + point * [1, -1]) / 2 * image_size).reshape(positions.shape))
 
 
 def sample_images(env: EnvConfig, spec: ModuleSpec, count: int, seed: int) -> LabelledImages:

@@ -92,12 +92,11 @@ class _Reader:
             readings.setdefault(joined(end.done), (end.cost, [*end.done]))
         if not readings:
             raise self.refused(self.reason(max(i for i, states in enumerate(reached) if states)))
-        texts = [*readings]
-        least, conditions = readings[texts[0]]
-        alike = [text for text in texts if readings[text][0] < least + INFLECTED / 2]
+        least, conditions = next(iter(readings.values()))
+        alike = [text for text, (cost, _) in readings.items() if cost < least + INFLECTED / 2]
         if len(alike) > 1:
             raise self.refused(f"it may mean {', or '.join(alike[:3])}")
-        if not texts[0]:
+        if not alike[0]:
             first, second, *_, last = [f"{'not ' * c.negated}{c.text}" for c in conditions]
             remedy = f"write it with brackets, as ({first} or {second}) and {last}"
             raise self.refused(f"'and' and 'or' can be joined in several ways; {remedy}")
@@ -105,11 +104,10 @@ class _Reader:
 
     def reason(self, furthest: int) -> str:
         """Return why there is no reading, all of which end at a word."""
-        for length in (3, 2, 1):
-            for start in range(len(self.words)):
-                if self.is_object(start, length):
-                    name = " ".join(self.words[start : start + length])
-                    return f"{name!r} names an object, and a question describes it instead"
+        places = [(i, length) for length in (3, 2, 1) for i in range(len(self.words))]
+        for start, length in filter(lambda each: self.is_object(*each), places):
+            name = " ".join(self.words[start : start + length])
+            return f"{name!r} names an object, and a question describes it instead"
         if furthest == len(self.words):
             return "its parts do not fit together"
         return f"{self.words[furthest]!r} fits nothing here"
@@ -124,13 +122,19 @@ class _Reader:
             return
         if word == "one" and vocabulary.noun(self.after(place)):
             yield 1, replace(state, number="1", weak=())
+        if state.noun and state.outer is None:  # "more than two parts that ..."
+            for closed in self.closed(state):
+                yield from self.following(place, replace(closed, cost=closed.cost + INFLECTED))
         yield from self.values(place, state)
+        if any(len(each.words) > 1 and far <= INFLECTED for each, far in self.found[place]):
+            return  # the "living room" is no room where something lives
         yield from self.superlatives(place, state)
         if word in JOINS:
             join = JOINS[word]
-            if word == "but" and (state.strong or self.words[place - 1] in WORDS["any"]):
-                yield 1, replace(state, negated=True, noun="")  # "any colour but blue"
-                return
+            said = state.strong or state.outer
+            if word == "but" and (said or self.words[place - 1] in WORDS["any"]):
+                yield 1, replace(state, strong=said, outer=None, negated=True, noun="")
+                return  # "any colour but blue", "made of anything but metal"
             for closed in self.closed(state):
                 if closed.done or not closed.join:
                     join = closed.join if join == "," and closed.join else join
@@ -139,18 +143,16 @@ class _Reader:
             weak = ("with",) if word.startswith(("without", "lack")) else ()
             join = state.join or ("and" if word == "nor" else "")
             if state.outer is None and not state.number:
-                said = replace(state, weak=state.weak + weak, join=join, noun="")
-                yield 1, replace(said, negated=not state.negated)
+                after = replace(state, weak=state.weak + weak, join=join, noun="")
+                yield 1, replace(after, negated=not state.negated)
         elif not self.is_object(place, 1):
-            is_part = any(not far and len(each.words) > 1 for each, far in self.found[place])
-            yield from () if is_part else self.cues(place, state)  # "living room" is not to live
+            yield from self.cues(place, state)
 
     def cues(self, place: int, state: _State) -> Iterator[tuple[int, _State]]:
         """Yield the state behind a word that says a relation, or changes nothing."""
         word, vocabulary = self.words[place], self.vocabulary
         last = state.done[-1].relation if state.done and not state.join else ""
-        said = vocabulary.said(word)
-        if said:
+        if said := vocabulary.said(word):
             both = said if state.strong is None else said & state.strong
             if both:
                 yield 1, replace(state, strong=both, noun=vocabulary.noun(word))
@@ -198,9 +200,8 @@ class _Reader:
         word, before = self.words[place], self.words[place - 1] if place else ""
         is_said = state.strong is not None or bool({*state.weak} & {"for", "to"})
         is_said |= bool(state.join and state.done and "ing" in state.done[-1].text)
-        return (is_said and not word.endswith("ed")) or (
-            word.endswith("s") and before in ("that", "which", "what")
-        )
+        does = word.endswith("s") and before in ("that", "which", "what")
+        return does or (is_said and not word.endswith("ed"))
 
     def matches(self, place: int) -> Iterator[tuple[Entry, float]]:
         """Yield the values that may be meant by the words at a place, and how far they are."""
