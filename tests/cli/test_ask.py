@@ -230,6 +230,7 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert get(served, "/", host="[::1")[0] == 403
     assert get(served, "/?q=usedFor+drinking", **{"Sec-Fetch-Site": "cross-site"})[0] == 403
     assert get(served, "/?q=&scene=" + 5000 * "9")[0] == 200
+    assert "A scene, with" in get(served, "/?q=&scene=9999")[1]
 
 
 def test_the_page_says_what_can_be_asked_of_this_graph_and_this_policy(asker, tmp_path):

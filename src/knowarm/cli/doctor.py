@@ -103,9 +103,10 @@ class Doctor(TableCommand):
         else:
             targets = self.targets or EnvConfig().targets
             found, what = self._check_robot(self.robot, targets), f"robot {self.robot}"
-        print(f"Checks of the {what}; what runs for the first time is compiled, up to a minute:")
-        checks = []
+        checks = list[Check]()
         for check in found:
+            if not checks:  # a robot's draft is printed before
+                print(f"Checks of the {what}; what runs for the first time is compiled:")
             checks.append(check)
             line = f"{'ok' if check.ok else 'FAILED':<6}  {check.name}: {check.found}"
             print(printable(line), flush=True)

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.experiment.ask import Asked, Asker
+from knowarm.experiment.ask import SCENES, Asked, Asker
 from knowarm.perception.config import Unclear
 from knowarm.pictures import data_uri, encode
 from knowarm.reading import replacing
@@ -49,7 +49,7 @@ def place_labels(asked: Asked) -> list[Label]:
         zip(asked.named, 100 * asked.points, strict=True),
         key=lambda each: each[0] not in asked.answers.evidence,
     )
-    high, taken, labels = 100 * LINE / WIDTH, list[tuple[float, float, float]](), []
+    high, taken, labels = 100 * LINE / WIDTH, list[tuple[float, float, float]](), list[Label]()
     for facet, (x, y) in found:
         text = " ".join(reversed(facet))
         half = 50 * (LETTER * len(text) + PADDING) / WIDTH
@@ -98,7 +98,7 @@ def page(
     if asked is not None:
         shown |= {**_pictures(asked), "labels": place_labels(asked)}
     elif asker is not None:
-        image, facets = asker.look(scene or 0)
+        image, facets = asker.look(min(scene or 0, SCENES - 1))
         names = ", ".join(" ".join(reversed(facet)) for facet in facets)
         shown |= {"image": data_uri("PNG", encode(image, "PNG")), "standing": names}
     found = {"asked": asked, "question": question, "edits": edits}
