@@ -161,6 +161,18 @@ def test_the_user_picks_where_several_objects_may_be_meant(monkeypatch, capsys, 
     assert json.loads(path.read_text())["steps"] == 50  # it stays to the end
 
 
+def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
+    path = tmp_path / "home.csv"
+    path.write_text("head,relation,tail\nCoffeeCup,holds,tea\nvase,holds,rose\nsofa,holds,cat\n")
+    assert main(["ask", RUN, "holds tea", "--graph", str(path), "--names", "mug=CoffeeCup"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "recognized and described │ 2 │ mug, vase" in printed
+    assert "recognized only │ 24 │ bottle" in printed
+    assert "described only │ 1 │ sofa" in printed
+    assert main(["evaluate", RUN, "--names", "mug=CoffeeCup"]) == 2
+    assert "give --graph" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -124,6 +124,13 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
     }
     assert result.summary["choice"] > 0.85
     assert result.summary.label == "post-training-greedy-other-graph"
+    graph.write_text(graph.read_text().replace("mug\t", "CoffeeCup\t"))
+    named = dataclasses.replace(test[0], names={"mug": "CoffeeCup"})
+    again = evaluate(trained, test=(named, test[1]), **BRIEF)
+    assert again.summary.numbers == result.summary.numbers
+    with pytest.raises(UserError, match="has an entity 'vase' of its own"):
+        evaluate(trained, test=(dataclasses.replace(named, names={"vase": "CoffeeCup"}),), **BRIEF)
+    graph.write_text(graph.read_text().replace("CoffeeCup\t", "mug\t"))
     missing = evaluate(trained, test=(*test, DamageTest(damage="missing", share=1.0)), **BRIEF)
     assert missing.summary["choice"] < result.summary["choice"] - 0.1
     with pytest.raises(UserError, match="everything that it can be asked is a question of S1"):

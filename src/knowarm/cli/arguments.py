@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import field, is_dataclass, make_dataclass
 from functools import partial
 from io import StringIO
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -17,6 +18,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment import algorithms
+from knowarm.reading import read_text
 from knowarm.world import tasks
 
 if TYPE_CHECKING:
@@ -204,3 +206,22 @@ def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], "Vector
 
     rest, name = take_option(arguments, flag, "wordnet-gloss-50")
     return rest, None if name is None else source_named(name)
+
+
+def read_names(given: Sequence[str]) -> dict[str, str]:
+    """Return the graph's names by object, from words and files of lines such as mug=CoffeeMug."""
+    names = {}
+    for word in given:
+        lines = [word]
+        if "=" not in word:
+            lines = read_text(
+                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
+            ).split("\n")
+        for line in filter(None, map(str.strip, lines)):
+            name, _, other = (part.strip() for part in line.partition("="))
+            if not (name and other):
+                raise UserError(
+                    f"names: {line!r} must be an object and its name, such as mug=CoffeeMug."
+                )
+            names[name] = other
+    return names

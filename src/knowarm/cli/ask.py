@@ -8,15 +8,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.cli.arguments import read_names
+from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.errors import UserError, printable
+from knowarm.experiment.answers import meeting
 from knowarm.experiment.ask import LEVEL, Asked, Asker
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import read_graph
 from knowarm.perception.config import Unclear
 from knowarm.questions import ObjectColour
-from knowarm.reading import read_text
 
 SHOWN = 12  # most objects whose evidence is printed
 
@@ -73,8 +74,10 @@ class Ask(TableCommand):
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
         graph = read_graph(self.graph, self.format) if self.graph else None
-        how: dict[str, Any] = {"seed": self.seed, "names": _names(self.names)}
+        how: dict[str, Any] = {"seed": self.seed, "names": read_names(self.names)}
         with closing(Asker(trained, graph, **how, level=self.level)) as asker:
+            if graph is not None:
+                print_meeting(meeting(graph, [name for name, _ in asker.facets], how["names"]))
             if self.browser:
                 start = (self.question, self.edit, self.scene)
                 serve_page(make_server(asker, *start, port=self.port, unclear=self.unclear))
@@ -112,25 +115,6 @@ def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
         if given in map(str, range(1, len(choices) + 1)):
             return choices[int(given) - 1]
     return None
-
-
-def _names(given: Sequence[str]) -> dict[str, str]:
-    """Return the graph's names by object, from words and files of lines such as mug=CoffeeMug."""
-    names = {}
-    for word in given:
-        lines = [word]
-        if "=" not in word:
-            lines = read_text(
-                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
-            ).split("\n")
-        for line in filter(None, map(str.strip, lines)):
-            name, _, other = (part.strip() for part in line.partition("="))
-            if not (name and other):
-                raise UserError(
-                    f"names: {line!r} must be an object and its name, such as mug=CoffeeMug."
-                )
-            names[name] = other
-    return names
 
 
 def _print(asked: Asked) -> None:

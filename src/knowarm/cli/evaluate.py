@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import tyro
 from rich.text import Text
 
-from knowarm.cli.arguments import Command, answer_help, parse_options, take_option
-from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.cli.arguments import (
+    Command,
+    answer_help,
+    parse_options,
+    read_names,
+    take_option,
+)
+from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.conditions import (
@@ -80,6 +86,8 @@ class ConditionOptions:
     """Edited graph of split S5, instead of one that swaps values."""
     graph: str | None = None
     """Another graph, which asks and answers."""
+    names: tuple[str, ...] = ()
+    """Its names for objects, such as mug=CoffeeMug, or a file of such lines."""
     reasoning: Reasoning | None = None
     """What an agent with a grounding network answers queries by, instead of its own."""
     unclear: Unclear = "guess"
@@ -103,7 +111,9 @@ class ConditionOptions:
         if self.split is not None:
             conditions.append(SplitTest(split=self.split, edited=self.edited))
         if self.graph is not None:
-            conditions.append(GraphTest(graph=self.graph))
+            conditions.append(GraphTest(graph=self.graph, names=read_names(self.names)))
+        elif self.names:
+            raise UserError("--names are those of another graph: give --graph.")
         reasoning = ReasoningTest(by=self.reasoning, unclear=self.unclear, level=self.level)
         if reasoning != ReasoningTest():
             conditions.append(reasoning)
@@ -167,8 +177,11 @@ class Evaluate(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
+        from knowarm.experiment.answers import meeting
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
+        from knowarm.experiment.other_graphs import target_names
+        from knowarm.knowledge.formats import read_graph
 
         chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
@@ -197,6 +210,10 @@ class Evaluate(TableCommand):
                 report(
                     f"{self.agent} is still training: this is its network of step {trained.step:,}."
                 )
+            if self.conditions.graph is not None:
+                graph = read_graph(self.conditions.graph)
+                names = read_names(self.conditions.names)
+                print_meeting(meeting(graph, target_names(trained.config.env), names))
             result = evaluate(trained, config=how, write=self.save, report=report)
         _print(result.summary)
         if result.folder is not None and self.save:

@@ -20,6 +20,8 @@ from knowarm.reading import write_json, writing
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """Type of an optional file argument, such as ``--json``."""
 UNLIMITED = 10_000  # width of tables that no terminal shows
+MOST_NAMES = 12
+"""Most names in a cell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,15 @@ class TableCommand:
     def result(self) -> Mapping[str, Any]:
         """Do the work, print the result and return its values."""
         raise NotImplementedError
+
+
+def print_meeting(meeting: Mapping[str, Sequence[str]]) -> None:
+    """Print how a policy and a graph meet: `meeting` of the experiment's answers."""
+    rows = [
+        [what, len(names), ", ".join(names[:MOST_NAMES]) + ", ..." * (len(names) > MOST_NAMES)]
+        for what, names in meeting.items()
+    ]
+    print_table("Policy and graph", ["objects", "count", "names"], rows)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

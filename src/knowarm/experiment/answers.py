@@ -1,12 +1,14 @@
 """Answers of graphs to the questions of a task."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 
 import numpy as np
 import torch
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.images import QueryAnswers, query_answers
 from knowarm.questions import ObjectColour, Query, QuestionTable
@@ -33,6 +35,34 @@ def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
     """Return which names a graph describes."""
     known = {name: graph.described(name) is not None for name in dict.fromkeys(names)}
     return [known[name] for name in names]
+
+
+def meeting(
+    graph: KnowledgeGraph, objects: Collection[str], names: Mapping[str, str] | None = None
+) -> dict[str, list[str]]:
+    """Return how the objects that a policy recognizes and those that a graph describes meet.
+
+    Args:
+        graph: the graph; it describes what is the head of a triple and the tail of none.
+        objects: what the policy recognizes.
+        names: the graph's names for objects, where they differ by more than their spelling.
+    """
+    known, missing = dict[int, str](), list[str]()
+    for name in dict.fromkeys(objects):
+        entity = None
+        with suppress(AmbiguousNameError):
+            entity = graph.find_entity((names or {}).get(name, name))
+        if entity is None:
+            missing.append(name)
+        else:
+            known[entity] = name
+    others = [i for i in np.setdiff1d(graph.heads, graph.tails).tolist() if i not in known]
+    named = [graph.names.short(i) for i in others if not graph.names[i].startswith("_:")]
+    return {
+        "recognized and described": [*known.values()],
+        "recognized only": missing,
+        "described only": named,
+    }
 
 
 def answers_by(

@@ -1,7 +1,7 @@
 """Test conditions of an evaluation: what the agent is asked, sees and knows in it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -132,6 +132,8 @@ class GraphTest(BaseTest):
     kind: Literal["graph"] = "graph"
     graph: str
     """Path of the graph, or the name of a shipped one."""
+    names: dict[str, str] = field(default_factory=dict)
+    """Its names for objects, where they differ by more than their spelling."""
 
     @property
     def label(self) -> str:
@@ -142,7 +144,7 @@ class GraphTest(BaseTest):
         """Let task and agent take the other graph."""
         from knowarm.experiment.other_graphs import with_graph
 
-        config = with_graph(subject.trained, self.graph)
+        config = with_graph(subject.trained, self.graph, self.names)
         return replace(subject, env=config.env, config=config)
 
 

@@ -1,5 +1,6 @@
 """Other graphs of the questions than that of training."""
 
+from collections.abc import Mapping
 from itertools import compress
 
 import numpy as np
@@ -9,8 +10,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.answers import asked, described, no_queries
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
-from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.formats import read_graph, write_graph
 from knowarm.knowledge.queries.splits import QuerySplits
+from knowarm.world.cache import cache_file
 from knowarm.world.config import EnvConfig, facets_of
 
 
@@ -24,7 +27,9 @@ def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
         )
 
 
-def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
+def with_graph(
+    config: ExperimentConfig, path: str, names: Mapping[str, str] | None = None
+) -> ExperimentConfig:
     """Return an experiment whose questions and answers come from another graph.
 
     It shows the objects that the graph describes and asks all that the graph can be asked.
@@ -32,8 +37,10 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
     Args:
         config: of a task with queries.
         path: of the graph, or the name of a shipped one.
+        names: its names for objects, where they differ by more than their spelling.
     """
     asked(config.env)
+    path = _with_names(path, names) if names else path
     is_described = described(read_graph(path), target_names(config.env))
     targets = [*compress(config.env.targets, is_described)]
     if len(targets) < config.env.task.visible:
@@ -45,6 +52,26 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
     queries = {"graph": path, "hold_out": []}
     env = {"targets": targets, "task": {"queries": queries}}
     return override(config, {"env": env, "knows": {"graph": path}})
+
+
+def _with_names(path: str, names: Mapping[str, str]) -> str:
+    """Write a graph in which objects are labelled as the task names them; return its path."""
+    graph = read_graph(path)
+    labels = dict(graph.labels)
+    for name, given in names.items():
+        entity = graph.entity_id(given)
+        if (own := graph.find_entity(name)) not in (None, entity):
+            raise UserError(
+                f"The graph {path} has an entity {graph.names[own or 0]!r} of its own, so that "
+                f"{name!r} cannot name {given!r}, too. Leave {name}={given} out."
+            )
+        labels[graph.names[entity]] = name
+    file = cache_file("graphs", [*graph], labels).with_suffix(".ttl")
+    if not file.exists():
+        everything = (graph.names, graph.relation_names, graph.triples)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_graph(KnowledgeGraph(*everything, nodes=graph.nodes, labels=labels), file)
+    return str(file)
 
 
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:

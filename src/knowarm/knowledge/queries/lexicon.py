@@ -89,6 +89,7 @@ def distance(word: str, other: str) -> float | None:
 def _forms(word: str) -> frozenset[str]:
     """Return a word and what it may be an inflected form of."""
     found = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
+    found |= {word[:-1]} if word.endswith("ed") else set()  # used, stored
     for ending, other in _ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending) + 2:
             found.add(word.removesuffix(ending) + other)

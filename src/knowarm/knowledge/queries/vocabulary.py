@@ -68,6 +68,10 @@ class Vocabulary:
         for entry in filter(lambda each: each.words, self.entries):
             self.by_first[entry.words[0]].append(entry)
 
+    def _label(self, name: str) -> str:
+        labels = self.graph.labels
+        return name if name.startswith("/") and name not in labels else label_of(name, labels)
+
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[str, int]]:
         """Yield the relations of entities and what they lead to, and learn their words."""
         graph = self.graph
@@ -75,14 +79,13 @@ class Vocabulary:
         pairs = {(int(graph.relations[row]), int(graph.tails[row])) for row in rows}
         for relation, tail in sorted(pairs):
             name = graph.relation_names.short(relation)
-            label = label_of(graph.relation_names[relation], graph.labels)
-            self.words.setdefault(name, words_of(label))
+            self.words.setdefault(name, words_of(self._label(graph.relation_names[relation])))
             yield name, tail
 
     def _entry(self, relations: str, tail: int) -> Entry:
         """Return the condition of one relation, or of two: "usedFor (relatedTo"."""
         graph, (relation, _, inner) = self.graph, relations.partition(" (")
-        words = words_of(label_of(graph.names[tail], graph.labels))
+        words = words_of(self._label(graph.names[tail]))
         text = f"{relations} {_quoted(local_name(graph.names.short(tail)))}" + ")" * bool(inner)
         return Entry(tuple(words), relation, text, inner)
 
@@ -158,7 +161,8 @@ class Vocabulary:
 
 def words_of(label: str) -> list[str]:
     """Return the words of a name or label in lower case."""
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", label))
+    text = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", unicodedata.normalize("NFC", label))
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)  # and ConceptNet's /r/UsedFor above
     return re.findall(r"[^\W_]+(?:\.\d+)?", text.casefold())
 
 
