@@ -33,7 +33,7 @@ class Ask(TableCommand):
     ] = ""
     """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
     and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
-    ?object. May be left out with --browser."""
+    ?object. Optional with --browser."""
     graph: str | None = None
     """Path of another graph, or the name of a shipped one; default: the run's."""
     format: str | None = None

@@ -46,7 +46,7 @@ class Export(OfRun):
         contract = export(load_agent(self.run_folder, which=self.which), self.to).contract
         print(f"Wrote {', '.join(sorted(each.name for each in self.to.iterdir()))} to {self.to}.")
         rows = contract["knowledge"]["rows"]
-        print(f"Rows of knowledge.npy: {len(rows)}, such as {rows[0]!r}.")
+        print(f"knowledge.npy has {len(rows)} row(s), the first for {rows[0]!r}.")
         if not contract["success"]:
             print(f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success.")
 

@@ -134,7 +134,7 @@ def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
         counted = {"questions": table.askable, "of_one_condition": of_one}
         counted["facets_shown"] = table.shown
         sizes[name] = {what: int(each.sum()) for what, each in counted.items()}
-    about = {"training": "what is held out below is not asked", **SPLITS}
+    about = {"training": "without the questions that the tests below hold out", **SPLITS}
     rows = [[name, about[name], *size.values()] for name, size in sizes.items()]
     columns = ["table", "asks", "questions", "of one condition", "facets shown"]
     print_table("Splits", columns, rows)
