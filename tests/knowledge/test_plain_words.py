@@ -100,6 +100,9 @@ def test_a_value_of_two_relations_is_refused_until_one_is_said():
     with pytest.raises(UserError, match="may mean"):
         reading(graph, FACETS, "something glass")
     assert reading(graph, FACETS, "something made of glass") == "isMadeOf glass"
+    assert reading(graph_named("home"), FACETS, "made by bees") == "madeBy bees"
+    with pytest.raises(UserError, match="not understood"):
+        reading(graph_named("home"), FACETS, "made of bees")
 
 
 def test_ties_of_a_superlative_all_answer():

@@ -242,15 +242,15 @@ class _Reader:
             said = state.strong is not None and entry.inner in state.strong
             said |= any(entry.inner and vocabulary.allows(w, entry.inner) for w in state.weak)
             return 0.0 if entry.inner and said and relation in state.outer else None
-        kind = FAMILIES["type"]
-        if entry.inner and vocabulary.family(entry.inner) is not kind:
+        if entry.inner and vocabulary.family(entry.inner) is not FAMILIES["type"]:
             return None
         more = 0.5 if entry.inner else 0.0
+        allowed = any(vocabulary.allows(word, relation) for word in state.weak)
         if state.strong is not None:
-            exact = {n for n in state.strong if {*state.weak} & {*vocabulary.words[n]}}
-            return more if relation in (exact or state.strong) else None
+            own = WEAK & {*vocabulary.words[relation][1:]}  # "made by" is not "made of"
+            is_other = own and state.weak and not allowed
+            return more if relation in state.strong and not is_other else None
         if state.weak:
-            allowed = any(vocabulary.allows(word, relation) for word in state.weak)
             return more if allowed else None
         last = state.done[-1].relation if state.done and state.join else ""
         if entry.inner or vocabulary.family(relation).relations == "":
