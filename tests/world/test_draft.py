@@ -19,7 +19,9 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
+from knowarm.world.own_robot.draft_home import Home
 from knowarm.world.own_robot.draft_reach import find_layout
+from knowarm.world.own_robot.draft_view import choose_view
 from knowarm.world.own_robot.robot_check import check_robot
 from knowarm.world.own_robot.scene_image import SIDE, write_scene_image
 from knowarm.world.robots import ROBOTS
@@ -255,3 +257,22 @@ def test_overrides_are_fields_in_tomls_notation() -> None:
         read_overrides(["camera_fovy=50"])
     with pytest.raises(UserError, match="Did you mean 'base_position_m'"):
         read_overrides(["base=[0.0, 0.0, 0.4]"])
+
+
+WALL = '<geom type="box" size=".4 .02 .6" pos=".1 -.3 .6" contype="0" conaffinity="0"/>'
+
+
+def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
+    text = SHIPPED.mjcf.read_text()
+    body = '<body name="base_link">'
+    assert body in text
+    (tmp_path / "arm.xml").write_text(text.replace(body, body + WALL))
+    for mjcf, side in ((SHIPPED.mjcf, "right"), (tmp_path / "arm.xml", "left")):
+        scene = build_scene(dataclasses.replace(SHIPPED, mjcf=mjcf), find_targets(["mug"]))
+        home = Home(scene.home, 1.0, "")
+        _, view, text = choose_view(scene, [home], {"camera_fovy_deg": 40.0})
+        assert side in text.partition(": at its start the arm fills")[0]
+        assert (view["camera_position_m"][1] < 0) is (side == "right")
+        given = {"camera_position_m": [2.0, -1.0, 1.0], "camera_look_at_m": [0.4, 0.0, 0.3]}
+        fields = choose_view(scene, [home], {**given, "camera_fovy_deg": 40.0})[1]
+        assert fields == {**given, "camera_fovy_deg": 40.0}

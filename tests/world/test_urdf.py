@@ -40,6 +40,15 @@ def convert(folder: Path, text: str, name: str = "arm.urdf", **options) -> mujoc
     return model
 
 
+def test_collision_shapes_are_drawn_where_there_is_nothing_else(tmp_path: Path) -> None:
+    both = '</visual><collision><geometry><sphere radius=".1"/></geometry></collision>'
+    model = convert(
+        tmp_path, urdf().replace("</visual>", both, 2).replace("visual", "collision", 2)
+    )
+    assert model.geom_group[model.geom_size[:, 0] == 0.1].tolist() == [0, 3]
+    assert (model.geom_contype[model.geom_size[:, 0] == 0.1] == 1).all()
+
+
 @pytest.mark.parametrize("name", ["arm.urdf", "arm.xml"])
 def test_visuals_and_fixed_frames_are_kept(name: str, tmp_path: Path) -> None:
     model = convert(tmp_path, urdf(), name)

@@ -4,6 +4,7 @@ import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +139,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
             how["base"] = "turned or shifted so that the arm stands at the origin and faces x"
     x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
 
+    @cache  # compiling many meshes takes seconds
     def scene_at(height: float) -> Scene:
         base = {"base_position_m": [x, y, height]}
         return _wide_scene(path, values | NO_RECTANGLE | base, targets)

@@ -52,9 +52,9 @@ def choose_view(
             pixels, robot = _shown(scene, home, view)
             score = min(pixels / ENOUGH_PIXELS, robot / ENOUGH_ROBOT, 1.0)
             text = (
-                f"{'as given' if fixed else name}: at its start the arm fills {robot:.1%} of the "
+                f"{'as given' if fixed else name}: at its start the arm fills {100 * robot:.1f} % "
+                f"of the image, and every target at least {pixels:.0f} pixels"
             )
-            text += f"image, and every target at least {pixels:.0f} pixels"
             if best is None or score > best[0]:
                 best = score, home, view, text
             if score >= 1:

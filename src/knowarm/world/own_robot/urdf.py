@@ -24,6 +24,7 @@ MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 XACRO, MESHES = ".xacro", "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
+VISUAL_GROUP, COLLISION_GROUP = 1, 3  # MuJoCo's of a URDF's visuals, and one that is not drawn
 LEAST_KG, LEAST_INERTIA = 1e-4, 1e-6  # Of a link that moves [kg], [kg m^2]
 ROUNDING = 1e-4  # Relative error of inertias as they are written
 COMPILER = {
@@ -81,6 +82,10 @@ def as_mjcf(
             for mesh in spec.meshes:  # a visual has no mass, and may have no volume
                 if mesh.name.startswith("visual"):
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            for body in spec.bodies:
+                if any(geom.group == VISUAL_GROUP for geom in body.geoms):
+                    for geom in body.geoms:  # images show a link once
+                        geom.group = geom.group or COLLISION_GROUP
             for body in spec.bodies[1:]:  # frames without shape, such as tool0
                 if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
                     body.add_site(name=body.name)

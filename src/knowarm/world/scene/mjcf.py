@@ -52,10 +52,10 @@ def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
 
 def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
     """Give joints without a range that of the positions that their actuator is given."""
-    limited = part.compile().jnt_limited
+    affine = mujoco.mjtBias.mjBIAS_AFFINE
     for actuator in part.actuators:
         joint = part.joint(actuator.target) if actuator.target in joints else None
-        if joint is None or limited[joint.id] or actuator.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+        if joint is None or joint.range[0] < joint.range[1] or actuator.biastype != affine:
             continue
         low, high = actuator.ctrlrange
         if low < high:
