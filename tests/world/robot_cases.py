@@ -97,6 +97,7 @@ CASES = {
     "one link in group 3": change(('"capsule" size=".05"', '"capsule" group="3" size=".05"')),
     "all geoms in group 3": change(("<geom rgba", '<geom group="3" rgba')),
     "strong friction": change(('damping="1"', 'damping="60" frictionloss="40"')),
+    "missing mesh": change(("<default>", '<asset><mesh name="m" file="no.stl"/></asset><default>')),
     "springs": change(('damping="1"', 'damping="1" stiffness="200" springref=".5"')),
     "force limits": change(("armature", 'actuatorfrcrange="-12 12" armature')),
     "keyframe of another size": change(

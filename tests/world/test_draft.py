@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.world.agents import OracleAgent
@@ -192,8 +193,6 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     assert 12 <= np.median(results.length) <= 30  # of 50
     image = tmp_path / "arm.png"
     write_scene_image(scene, EnvConfig(robot=str(file)), image)
-    from PIL import Image
-
     assert Image.open(image).size == (2 * SIDE, SIDE)
 
 
@@ -276,3 +275,13 @@ def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
         given = {"camera_position_m": [2.0, -1.0, 1.0], "camera_look_at_m": [0.4, 0.0, 0.3]}
         fields = choose_view(scene, [home], {**given, "camera_fovy_deg": 40.0})[1]
         assert fields == {**given, "camera_fovy_deg": 40.0}
+
+
+def test_the_image_has_the_colours_that_the_policy_sees(tmp_path: Path) -> None:
+    robot, bowl = str(EXAMPLES / "scara.toml"), str(EXAMPLES / "bowl.toml")
+    scene = load_scene(robot, (bowl,))
+    write_scene_image(scene, EnvConfig(robot=robot, targets=(bowl,)), tmp_path / "a.png")
+    drawn = np.asarray(Image.open(tmp_path / "a.png"), dtype=int)
+    wanted = 255 * scene.target_colours[0, 0]
+    hue = drawn / np.maximum(drawn.max(axis=-1, keepdims=True), 1)
+    assert (np.abs(hue - wanted / wanted.max()).max(axis=-1) < 0.1).sum() > 200

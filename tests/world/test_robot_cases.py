@@ -36,6 +36,7 @@ FOUND = {
     "all joints unnamed": "no chain of at least two named",
     "names with space, slash, umlaut": "up to body '\"6\"', where 2 moving parts begin: Gelenk 1",
     "zero inertia": "does not compile: Error: mass and inertia of moving bodies",
+    "missing mesh": "does not compile: Error: Error opening file",
     "ball joint": "j1, j2, j3, j5, j6; left out: j4, left, right;",
     "two joints in one body": "j1, j2, j2b, j3",
     "site with z backward": "TCP: the place of site 'tcp', turned",

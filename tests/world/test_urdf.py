@@ -56,6 +56,11 @@ def test_visuals_and_fixed_frames_are_kept(name: str, tmp_path: Path) -> None:
     assert find_gripper(model).how.endswith("TCP: site 'tool0'")
 
 
+def test_continuous_joints_have_no_range(tmp_path: Path) -> None:
+    text = urdf().replace("revolute", "continuous").replace('lower="-2" upper="2"', "")
+    assert not convert(tmp_path, text).jnt_limited.any()
+
+
 def test_a_follower_is_no_joint_of_the_arm(tmp_path: Path) -> None:
     model = convert(tmp_path, urdf(mimic='<mimic joint="j3" multiplier="-1"/>'))
     assert model.neq == 1
