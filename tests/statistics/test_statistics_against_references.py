@@ -86,9 +86,9 @@ def test_power(effect):
     power = pytest.importorskip("statsmodels.stats.power").TTestIndPower()
     for count in (3, 10, 40):
         for alpha in (0.05, 0.05 / 6):
-            assert power_of_two_samples(effect, count, alpha) == pytest.approx(
-                power.power(effect, count, alpha), abs=1e-9
-            )
+            expected = power.power(effect, count, alpha)
+            expected = 1.0 if np.isnan(expected) else expected  # near 1, with SciPy before 1.17
+            assert power_of_two_samples(effect, count, alpha) == pytest.approx(expected, abs=1e-9)
     needed = power.solve_power(effect_size=effect, power=0.8, alpha=0.05)
     assert seeds_needed(effect) == int(np.ceil(needed))
 
