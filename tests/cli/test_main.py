@@ -40,6 +40,15 @@ def test_help_lists_every_command(capsys):
     assert all(name in out for name in COMMANDS)
 
 
+def test_help_and_version_are_commands_and_train_needs_a_name(capsys):
+    assert run(capsys, "help") == run(capsys, "--help")
+    assert run(capsys, "version") == run(capsys, "--version")
+    with pytest.raises(SystemExit) as ended:
+        main(["train"])
+    assert ended.value.code == 2
+    assert "usage: knowarm train EXPERIMENT" in capsys.readouterr().err
+
+
 def test_every_command_exists(capsys):
     for name in COMMANDS:
         with pytest.raises(SystemExit) as ended:
@@ -172,6 +181,8 @@ def test_list_shows_one_kind_only(capsys):
         (["evaluate", "kitchen.csv"], ["is a file"]),
         (["evaluate", "runs/X"], ["Give a run, such as runs/X/0"]),
         (["list", "robot"], ["'robots'"]),
+        (["knowledge", "queries", "--graph", "empty.csv"], ["empty.csv holds no triples"]),
+        (["train", "irb120-full-fast", "--graph", "kitchen.csv"], ["--knows.detail partial"]),
         (["ask", "usedFor drinking"], ["Give a run, then a question"]),
         (["study", "unpack", "kitchen.csv"], ["no pack of a study"]),
         (["train", "full-fast", "--env.robot", "arm.urdf"], ["is a model file"]),
@@ -189,6 +200,7 @@ def test_list_shows_one_kind_only(capsys):
 def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kitchen.csv").write_text("mug,usedFor,drinking\n")
+    (tmp_path / "empty.csv").write_text("")
     (tmp_path / "runs" / "X" / "0").mkdir(parents=True)
     (tmp_path / "runs" / "X" / "0" / "config.json").write_text("{}")
     before = sorted(tmp_path.rglob("*"))

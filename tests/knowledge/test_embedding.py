@@ -141,7 +141,7 @@ def test_errors_name_what_is_known(facets):
         scene_embedding(KnowledgeConfig(detail="full", source=WordVectors(name="wordnet")), facets)
     with pytest.raises(UserError, match=r"expects 60.*set dim to 50"):
         scene_embedding(KnowledgeConfig(detail="full", dim=60), facets)
-    with pytest.raises(UserError, match=r"colour relation 'paintedIn'.*Set colour_relation"):
+    with pytest.raises(UserError, match=r"colour relation 'paintedIn'.*colour_relation"):
         scene_embedding(KnowledgeConfig(detail="full", colour_relation="paintedIn"), facets)
     with pytest.raises(UserError, match="between 0 and 1"):
         scene_embedding(KnowledgeConfig(detail="full", colour_share=2.0), facets)

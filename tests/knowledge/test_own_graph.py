@@ -53,7 +53,7 @@ def test_a_small_graph_can_be_probed(path):
     config = KnowledgeConfig(detail="full", graph=str(path), colour_relation="paint")
     found = probe(config, [("mug", "red"), ("mug", "blue")])
     assert set(found.recovered["colour"]) == {"task", "all", "guess"}
-    with pytest.raises(UserError, match=r"colour relation 'hasColor'.*Set colour_relation"):
+    with pytest.raises(UserError, match=r"colour relation 'hasColor'.*colour_relation"):
         scene_embedding(KnowledgeConfig(detail="full", graph=str(path)), [("mug", "red")])
 
 

@@ -187,8 +187,13 @@ def facet_subgraph(
     if relation is None and facet.colour is not None:
         relations = [local_name(name) for name in around.relation_names]
         unknown = unknown_name("colour relation", colour_relation, relations)
-        hint = "Set colour_relation to the graph's relation, or detail to 'partial'."
-        raise UserError(f"{unknown} {hint}")
+        raise UserError(
+            f"{unknown} For an agent that does not describe colours pass ",
+            Argument("knows.detail", "partial"),
+            "; if the graph has colours, name its relation by ",
+            Argument("knows.colour_relation", "RELATION"),
+            ".",
+        )
     colours = (around.heads == entity) & (around.relations == relation)
     keep, colour = ~colours, None
     if facet.colour is not None:
