@@ -122,7 +122,10 @@ def test_episodes_of_another_robot_or_other_objects_change_nothing(make_env: Mak
     before = env.get_state()
     for options, message in (
         ({"robot": "tiago"}, r"hold 7 joints, and this environment has 6"),
-        ({"targets": ("mug", "bottle", "cereal_box", "can", "book")}, r"show other objects than this environment has"),
+        (
+            {"targets": ("mug", "bottle", "cereal_box", "can", "book")},
+            r"show other objects than this environment has",
+        ),
     ):
         episodes = evaluation_episodes(make_env(2, **options).config, 40, 0)[-2:]
         with pytest.raises(UserError, match=message):
