@@ -54,7 +54,7 @@ def test_missing_files_say_how_to_get_them(
     name = next(iter(KNOWN_ARMS))
     with pytest.raises(UserError, match=r"git clone .*mujoco_menagerie.*KNOWARM_MENAGERIE"):
         knowarm.make(name)
-    List().run()
+    List(kind="robots").run()
     printed = capsys.readouterr().out
     assert name in printed
     assert "missing" in printed

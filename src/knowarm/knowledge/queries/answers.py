@@ -123,7 +123,11 @@ def _reading(
         if exact is None:
             return text
         raise exact if reader.has_relation else error from None
-    return plain if exact is not None or holders(plain) else text
+    if exact is None:
+        return plain if holders(plain) else text
+    if reader.has_relation and not holders(plain):
+        raise exact  # it names the values that there are
+    return plain
 
 
 def _evidence(
