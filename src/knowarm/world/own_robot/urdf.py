@@ -270,7 +270,7 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
             raise ValueError("it has no faces")
         parts = []
         for i, (rgba, some) in enumerate(groups.items()):
-            whole = trimesh.util.concatenate(some)
+            whole: Any = trimesh.util.concatenate(some)
             suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
             part = target.with_name(f"{target.name}_{i}{suffix}")
             whole.export(part)
