@@ -49,7 +49,7 @@ def ask(asker, question, edits=()):
 
 def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
     path, web = tmp_path / "answer.json", tmp_path / "answer.html"
-    question = "usedFor drinking and not hasColor blue"
+    question = "something to drink from that is not blue"
     assert main(["ask", RUN, question, "--json", str(path), "--page", str(web)]) == 0
     found = json.loads(path.read_text())
     answering = set(found["answers"])
@@ -64,6 +64,8 @@ def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
     assert "mug usedFor drinking" in printed
     assert "which answers, after" in printed
     text = web.read_text()
+    assert f"<h2>{question}</h2>" in text
+    assert "I read this as: usedFor drinking and not hasColor blue" in text
     assert "mug usedFor drinking" in text
     assert "data:image/webp" in text
     assert "http" not in text.replace("http-equiv", "")

@@ -90,7 +90,7 @@ class Ask(TableCommand):
                     asked = asker.play(asked.answers, asked.scene, picked=picked)
                     print(printable(asked.outcome))
         if self.page is not None:
-            write_page(Path(self.page), asked, self.edit)
+            write_page(Path(self.page), asked, self.question, self.edit)
             print(f"Wrote {self.page}")
         return {
             "question": asked.answers.question,

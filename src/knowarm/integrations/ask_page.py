@@ -105,11 +105,11 @@ def page(
     return template.get_template("ask.html.j2").render(**found, **shown)
 
 
-def write_page(path: Path, asked: Asked, edits: Sequence[str]) -> None:
-    """Write the page of a question to an HTML file."""
+def write_page(path: Path, asked: Asked, question: str, edits: Sequence[str]) -> None:
+    """Write the page of a question, as it was asked, to an HTML file."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The page must be an .html file, got {path}.")
-    text = page(asked, asked.answers.question, edits)
+    text = page(asked, question, edits)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
