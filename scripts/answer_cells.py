@@ -142,10 +142,15 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
 
 
+def plus(value: float, digits: int = 0) -> str:
+    """Format a difference; zero has no sign."""
+    return f"{value:+,.{digits}f}" if round(value, digits) else f"{0:.{digits}f}"
+
+
 def signed(each: Interval, scale: float, digits: int = 0) -> str:
     """Format a difference with its interval."""
     values = (scale * value for value in (each.estimate, each.low, each.high))
-    return "{} [{}, {}]".format(*(f"{round(value, digits) + 0:+,.{digits}f}" for value in values))
+    return "{} [{}, {}]".format(*(plus(value, digits) for value in values))
 
 
 def agents_table(agents: Mapping[str, Agent]) -> str:

@@ -31,6 +31,7 @@ from scripts.answer_cells import (
     agents_table,
     comparison_table,
     comparisons,
+    plus,
     runs_table,
     table,
     tasks_of,
@@ -63,7 +64,7 @@ def saving(task: TaskData, agent: str) -> float | None:
 def spread_of(values: Sequence[float | None], digits: int = 0) -> str:
     """Format the range of numbers in percent."""
     known = [100 * value for value in values if value is not None]
-    low, high = (f"{value:+.{digits}f}" for value in (min(known), max(known)))
+    low, high = (plus(value, digits) for value in (min(known), max(known)))
     return low if low == high else f"{low} to {high}"
 
 
