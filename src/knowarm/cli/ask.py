@@ -12,11 +12,11 @@ from knowarm.cli.arguments import read_names
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.errors import UserError, printable
 from knowarm.experiment.answers import meeting
-from knowarm.experiment.ask import LEVEL, Asked, Asker
+from knowarm.experiment.ask import Asked, Asker
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import read_graph
-from knowarm.perception.config import Unclear
+from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import ObjectColour
 
 SHOWN = 12  # most objects whose evidence is printed

@@ -17,7 +17,7 @@ from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.answers import Answers, Words, answer, words
-from knowarm.perception.config import Unclear
+from knowarm.perception.config import LEVEL, Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets
 from knowarm.questions import COLOUR_RELATION, ObjectColour
@@ -29,8 +29,6 @@ EXAMPLES = 6
 """Most questions given as examples."""
 IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
-LEVEL = 0.9
-"""How often the object that is meant is among the candidates."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
 

@@ -14,7 +14,7 @@ from knowarm.experiment.knows import Reasoning
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
-from knowarm.perception.config import Unclear
+from knowarm.perception.config import LEVEL, Unclear
 from knowarm.world.config import EnvConfig
 
 
@@ -207,7 +207,7 @@ class ReasoningTest(BaseTest):
     level: float | None = None
     """Count an object as an answer if it may be one, so that the right one is counted with this
     probability: calibrated on held-out images. None counts what the network names so, but for
-    ``unclear`` "ask", which takes .9."""
+    ``unclear`` "ask", which takes `LEVEL`."""
 
     @property
     def label(self) -> str:
@@ -218,7 +218,7 @@ class ReasoningTest(BaseTest):
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent answer so."""
-        level = 0.9 if self.level is None and self.unclear == "ask" else self.level
+        level = LEVEL if self.level is None and self.unclear == "ask" else self.level
         return replace(subject, reasoning=self.by, unclear=self.unclear, level=level)
 
 

@@ -112,9 +112,9 @@ class BlindProbe(BaseProbe):
 
         By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
         the agent over all episodes minus its own; ``vision_gain`` is the smallest difference to an
-        agent that sees nothing. ``binding`` is for agents that are told a question: the share of
-        episodes that end at its answer, minus that when the agent is told the question of another
-        visible object.
+        agent that sees nothing. ``binding`` says whether an agent follows its question: it plays
+        the episodes again, told a question whose answer is another visible object, and the share of
+        right choices falls by this much.
         """
         from knowarm.statistics import share_difference, wilson
         from knowarm.world.agents import BLIND_AGENTS

@@ -4,6 +4,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -158,9 +159,10 @@ def _compiler(root: ElementTree.Element) -> None:
 def _repair_inertias(root: ElementTree.Element) -> Iterator[str]:
     """Make the inertias of a URDF possible; name the links that move and whose inertia is not."""
     moved = {
-        joint.find("child").get("link")  # type: ignore[union-attr]
+        child.get("link")
         for joint in root.iter("joint")
-        if joint.get("type") != "fixed" and joint.find("child") is not None
+        if joint.get("type") != "fixed"
+        for child in joint.findall("child")
     }
     missing, repaired = [], []
     for link in root.findall("link"):
@@ -209,8 +211,9 @@ def _convert_meshes(
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             shape.attrib.pop("name", None)  # MuJoCo takes no name twice
-            for texture in shape.findall("material/texture"):
-                shape.find("material").remove(texture)  # type: ignore[union-attr]
+            for material in shape.findall("material"):
+                for texture in material.findall("texture"):
+                    material.remove(texture)
             mesh = shape.find("geometry/mesh")
             if mesh is None:
                 continue
@@ -257,8 +260,9 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
     if binary and 0 < faces <= MOST_STL_FACES:
         return [_Part(Path(shutil.copyfile(source, target.with_suffix(".stl"))), None)]
     with packages_of("urdf", f"The mesh {source}"):
-        import collada  # noqa: F401  # trimesh reads COLLADA with it
         import trimesh
+
+        import_module("collada")  # with which trimesh reads COLLADA
     with reading(source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."):
         meshes = [m for m in trimesh.load_scene(source).dump() if isinstance(m, trimesh.Trimesh)]
         groups: dict[str | None, list[Any]] = {}
