@@ -67,5 +67,7 @@ def flags(settings: Mapping[str, Any], prefix: str = "--") -> Iterator[str]:
         flag = prefix + name.replace("_", "-")
         if isinstance(value, Mapping):
             yield from flags(value, f"{flag}.")
+        elif value is False:
+            yield f"{prefix}no-{flag.removeprefix(prefix)}"
         else:
             yield from (flag, str(value))

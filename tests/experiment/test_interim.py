@@ -25,7 +25,7 @@ SCALE, MOST = 1_000, 100
 SMALL = {
     "ppo": ALGORITHM,
     "distil": ALGORITHM,
-    "a3c": {"workers": 1},
+    "a3c": {"workers": 1, "rollout_ends_with_episode": False},
 }
 """Options of short trainings, by trainer."""
 
@@ -80,22 +80,32 @@ def test_the_network_of_the_last_step_is_evaluated_once(tmp_path, algorithm):
 
 
 @pytest.mark.parametrize("algorithm", algorithms())
-def test_documented_trainings_are_evaluated_with_their_best_network(tmp_path, algorithm, capsys):
-    """Steps and intervals are scaled down. An earlier network is taken if it was better only."""
+def test_documented_trainings_are_evaluated_with_their_best_network(
+    tmp_path, algorithm, capsys, monkeypatch
+):
+    """Steps are scaled down. An earlier network is taken if it was better only.
+
+    The last interval between evaluations is half as long as the others, so that the network of the
+    last step is evaluated only if training does so at its end.
+    """
+    monkeypatch.setattr("knowarm.experiment.config.MIN_EVALUATIONS", 1)
     numbers = documented_trainings()
     assert {24_000, 80_000, 200_000} <= numbers["distil"]
     assert 500_000 in numbers["fast"]
     trainer = experiment_config(f"irb120-bm-{algorithm}").algorithm.name
     for steps in sorted({min(each // SCALE, MOST) for each in numbers[algorithm]}):
-        short = {"total_steps": steps, "interim": {"every_steps": 50, "episodes": 2}}
-        options = flags({**short, "algorithm": SMALL[trainer], "runs": tmp_path / str(steps)})
+        every = steps * 2 // 3
+        short = {"total_steps": steps, "interim": {"every_steps": every, "episodes": 2}}
+        updates = SMALL[trainer] | {"rollout_steps": 2}  # of at most eight steps
+        updates |= {"envs_per_worker": 1 if algorithm == "a3c" else 4} if trainer == "a3c" else {}
+        options = {**short, "algorithm": updates, "runs": tmp_path / str(steps)}
         name = f"irb120-bm-{algorithm}"
-        assert main(["train", name, *options]) == 0
+        assert main(["train", name, *flags(options)]) == 0
         printed = capsys.readouterr().out
         folder = RunFolder(tmp_path / str(steps) / name / "0")
         rows = read_csv(folder.evaluations_path)
         last, agent = int(rows[-1]["step"]), load_agent(folder.path)
-        assert last >= steps
+        assert steps <= last < 2 * every
         assert f"Trained for {last:,} steps" in printed
         assert f"at step {agent.step:,}\n" in printed
         best = max(rows, key=lambda row: float(row["return_mean"]))
