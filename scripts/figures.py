@@ -2,9 +2,9 @@
 
 import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +12,19 @@ from PIL import Image
 
 from knowarm.experiment.summary import Summary
 from knowarm.report.charts import Box, Scale, percent_axis
-from knowarm.svg import drawing, element, escape, label, text_width
+from knowarm.svg import drawing, element, escape, label, style_sheet, text_width
 from knowarm.world.viewing.record import Frame
 
 FRAME_MS, LAST_MS = 90, 1_400
 """Display time of each image of a film, and of the last [ms]."""
 
-STYLE = files("knowarm") / "style.css"
-
 
 def style() -> str:
     """Return what a drawing uses of the reports' style sheet: light colours, and its marks."""
-    colours, *others = STYLE.read_text(encoding="utf-8").split("\n\n")
+    colours, *others = style_sheet().split("\n\n")
     (marks,) = (each for each in others if each.startswith("svg text"))
-    light, palette = colours.partition("}")[0], colours[colours.index(".c-blue") :]
-    return f"{light}}}\n{palette}\n{marks}\n"
+    light = re.sub(r"light-dark\((.+?), [^;]+\);", r"\1;", colours.replace("light dark", "light"))
+    return f"{light}\n{marks}\n"
 
 
 @dataclass(frozen=True)

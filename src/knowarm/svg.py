@@ -1,7 +1,8 @@
-"""SVG builder: elements, text, paths and whole drawings as markup strings."""
+"""SVG builder: elements, text, paths and whole drawings as markup strings; styles of pages."""
 
 from collections.abc import Sequence
 from html import escape as _escape_markup
+from importlib.resources import files
 
 _NOT_XML = dict.fromkeys(
     (*range(9), 11, 12, *range(14, 32), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF)
@@ -10,6 +11,11 @@ _NOT_XML = dict.fromkeys(
 
 Point = tuple[float, float]  # x and y [px]; y points down
 FONT = "Helvetica, Arial, sans-serif"  # of `document`; inline drawings have that of their page
+
+
+def style_sheet() -> str:
+    """Return the style sheet of all pages that KnowArm writes: reports, answers, leaderboard."""
+    return (files("knowarm") / "style.css").read_text(encoding="utf-8")
 
 
 def escape(text: str, *, quote: bool = False) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -21,6 +20,7 @@ from knowarm.experiment.ask import SCENES, Asked, Asker
 from knowarm.perception.config import Unclear
 from knowarm.pictures import data_uri, encode
 from knowarm.reading import replacing
+from knowarm.svg import style_sheet
 from knowarm.world.viewing.watch import ADDRESS, listen, refusal
 
 RED = (214, 39, 40)
@@ -88,8 +88,8 @@ def page(
     """Return the page as self-contained HTML; an asker adds a form and what can be asked."""
     loader = PackageLoader("knowarm.integrations")
     template = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    style = Markup((files("knowarm") / "style.css").read_text(encoding="utf-8"))
-    shown: dict[str, Any] = {"live": asker is not None, "problem": problem, "style": style}
+    shown: dict[str, Any] = {"live": asker is not None, "problem": problem}
+    shown |= {"style": Markup(style_sheet())}
     shown |= {"scene": "" if scene is None else scene, "image": "", "standing": ""}
     if asker is not None:
         seen = asker.seen

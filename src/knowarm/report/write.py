@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -20,6 +19,7 @@ from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, MISSING, counted
 from knowarm.report.model import StudyData
 from knowarm.report.pages import build_pages
+from knowarm.svg import style_sheet
 
 DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``
@@ -155,7 +155,7 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
         pages=pages,
         tasks=tasks,
         many_tasks=len(tasks) > 1,
-        style=Markup((files("knowarm") / "style.css").read_text(encoding="utf-8")),
+        style=Markup(style_sheet()),
         script=Markup((templates / "script.js").read_text(encoding="utf-8")),
         version=version("knowarm"),
         json_link=quote(out.with_suffix(".json").name),
