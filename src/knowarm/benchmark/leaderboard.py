@@ -48,7 +48,9 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 if row["suite"] == suite.name and row["summary"].get(name, {}).get("cells") == cells
             ]
             lines = [_line(row, name, cells, suite.training_seeds) for row in complete]
-            ranked = [line for line in lines if line["inputs"] and "simulator" not in line["inputs"]]
+            ranked = [
+                line for line in lines if line["inputs"] and "simulator" not in line["inputs"]
+            ]
             for line, row in zip(lines, complete, strict=True):
                 line["binding"] = _points(binding(suite, row, cells))
                 line["rank"] = 1 + sum(other["low"] > line["high"] for other in ranked)
