@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.scene.scene import Scene
+from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.tasks.sampling import Episodes, derive, uniforms
 from knowarm.world.tasks.state import EpisodeState
@@ -42,22 +42,21 @@ class GoalTable:
 
     Args:
         state: episodes of the task.
-        scene: their scene without further joints, if it has any.
-        seed: of the random starts that find the references.
 
     A warning tells the share of nodes without a solution if it is large.
     """
 
-    def __init__(self, state: EpisodeState, scene: Scene | None = None, seed: int = 0) -> None:
-        self._state, scene = state, scene or state.scene
-        robot, count = scene.robot, len(scene.targets)
+    def __init__(self, state: EpisodeState) -> None:
+        self._state, robot = state, state.scene.robot
+        count = len(state.scene.targets)
         self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
         size = 2 * np.array(robot.rectangle_half_size_m)
         self._cell = np.maximum(size / (NODES - 1), 1e-9)
-        solver = partial(InverseKinematics.of_task, scene, state, seed=seed)
+        arm = build_scene(robot, state.scene.targets[:1])  # each object takes time and memory
+        solver = partial(InverseKinematics.of_task, arm, state)
         every = np.arange(count)
         centre = np.tile(robot.rectangle_centre_m, (count, 1))
-        reference = self._solve(solver(), every, centre, np.tile(scene.home, (count, 1))).joints
+        reference = self._solve(solver(), every, centre, np.tile(arm.home, (count, 1))).joints
         axes = [
             low + step * np.arange(NODES) for low, step in zip(self._low, self._cell, strict=True)
         ]
@@ -112,14 +111,13 @@ class Teacher:
 
     Args:
         state: the episodes.
-        scene: their scene without further joints, if it has any.
 
     Attributes:
         practice_share: share of the episodes that start on the way, 0 to 1.
     """
 
-    def __init__(self, state: EpisodeState, scene: Scene | None = None) -> None:
-        self.goals = GoalTable(state, scene)
+    def __init__(self, state: EpisodeState) -> None:
+        self.goals = GoalTable(state)
         self.practice_share = 0.0
         self._state = state
         self._largest = state.increments[1]

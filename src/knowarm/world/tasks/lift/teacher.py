@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.lift.model import SQUEEZE_M
 from knowarm.world.tasks.lift.simulator import LiftSimulator
 from knowarm.world.tasks.sampling import Episodes
@@ -36,7 +35,7 @@ class LiftTeacher(Teacher):
 
     def __init__(self, state: EpisodeState[LiftSimulator]) -> None:
         scene = state.scene
-        super().__init__(state, build_scene(scene.robot, scene.targets))
+        super().__init__(state)
         self._simulator = state.simulator
         back = -scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
