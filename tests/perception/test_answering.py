@@ -144,7 +144,7 @@ def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
         assert isinstance(agent, AnsweringAgent)
         result = play(agent, env, episodes)
         assert (agent.visible_answers == 0).all()
-        assert [len(part) for part in agent.log] == [4]
+        assert agent.seen is None  # a server would fill its memory with them
         moved[unclear] = (result.steps.actions != 0).any()
     assert moved == {"stop": False, "seen": False, "ask": False, "guess": True}
 

@@ -152,6 +152,8 @@ def evaluate(
             probe.check(env)
         fixed = _episodes(env, config)
         report(f"Playing {len(fixed):,} episodes.")
+        if isinstance(agent, AnsweringAgent):
+            agent.seen = []
         result = play(agent, env, fixed, record_images=config.films, report=report)
         columns = episode_columns(agent, result, env, config)
         is_trained = trained is not None and trained.which != "untrained"
@@ -309,12 +311,11 @@ def episode_columns(
         columns["query_type"] = np.array([kinds[name] for name in columns["query"]])
     for condition in config.test:
         columns |= condition.columns(env.config, columns)
-    if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
-        columns["visible_answers"] = np.concatenate(agent.log)[:count]
+    if isinstance(agent, AnsweringAgent) and agent.seen is not None:
+        # The last batch repeats its last episode.
+        places, candidates = (np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True))
+        columns["visible_answers"] = candidates.sum(1)
         if agent.threshold is not None:
-            places, candidates = (
-                np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True)
-            )
             right = result.infos["object_positions"][:, 0]
             size = env.config.image_size
             columns["covered"] = covered(places, candidates, env.scene, right, size)

@@ -119,19 +119,15 @@ class AnsweringAgent(PolicyAgent):
         threshold: likelihood from which a visible object counts as an answer; see `calibration`.
             None counts those whose name answers.
         visible_answers: how many visible objects answer in each environment, (n,) int64.
+        seen: of every reset, places of the named objects and which of them may answer, (n, m). None
+            keeps nothing, as in a server.
     """
 
     recognition: AnswerGrounding
     unclear: Unclear = "guess"
     threshold: float | None = None
     visible_answers: np.ndarray
-
-    def __init__(self, policy: Policy, **options: Any) -> None:
-        super().__init__(policy, **options)
-        self.log: list[np.ndarray] = []
-        """``visible_answers`` of every reset, in order."""
-        self.seen: list[tuple[np.ndarray, np.ndarray]] = []
-        """Places of the named objects of every reset, and which of them may answer, (n, m)."""
+    seen: list[tuple[np.ndarray, np.ndarray]] | None = None
 
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`; counts the visible answers in the images."""
@@ -139,9 +135,9 @@ class AnsweringAgent(PolicyAgent):
         parts = zip(images.split(BATCH), known.split(BATCH), strict=True)
         seen = [self.recognition.see(*part) for part in parts]
         candidates = torch.cat([each.candidates(self.threshold) for each in seen]).numpy()
-        self.seen.append((torch.cat([each.places for each in seen]).numpy(), candidates))
+        if self.seen is not None:
+            self.seen.append((torch.cat([each.places for each in seen]).numpy(), candidates))
         self.visible_answers = candidates.sum(1)
-        self.log.append(self.visible_answers)
         return torch.cat([each.frames for each in seen])
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
