@@ -6,8 +6,13 @@ import os
 import shutil
 import tempfile
 
-from numba import config
-from numba import njit as njit
+from knowarm.errors import UserError
+
+try:
+    from numba import config
+    from numba import njit as njit
+except ValueError as error:  # of its environment variables
+    raise UserError(f"Numba does not start, see NUMBA_NUM_THREADS: {error}") from None
 
 
 def _probe() -> None:

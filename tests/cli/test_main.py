@@ -1,6 +1,7 @@
 """Tests of the command line: help, names and errors of every command."""
 
 import dataclasses
+import errno
 import json
 import os
 import re
@@ -229,9 +230,12 @@ def test_wrong_values_name_the_option_and_end_with_code_2(capsys, arguments, wor
     assert "Traceback" not in error
 
 
-def test_numbers_beyond_the_memory_end_in_one_line(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    "error", [MemoryError(), OSError(errno.EMFILE, "Too many open files")], ids=lambda e: f"{e!r}"
+)
+def test_limits_of_the_machine_end_in_one_line(capsys, monkeypatch, error):
     def run(command):
-        raise MemoryError
+        raise error
 
     monkeypatch.setattr("knowarm.cli.list.List.run", run)
     assert main(["list"]) == 2
@@ -245,6 +249,21 @@ def test_integers_may_be_written_as_floats(capsys):
     with pytest.raises(SystemExit):
         parse_train(["irb120-bm-ppo", "--total-steps", "1.5e0"])
     assert "1.5e0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "shell",
+    [
+        'mkdir gone && cd gone && rmdir ../gone && exec "$@"',
+        'exec "$@" 1</dev/null',
+        'NUMBA_NUM_THREADS=0 exec "$@"',
+    ],
+)
+def test_an_environment_that_does_not_work_ends_in_one_line(tmp_path, shell):
+    command = ["bash", "-c", shell, "bash", sys.executable, "-m", "knowarm", "list", "agents"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode in (0, 2)  # what is imported decides whether the folder matters
+    assert done.stderr.count("\n") == done.returncode // 2
 
 
 def test_characters_that_the_output_lacks_are_replaced(tmp_path):

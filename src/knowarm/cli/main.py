@@ -3,7 +3,6 @@
 Only the module of the given command is imported, so that help and typing errors answer at once.
 """
 
-import errno
 import io
 import os
 import shlex
@@ -45,8 +44,6 @@ The definition is a frozen dataclass whose fields are the arguments and whose ``
 work and may return an exit code, or a dict of such definitions by name.
 """
 
-FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # system errors without the name of a file
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return 0, 2 for a user error or 130 after Ctrl-C; exit without ``argv``."""
@@ -84,12 +81,13 @@ def _run_command(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except MemoryError:
         return _fail("The memory of this machine is not enough: give smaller numbers.")
-    except OSError as error:
-        if error.filename is None and error.errno not in FULL_DISK:
-            raise
-        where = str(error.filename or "A file")
+    except OSError as error:  # of files, full disks, closed streams and limits
+        where = str(error.filename or "The system refuses")
         where = where if len(where) <= 100 else f"{where[:97]}..."
-        return _fail(f"{where}: {error.strerror}. Give another path, or free disk space.")
+        return _fail(
+            f"{where}: {error.strerror or error}. Give another path or output, start in a folder "
+            "that exists, free disk space, or raise a limit (ulimit -a)."
+        )
     return 0
 
 
