@@ -82,6 +82,7 @@ def test_questions_are_read_rightly_or_refused(held_out):
         ),
         ("something red or with a lid and round", "'and' and 'or' can be joined in several ways"),
         ("something " + "red " * 60, "allowed are 1 to 60"),
+        ("x" * 60_000, "60,000 letters are not read"),
     ],
 )
 def test_what_is_not_understood_is_refused_in_one_line(question, message):

@@ -96,6 +96,8 @@ class Runner:
         names = rows * len(angles) if len(rows) == 1 else np.atleast_1d(batch.names).tolist()
         if unknown := [name for name in names if name not in rows]:
             raise ValueError(f"knowledge must be a row such as {rows[0]!r}, got {unknown[0]!r}")
+        if len(names) != len(angles):
+            raise ValueError(f"{len(angles)} episodes start, and {len(names)} have names")
         self.targets = angles.clip(self.lower, self.upper)
         self._knowledge = self._table[[rows.index(name) for name in names]]
         size = self.contract["recurrent"]["size"]

@@ -9,9 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import name_key
 from knowarm.knowledge.vectors.words import DATA, word_forms
 
+MOST_LETTERS = 2_000
+"""Most letters of a question."""
 INFLECTED, DERIVED, SYNONYM = 0.1, 0.2, 1.0
 """Distances of two words; 0 is the same word, in singular or plural."""
 NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
@@ -44,6 +47,8 @@ WEAK = {word for family in FAMILIES.values() for word in family.weak.split()} | 
 
 def tokens(text: str) -> list[str]:
     """Return the words of a question, with comparisons such as "at least two" as one: ">=2"."""
+    if len(text) > MOST_LETTERS:
+        raise UserError(f"Questions of {len(text):,} letters are not read: {text:.40} ...")
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
     text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold()).replace(
         "ca not", "can not"

@@ -66,7 +66,9 @@ class _Reader:
     def __init__(self, text: str, vocabulary: Vocabulary) -> None:
         self.text, self.vocabulary = text, vocabulary
         self.words = tokens(text)
-        self.found = [[*self.matches(place)] for place in range(min(len(self.words), MOST_WORDS))]
+        if not 0 < len(self.words) <= MOST_WORDS:
+            raise self.refused(f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}")
+        self.found = [[*self.matches(place)] for place in range(len(self.words))]
 
     def refused(self, why: str) -> UserError:
         """Return the error of a question that is not understood, with the nearest conditions."""
@@ -75,8 +77,6 @@ class _Reader:
 
     def best(self) -> list[ReadCondition]:
         """Return the conditions of the nearest reading."""
-        if not 0 < len(self.words) <= MOST_WORDS:
-            raise self.refused(f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}")
         if self.words[0] in WORDS["unanswered"]:
             raise self.refused("only questions for an object are answered")
         reached: list[dict[_State, None]] = [{_State(): None}, *({} for _ in self.words)]
