@@ -51,7 +51,8 @@ class RunSuite:
     """Name of a suite: see `knowarm benchmark show`."""
     policy: Policies
     """Run folders of the training seeds of one agent, a folder of `knowarm export`, ONNX files,
-    ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent."""
+    ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent. All but run
+    folders and scripted agents must come from people whose code you would run."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("row.json")
     """File of the row."""
     name: str | None = None
