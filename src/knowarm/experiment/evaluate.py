@@ -313,7 +313,9 @@ def episode_columns(
         columns |= condition.columns(env.config, columns)
     if isinstance(agent, AnsweringAgent) and agent.seen is not None:
         # The last batch repeats its last episode.
-        places, candidates = (np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True))
+        places, candidates = (
+            np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True)
+        )
         columns["visible_answers"] = candidates.sum(1)
         if agent.threshold is not None:
             right = result.infos["object_positions"][:, 0]
