@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import itertools
 import json
 import os
 import re
@@ -366,3 +367,17 @@ def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
     assert "seed must be at least 0, got -1" in capsys.readouterr().err
     assert main(["evaluate", "oracle", "--env.task", "chose"]) == 2
     assert "'choose'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["ask", "study run", "doctor", "view", "train --help-all"])
+def test_the_help_of_every_command_has_one_face(capsys, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([*words.replace("train", "train irb120-full-fast").split(), "--help"])
+    shown = re.sub("[│╭╰╮╯─]", " ", capsys.readouterr().out)
+    assert "-h, --help" in shown
+    assert not re.findall(r"None\}|default: (?:None|False)?\)|--[\w.-]*kind|--no-dry-run", shown)
+    lines = shown.splitlines()
+    for line, after in itertools.pairwise(lines):  # sentences are broken at the right margin only
+        if after.strip() and all(each.startswith(" " * 14) for each in (line, after)):
+            assert len(line.rstrip()) + 1 + len(after.split()[0]) > 76, line

@@ -6,14 +6,24 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, suppress
 from copy import copy
-from dataclasses import field, is_dataclass, make_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import tyro
+from docstring_parser import parse_from_object
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.errors import UserError, unknown_name
@@ -70,6 +80,8 @@ def parse_options(
     for name, count in Counter(name for name in names if re.match(r"--[a-z]", name)).items():
         if count > 1:
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
+    if not {*HELP}.isdisjoint(arguments):
+        _print_help(options.get("default", command), prog)
     frame = StringIO()
     try:
         with redirect_stderr(frame):
@@ -130,11 +142,24 @@ def answer_help(
         return path.startswith(f"{groups[group]}.") if group else path in first
 
     with suppress(SystemExit):
-        command = _showing(default, is_shown)
-        tyro.cli(command, prog=prog, args=["--help"], description=about or None, **READING)
+        _print_help(default, prog, is_shown, about)
     print(f"`{prog} --help-all` shows all options, `--help GROUP` a group:")
     print(fill(", ".join(groups), 100, initial_indent="  ", subsequent_indent="  "))
     sys.exit(0)
+
+
+def _print_help(
+    default: Any, prog: str, is_shown: Callable[[str], bool] = lambda path: True, about: str = ""
+) -> None:
+    """Print the help of a command, a class or an object of it with its defaults, and exit."""
+    config = (*READING["config"], tyro.conf.DisallowNone)
+    options = {**READING, "config": config, "description": about or None}
+    tyro.cli(_showing(default, is_shown), prog=prog, args=["--help"], **options)
+
+
+def _hint(default: str) -> str:
+    """Return what the help says of a default value; nothing of one that says nothing."""
+    return f"(default: {default})" if default not in ("", "None", "False") else ""
 
 
 def _groups(config: Any, prefix: str = "") -> Iterator[str]:
@@ -146,22 +171,46 @@ def _groups(config: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> type:
-    """Return a class like a config's, with its values as defaults, whose help shows some fields."""
-    types = get_type_hints(type(config), include_extras=True)
-    fields: list[tuple[str, Any, Any]] = []
-    for name, value in vars(config).items():
-        kind: Any = types[name]
+    """Return a class like a config's, with its values as defaults, whose help shows some fields.
+
+    Only true flags are shown with their opposite, and tags of alternatives not at all.
+    """
+    cls = config if isinstance(config, type) else type(config)
+    types = get_type_hints(cls, include_extras=True)
+    words = {
+        param.arg_name: " ".join((param.description or "").split())
+        for base in reversed(cls.__mro__[:-1])
+        for param in parse_from_object(base).params
+    }
+    shown: list[tuple[str, Any, Any]] = []
+    for each in fields(cls):
+        name, kind = each.name, types[each.name]
+        kind, *extras = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        value = _default(each) if config is cls else getattr(config, name)
         default: Callable[[], Any] = partial(copy, value)
         if is_dataclass(value):
-            default = _showing(value, is_shown, f"{prefix}{name}.")
-            extras = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
-            kind = Annotated[default, *extras] if extras else default
-        elif not is_shown(prefix + name):
-            kind = Annotated[kind, tyro.conf.Suppress]
-        fields.append((name, kind, field(default_factory=default)))
-    options: dict[str, Any] = {"bases": (type(config),), "frozen": True, "kw_only": True}
-    options["namespace"] = {"__doc__": type(config).__doc__}
-    return make_dataclass(type(config).__name__, fields, **options)
+            kind = default = _showing(value, is_shown, f"{prefix}{name}.")
+        elif not is_shown(prefix + name) or (
+            get_origin(kind) is Literal and len(get_args(kind)) == 1
+        ):
+            extras.append(tyro.conf.Suppress)
+        elif value is False:
+            extras.append(tyro.conf.FlagCreatePairsOff)
+        kind = Annotated[
+            kind, tyro.conf.arg(help=words.get(name), help_behavior_hint=_hint), *extras
+        ]
+        filled = field() if value is tyro.MISSING else field(default_factory=default)
+        shown.append((name, kind, filled))
+    options: dict[str, Any] = {"bases": (cls,), "frozen": True, "kw_only": True}
+    options["namespace"] = {"__doc__": cls.__doc__}
+    return make_dataclass(cls.__name__, shown, **options)
+
+
+def _default(given: Field[Any]) -> Any:
+    """Return the default of a field; tyro's missing value for a required one."""
+    if given.default_factory is not MISSING:
+        return given.default_factory()
+    return tyro.MISSING if given.default is MISSING else given.default
 
 
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:

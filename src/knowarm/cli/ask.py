@@ -28,9 +28,7 @@ class Ask(TableCommand):
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
     """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast."""
-    question: Annotated[
-        tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]", help_behavior_hint="")
-    ] = ""
+    question: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")] = ""
     """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
     and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
     ?object. Optional with --browser."""

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 import tyro
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
-from knowarm.cli.tables import FilePath
+from knowarm.cli.tables import FolderPath
 from knowarm.config import at_least
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import load_agent
@@ -157,7 +157,7 @@ class Pull:
     """Repository."""
     revision: str | None = None
     """Branch, tag or commit. Default: the main branch."""
-    to: FilePath = None
+    to: FolderPath = None
     """Folder. Default: the Hub's cache."""
 
     def run(self) -> None:

@@ -32,7 +32,7 @@ DRAFT_OPTIONS = ("set", "write", "xacro", "package")
 class Doctor(TableCommand):
     """Check this installation, or a robot of your own with its target objects."""
 
-    robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = None
+    robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT")] = None
     """Robot to check instead of the installation: a name, TOML description, or MJCF, URDF
     or xacro file."""
     targets: tuple[str, ...] = ()

@@ -27,9 +27,7 @@ FIRST = 5  # names of each kind that are shown if none is given
 class List(TableCommand):
     """List robots, agents, algorithms, targets and names of experiments."""
 
-    kind: Annotated[
-        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[KIND]", help_behavior_hint="")
-    ] = None
+    kind: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[KIND]")] = None
     """All robots, agents, algorithms or targets; without it, the first of each."""
 
     def result(self) -> dict[str, Any]:

@@ -16,7 +16,14 @@ from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from knowarm.cli.tables import FilePath, TableCommand, lay_out, make_console, print_table
+from knowarm.cli.tables import (
+    FilePath,
+    FolderPath,
+    TableCommand,
+    lay_out,
+    make_console,
+    print_table,
+)
 from knowarm.errors import printable
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
@@ -96,7 +103,7 @@ def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
     return f"{len(statuses)} runs: {states}. Core hours of training: {spent:.2f}{rest}."
 
 
-Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+Number = Annotated[int | None, tyro.conf.arg(metavar="N")]
 START_S = 10.0  # time of the first updates of a training, which are not measured
 
 
@@ -112,9 +119,7 @@ class FolderCommand:
 class StudyShow:
     """Print a study: its TOML file and its runs."""
 
-    study: Annotated[
-        str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STUDY]", help_behavior_hint="")
-    ] = None
+    study: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STUDY]")] = None
     """Name of a shipped study, TOML file or folder of a study. Default: list the shipped ones."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
@@ -145,15 +150,13 @@ class StudyRun:
 
     study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
     """Name of a shipped study, TOML file or folder of a study."""
-    out: FilePath = None
+    out: FolderPath = None
     """Folder of the study. Default: runs/NAME, or the given folder."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
-    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...", help_behavior_hint="")] = ()
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...")] = ()
     """Training seeds instead of the study's."""
-    executor: Annotated[
-        Literal["local", "ray"] | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-    ] = None
+    executor: Literal["local", "ray"] | None = None
     """This machine (local), or the nodes of a Ray cluster (ray). Default: the study's, local."""
     at_once: Number = None
     """Runs at once. Default: as many as cores and memory hold."""
@@ -241,9 +244,7 @@ class Status(FolderCommand, TableCommand):
 class Retry(FolderCommand):
     """Let failed runs resume."""
 
-    runs: tyro.conf.Positional[
-        Annotated[tuple[str, ...], tyro.conf.arg(metavar="[RUN...]", help_behavior_hint="")]
-    ] = ()
+    runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[RUN...]")]] = ()
     """EXPERIMENT/SEED or EXPERIMENT. Default: every failed run."""
 
     def run(self) -> None:
@@ -289,7 +290,7 @@ class Unpack:
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """What `knowarm study pack` wrote."""
-    out: FilePath = None
+    out: FolderPath = None
     """New folder. Default: the file's name without .tar.xz."""
 
     def run(self) -> None:

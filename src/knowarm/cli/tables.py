@@ -17,8 +17,9 @@ from rich.text import Text
 from knowarm.errors import printable
 from knowarm.reading import write_json, writing
 
-FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
-"""Type of an optional file argument, such as ``--json``."""
+FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+FolderPath = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+"""Types of an optional file argument, such as ``--json``, and of a folder."""
 UNLIMITED = 10_000  # width of tables that no terminal shows
 MOST_NAMES = 12
 """Most names in a cell."""

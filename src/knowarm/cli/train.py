@@ -68,7 +68,7 @@ class Train:
     """Parent folder of all runs; this run is saved in RUNS/EXPERIMENT/SEED."""
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
-    graph: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    graph: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
     perception: FilePath = None
     """Perception module of `knowarm perception train`, for agents with perceived knowledge; or

@@ -34,9 +34,7 @@ from knowarm.world.viewing.watch import watch
 class View:
     """Show an agent in MuJoCo's web viewer, or record it."""
 
-    robot: Annotated[
-        str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]", help_behavior_hint="")
-    ] = None
+    robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]")] = None
     """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
