@@ -101,7 +101,7 @@ def local_web_viewer(
     """Replace the functions by which MuJoCo's web viewer listens, answers requests and opens.
 
     Reason: the viewer listens on all interfaces, answers any Host and Origin, and has no option to
-    change either. ``refusal`` returns why a request with a path and headers is refused, or None.
+    change either, and it prints a line for every model. ``refusal`` returns why a request with a path and headers is refused, or None.
     """
     from mujoco.studio import web_viewer
     from mujoco.studio.web import web_server
@@ -132,7 +132,9 @@ def local_web_viewer(
     try:
         for each in replaced:
             setattr(*each)
+        vars(web_viewer)["print"] = lambda *words, **options: None
         yield
     finally:
+        vars(web_viewer).pop("print", None)
         for each in before:
             setattr(*each)

@@ -14,6 +14,7 @@ from knowarm.report.charts import (
     fit,
     histograms,
     line_chart,
+    near,
 )
 from knowarm.report.diagrams import (
     Dot,
@@ -39,6 +40,13 @@ XS = np.array([0.0, 1.0, 2.0, 3.0])
 )
 def test_ticks_are_round_and_inside(low, high, ticks):
     assert Scale(low, high, 0, 100).ticks(4) == pytest.approx(ticks)
+
+
+@pytest.mark.parametrize(
+    ("values", "start"), [([0.2, 1], 0), ([0.6], 0.5), ([0.93, 1], 0.9), ([], 0)]
+)
+def test_an_axis_of_shares_starts_below_all_values(values, start):
+    assert near(SUCCESS_AXIS, values).range == (start, 1)
 
 
 @pytest.mark.parametrize(

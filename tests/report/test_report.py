@@ -312,3 +312,19 @@ def test_names_from_folders_cannot_break_the_page(tmp_path):
     page = write_report(runs, tmp_path / "report.html").read_text()
     assert "<script>x" not in page
     assert "<b>&'" not in page
+
+
+def test_colours_stand_beside_agents_tasks_once_and_single_seeds_are_not_compared(tmp_path):
+    truth = Truth(success={"bm": 0.9, "full": 0.95})
+    runs = write_study(tmp_path, truth, seeds=1)
+    runs += write_study(tmp_path / "tiago", truth, seeds=1, robot="tiago")
+    page = write_report(runs, tmp_path / "a.html").read_text()
+    first = re.search(r'<table data-table="summary">.*?</table>', page, re.S).group()
+    cells = re.findall(
+        r'<td data-k="(task|agent)".*?>(?:<i (class="swatch").*?></i>)?(.*?)</td>', first
+    )
+    agents = [(mark, text) for key, mark, text in cells if key == "agent"]
+    assert agents == [('class="swatch"', name) for name in ("bm", "full")] * 2
+    assert [bool(text) for key, _, text in cells if key == "task"] == [True, False] * 2
+    assert page.count("No differences are computed from single seeds.") == 2
+    assert 'data-table="comparisons' not in page

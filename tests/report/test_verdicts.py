@@ -275,8 +275,8 @@ def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):
     ]
     monkeypatch.setattr(inputs, "_knowledge_of", known.__getitem__)
     monkeypatch.setattr(inputs, "_privileged_uses", lambda group: [])
-    verdict = inputs._kind_of_input(SimpleNamespace(groups=groups, title="Choose"))
-    assert verdict.sentence == "Choose: the knowledge vector describes the query of the episode."
+    verdict = inputs._kind_of_input(SimpleNamespace(groups=groups))
+    assert verdict.sentence == "The knowledge vector describes the query of the episode."
     assert verdict.reasons == [
         "asked, codes: the vector describes the query of the episode. Compare with codes."
     ]

@@ -78,13 +78,13 @@ def table_of(
     note: str = "",
     stem: str = "",
 ) -> DataTable:
-    """Return a table of one task, with columns as in `shared`, name and title ending in the task's.
+    """Return a table of one task, with columns as in `shared`, and a name that ends in the task's.
 
     ``sources`` of None are all run folders of the task; ``stem`` ends the name of the CSV file.
     """
     return DataTable(
         name=f"{name}-{task.name}{stem}",
-        title=f"{title}: {task.title}",
+        title=title,
         columns=shared(*columns),
         rows=rows,
         sources=[run.path for run in task.runs] if sources is None else sources,

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -66,6 +67,15 @@ class Box:
         return self.height - self.bottom, self.top
 
 
+BOXES: Mapping[Literal["large", "small"], Box] = {
+    "large": Box(width=530, height=310),
+    "small": Box(width=350, height=250, left=44),
+}
+"""Sizes of a chart on large and on small screens, so that its text stays readable."""
+STARTS = (0.0, 0.5, 0.75, 0.9)
+"""Where an axis of shares may start."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Axis:
     """Title and tick labels of an axis."""
@@ -92,6 +102,12 @@ class Axis:
 def percent_axis(title: str, *, whole: bool = True) -> Axis:
     """Return an axis of fractions in per cent; ``whole`` shows all of 0 to 100 %."""
     return Axis(title=title, format=format.percent, unit=100, range=(0.0, 1.0) if whole else None)
+
+
+def near(axis: Axis, values: Iterable[float]) -> Axis:
+    """Return an axis of shares that starts just below the smallest value."""
+    smallest = min(values, default=0.0)
+    return replace(axis, range=(max(start for start in STARTS if start <= max(smallest, 0)), 1.0))
 
 
 STEPS_AXIS = Axis(title="environment steps", format=lambda value, _: format.steps(value))

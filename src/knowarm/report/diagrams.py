@@ -86,7 +86,9 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     return element("g", hover(words), *parts, class_=f"row {dot.colour}", data_name=dot.name)
 
 
-def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
+def stacked_bars(
+    counts: Mapping[str, Mapping[str, int]], title: str, *, width: float = WIDTH
+) -> str:
     """Draw one bar per name on a common scale; its counts by part from left to right."""
     largest = max((sum(parts.values()) for parts in counts.values()), default=0) or 1
     groups = list(dict.fromkeys(part for parts in counts.values() for part in parts))
@@ -95,15 +97,15 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
         y, x = row * BAR_ROW, 0.0
         total = format.integer(sum(parts.values()))
         rows.append(label(0, y + 13, name, class_="row-name"))
-        rows.append(label(WIDTH, y + 13, total, class_="tick", text_anchor="end"))
+        rows.append(label(width, y + 13, total, class_="tick", text_anchor="end"))
         for part, count in parts.items():
-            extent = WIDTH * count / largest
+            extent = width * count / largest
             words = hover(f"{name}: {part} {format.integer(count)}")
             place = {"x": x, "y": y + 19, "width": max(extent - 1, 0.5), "height": 15}
             shade = SHADES[groups.index(part) % len(SHADES)]
             rows.append(element("rect", words, **place, class_=f"bar {shade}", data_name=part))
             x += extent
-    return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
+    return drawing(width, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 
 
 def confusion_map(

@@ -83,7 +83,7 @@ def film_blocks(task: TaskData) -> list[Films]:
     blocks = []
     with suppress(UserError):
         for number, shown in _first_of_each_target(filmed[0][1], sorted(common)):
-            title = f"Episode {number}, {shown}: {task.title}"
+            title = f"Episode {number}, {shown}"
             films = [_film(name, task.colours[name], each, number) for name, each in filmed]
             blocks.append(Films(title=title, films=films))
     return blocks

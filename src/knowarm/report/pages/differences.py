@@ -6,13 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, table_of
-from knowarm.report.charts import SUCCESS_AXIS, Series, percent_axis
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, Verdict, table_of
+from knowarm.report.charts import SUCCESS_AXIS, Series, near, percent_axis
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
 from knowarm.report.pages.paper import published_comparison
 from knowarm.report.pages.training import sized_panels
-from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
+from knowarm.report.verdicts.claims import (
+    ALPHA,
+    FEW_SEEDS,
+    FEWEST_SEEDS,
+    OUTCOMES,
+    Claim,
+    pairs,
+    scores,
+)
 from knowarm.statistics import (
     Interval,
     bootstrap,
@@ -71,6 +79,10 @@ def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
 def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
     """Show every difference that the report decides on."""
     claims = [claim for claim in decided if claim.task is task]
+    if not any(claim.comparison for claim in claims):
+        return Verdict(
+            sentence="No differences are computed from single seeds.", reasons=[FEW_SEEDS]
+        )
     rows, title = [_comparison_row(claim) for claim in claims], "Differences between agents"
     table = table_of(task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE)
     caption = "Difference of means in percentage points, with its 95 % interval."
@@ -132,19 +144,23 @@ def _scores(task: TaskData) -> DataTable:
 
 def _profile(task: TaskData) -> Figure | None:
     """Draw performance profiles of agents with enough seeds."""
-    series, rows = [], []
-    for group in task.groups:
-        final, colour = scores(task, group, "success"), task.colours[group.name]
-        if final.size < FEWEST_SEEDS:
-            continue
-        share, low, high = performance_profile(final, PROFILE_LEVELS)
-        line = Series(name=group.name, colour=colour, x=PROFILE_LEVELS, y=share, stairs=True)
-        series.append(replace(line, band=(low, high)))
-        for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
-            row = {"agent": group.name, "level": level, "share": Interval(*values)}
-            rows.append(row | {"_colour": colour})
-    if not series:
+    finals = {group.name: scores(task, group, "success") for group in task.groups}
+    finals = {name: each for name, each in finals.items() if each.size >= FEWEST_SEEDS}
+    if not finals:
         return None
+    axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
+    drawn = min(axis.range or (0.0,)) <= PROFILE_LEVELS
+    series, rows = [], []
+    for agent, final in finals.items():
+        colour = task.colours[agent]
+        share, low, high = performance_profile(final, PROFILE_LEVELS)
+        line = Series(
+            name=agent, colour=colour, x=PROFILE_LEVELS[drawn], y=share[drawn], stairs=True
+        )
+        series.append(replace(line, band=(low[drawn], high[drawn])))
+        for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
+            row = {"agent": agent, "level": level, "share": Interval(*values)}
+            rows.append(row | {"_colour": colour})
     name = f"Share of runs above each level of success on {task.title}"
     share_column = Column("share", "runs above", "percent", interval=True)
     columns: list[str | Column] = ["agent", Column("level", "success", "percent"), share_column]
@@ -152,7 +168,7 @@ def _profile(task: TaskData) -> Figure | None:
         table=table_of(task, "profile", "Performance profile", columns, rows),
         caption="Share of training runs that end above each level of success; further right is "
         "better. Band: 95 % bootstrap over seeds, pointwise.",
-        panels=sized_panels(series, name, SUCCESS_AXIS, percent_axis("runs above")),
+        panels=sized_panels(series, name, axis, percent_axis("runs above")),
         legend=[(each.name, each.colour) for each in series],
     )
 

@@ -7,7 +7,7 @@ from typing import Any
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.config import EmbeddingFacts
-from knowarm.learn.algorithms import privileged_uses
+from knowarm.learn.algorithms import PRIVILEGED_OPTIONS, privileged_uses
 from knowarm.report.blocks import (
     Block,
     Column,
@@ -20,6 +20,7 @@ from knowarm.report.blocks import (
     shared,
     table_of,
 )
+from knowarm.report.charts import BOXES
 from knowarm.report.diagrams import SHADES, stacked_bars
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
@@ -50,6 +51,12 @@ PRIVILEGED_TRAINING = (
     "{agents}: training used the simulator's state. The policy never receives it: its "
     "inputs are the image and the vector below."
 )
+
+GROUNDING = "grounding"
+PRIVILEGED_USES = dict(PRIVILEGED_OPTIONS.values()) | {
+    GROUNDING: "the network that finds objects learns from images with labels"
+}
+"""What training uses the simulator's state for, and how."""
 
 
 def input_blocks(task: TaskData) -> list[Block]:
@@ -101,13 +108,13 @@ def _kind_of_input(task: TaskData) -> Verdict:
     tone: Tone = "open" if reasons else "note"
     if trained := [group.name for group in task.groups if _privileged_uses(group)]:
         reasons.append(PRIVILEGED_TRAINING.format(agents=", ".join(trained)))
-    return Verdict(sentence=f"{task.title}: {sentence}.", reasons=reasons, tone=tone)
+    return Verdict(sentence=f"{sentence[0].upper()}{sentence[1:]}.", reasons=reasons, tone=tone)
 
 
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
     run = group.runs[0]
-    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * run.config.knows.is_grounded
+    return privileged_uses(run.settings["algorithm"]) + [GROUNDING] * run.config.knows.is_grounded
 
 
 def _overview(task: TaskData) -> DataTable:
@@ -135,7 +142,10 @@ def _overview(task: TaskData) -> DataTable:
         *(Column("training", "simulator's state in training"), "note"),
     ]
     sources = [group.runs[0].path / "provenance.json" for group in task.groups]
-    return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources)
+    used = [use for group in task.groups for use in _privileged_uses(group)]
+    note = "; ".join(f"{use}: {PRIVILEGED_USES[use]}" for use in dict.fromkeys(used))
+    note = f"Simulator's state in training: {note}." if note else ""
+    return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources, note)
 
 
 def _parameters(task: TaskData) -> list[Block]:
@@ -157,6 +167,10 @@ def _parameters(task: TaskData) -> list[Block]:
     columns = ["agent", "part", "parameters"]
     table = table_of(task, "parameters", "Trainable parameters", columns, rows, sources)
     caption = "A longer vector makes a larger LSTM: compare agents of equal size."
-    panels = [Panel(svg=stacked_bars(counts, "Trainable parameters by part of the network"))]
+    name = "Trainable parameters by part of the network"
+    panels = [
+        Panel(svg=stacked_bars(counts, name, width=box.width), only=only)
+        for only, box in BOXES.items()
+    ]
     legend = [(part, SHADES[i % len(SHADES)]) for i, part in enumerate(names)]
     return [Figure(table=table, caption=caption, panels=panels, legend=legend)]

@@ -16,7 +16,7 @@ from knowarm.report.blocks import (
     row_of,
     shared,
 )
-from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
+from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS, near
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData
@@ -98,9 +98,12 @@ def _results(study: StudyData) -> Figure:
     rows: list[Row] = []
     panels: list[Panel] = []
     alone = len(study.tasks) == 1
-    measures = {"success": SUCCESS_AXIS} | ({"return_mean": RETURN_AXIS} if alone else {})
-    for task in study.tasks:
-        lines = (*task.groups, *task.references)
+    compared = [(task, (*task.groups, *task.references)) for task in study.tasks]
+    reached = [s for _, lines in compared for each in lines for s in each.scores("success")]
+    measures = {"success": near(SUCCESS_AXIS, reached)} | (
+        {"return_mean": RETURN_AXIS} if alone else {}
+    )
+    for task, lines in compared:
         keys = (*KEYS, "vision_gain")
         rows += [{"task": task.title} | row_of(task, each, *keys) for each in lines]
         for key, axis in measures.items():
@@ -116,7 +119,7 @@ def _results(study: StudyData) -> Figure:
         table=DataTable(
             name="summary",
             title="Success, accuracy and return after training",
-            columns=shared(*["task"] * (not alone), "agent", "seeds", *measured, "vision_gain"),
+            columns=shared(*["task"] * (not alone), "agent", *measured, "vision_gain", "seeds"),
             rows=rows,
             sources=[run.path for run in study.runs],
             note=f"{conditions(first)}. {'; '.join(known)}. Success: distance and angle within the "

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -10,11 +9,11 @@ from knowarm.experiment.csv_log import training_seconds
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, table_of
 from knowarm.report.charts import (
+    BOXES,
     RETURN_AXIS,
     STEPS_AXIS,
     SUCCESS_AXIS,
     Axis,
-    Box,
     Series,
     line_chart,
 )
@@ -31,11 +30,6 @@ from knowarm.statistics import (
 GRID = 48  # points of a drawn curve
 MOST_POINTS = 120  # of a single seed's curve
 
-# Sizes of a chart on large and on small screens, so that its text stays readable.
-BOXES: Mapping[Literal["large", "small"], Box] = {
-    "large": Box(width=530, height=310),
-    "small": Box(width=350, height=250, left=44),
-}
 # Drawn columns of ``evaluations.csv`` and their axes.
 MEASURES = {"return_mean": RETURN_AXIS, "success": SUCCESS_AXIS}
 LEVELS = (0.5, 0.7, 0.8)  # levels of success whose first crossing is estimated

@@ -124,6 +124,7 @@ def _caption() -> Any:
 
         @messages.handler()
         def show(self, event: messages.BuildGuiEvent) -> None:
+            imgui.SetNextWindowPos(imgui.Vec2(0, 0), imgui.Cond.FirstUseEver)  # beside the arm
             imgui.Begin("Episode", flags=imgui.WindowFlags.AlwaysAutoResize)
             imgui.TextUnformatted(self.text)
             imgui.End()
