@@ -15,13 +15,13 @@ from PIL import Image
 
 from knowarm.experiment.evaluation_files import read_film
 from knowarm.report.blocks import Figure
-from knowarm.report.charts import RETURN_AXIS, Box
+from knowarm.report.charts import BOXES, RETURN_AXIS, Box
 from knowarm.report.collect import collect
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.behaviour import joint_blocks
 from knowarm.report.pages.differences import success_rates
 from knowarm.report.pages.paper import published_comparison, published_result
-from knowarm.report.pages.training import BOXES, curve_figure
+from knowarm.report.pages.training import curve_figure
 from knowarm.statistics import one_way_anova
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study

@@ -12,9 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.report.charts import CHOICE_AXIS, SUCCESS_AXIS, Box, Series, line_chart, percent_axis
+from knowarm.report.charts import (
+    BOXES,
+    CHOICE_AXIS,
+    SUCCESS_AXIS,
+    Box,
+    Series,
+    line_chart,
+    percent_axis,
+)
 from knowarm.report.collect import collect
-from knowarm.report.pages.training import BOXES, curve_figure
+from knowarm.report.pages.training import curve_figure
 from knowarm.study.pack import unpack_study
 from scripts.figures import dots, dots_box, picture, seed_scores
 

@@ -101,7 +101,8 @@ def local_web_viewer(
     """Replace the functions by which MuJoCo's web viewer listens, answers requests and opens.
 
     Reason: the viewer listens on all interfaces, answers any Host and Origin, and has no option to
-    change either, and it prints a line for every model. ``refusal`` returns why a request with a path and headers is refused, or None.
+    change either; it also prints a line for every model. ``refusal`` returns why a request with a
+    path and headers is refused, or None.
     """
     from mujoco.studio import web_viewer
     from mujoco.studio.web import web_server
