@@ -21,7 +21,6 @@ from tests.world.helpers import EXAMPLES
         ({"set": ("home=[0]",)}, "--set needs --robot"),
         ({"targets": ("bowl.toml",)}, "--targets needs --robot"),
         ({"robot": str(EXAMPLES / "scara.xml"), "set": ("joints=5",)}, "a list of names, got 5"),
-        ({"task": "choose", "image": Path("a.png")}, "--image needs no --task"),
         (
             {"robot": "irb120", "write": Path("a.toml")},
             "--write needs --robot with an MJCF, URDF or",
@@ -53,6 +52,29 @@ def test_draft_is_written_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert read_description(file, Robot).camera_fovy_deg == 45
     assert image.stat().st_size > 1000
     assert "TCP" in capsys.readouterr().out
+
+
+def test_a_model_file_is_drafted_and_checked_for_a_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = []
+    draft = SimpleNamespace(
+        how={},
+        toml=lambda file: "drafted",
+        task_options=lambda: "",
+        success_angle_deg=30.0,
+        ignore_roll=True,
+        distance_m=0.05,
+    )
+
+    def check(robot: str, task: str, targets: tuple, **options: object) -> list:
+        checked.append((Path(robot).read_text(), task, targets, options))
+        return []
+
+    monkeypatch.setattr("knowarm.cli.doctor.draft_robot", lambda *args: draft)
+    monkeypatch.setattr("knowarm.cli.doctor.check_objects", check)
+    Doctor(robot="arm.xml", task="lift").run()
+    assert checked == [("drafted", "lift", (), {"success_angle_deg": 30.0, "ignore_roll": True})]
 
 
 @pytest.mark.parametrize("angle", [" --env.success-angle-deg 60", ""])

@@ -9,12 +9,13 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.world.objects import find_targets
-from knowarm.world.own_robot import draft
+from knowarm.world.own_robot import draft, draft_lift
 from knowarm.world.own_robot.draft import draft_robot
 from knowarm.world.own_robot.robot_check import check_joints, check_robot
 from knowarm.world.own_robot.servo_check import check_servos
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import build_scene
+from knowarm.world.tasks.lift.lift import Lift
 from knowarm.world.tasks.lift.model import build_lift_scene
 from tests.world.robot_cases import CASES
 
@@ -140,9 +141,42 @@ def test_fingers_are_drafted_open_and_closed_ones_are_refused(
     robot = lay_out("fingers drawn closed", tmp_path, monkeypatch)[1].robot
     assert (robot.fingers, robot.held_joints) == (("left", "right"), {"left": 0.03, "right": 0.03})
     targets = find_targets(["mug"])
-    assert build_lift_scene(robot, targets, 0).joint_upper[-1] > 0.02
+    model = build_lift_scene(robot, targets, 0).model
+    for finger in ("left", "right"):
+        own = np.flatnonzero(model.geom_bodyid == model.body(finger).id)
+        (pad,) = own[model.geom_contype[own] != 0]
+        # A box around the part of the finger that is near the TCP.
+        assert model.geom_size[pad] == pytest.approx([0.01, 0.005, 0.019], abs=1e-3)
+        assert model.geom_rgba[pad, 3] == 0
+    assert model.jnt_range[model.joint("left").id, 1] == pytest.approx(0.03, abs=1e-3)
     with pytest.raises(UserError, match="touch where they are drawn; open them with held_joints"):
         build_lift_scene(replace(robot, held_joints={}), targets, 0)
+
+
+def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = replace(lay_out("plain", tmp_path, monkeypatch)[1].robot, mpi_rad=0.08)
+    robot = replace(robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2))
+    shares = iter([0.4, 0.7, 0.95])
+    monkeypatch.setattr(draft_lift, "oracle_success", lambda config: next(shares))
+    area, text = draft_lift.find_lift_area(robot, lambda file, areas: "", Lift)
+    assert area == {
+        "centre_m": [0.6, 0.0],
+        "half_size_m": [0.025, 0.15],
+        "mpi_rad": 0.03,
+        "target_yaw_deg": -135.0,
+    }
+    assert "95 %" in text
+
+    def refuse(config: object) -> float:
+        raise UserError("Fingers touch.")
+
+    monkeypatch.setattr(draft_lift, "oracle_success", refuse)
+    assert draft_lift.find_lift_area(robot, lambda file, areas: "", Lift) == (
+        {},
+        "not possible: Fingers touch.",
+    )
 
 
 @pytest.mark.slow

@@ -90,10 +90,8 @@ class Doctor(TableCommand):
             found: Iterable[Check] = check_camera(config, self.camera, self.points, overlay)
             what = f"camera of robot {config.robot}"
         elif self.task is not None:
-            self._refuse("no --task", *DRAFT_OPTIONS, "image")
             robot = self.robot or DEFAULT_ROBOT
-            options = {"success_angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
-            found = check_objects(robot, self.task, self.targets, **options)
+            found = self._check_robot(robot, self.targets)
             what = f"objects of robot {robot}"
         elif self.robot is None:
             from knowarm.experiment.installation_check import check_installation  # imports torch
@@ -101,8 +99,7 @@ class Doctor(TableCommand):
             self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
             found, what = check_installation(self.runs), "installation"
         else:
-            targets = self.targets or EnvConfig().targets
-            found, what = self._check_robot(self.robot, targets), f"robot {self.robot}"
+            found, what = self._check_robot(self.robot, self.targets), f"robot {self.robot}"
         checks = list[Check]()
         for check in found:
             if not checks:  # a robot's draft is printed before
@@ -114,12 +111,11 @@ class Doctor(TableCommand):
 
     def _check_robot(self, robot: str, targets: tuple[str, ...]) -> Iterator[Check]:
         """Check a description, after drafting it where the robot is a bare model file."""
+        names = ("angle_deg", "ignore_roll", "distance_m")
+        options: dict[str, Any] = {name: getattr(self, name) for name in names}
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
-            self._draw(robot, targets)
-            names = ("angle_deg", "ignore_roll", "distance_m")
-            options: dict[str, Any] = {name: getattr(self, name) for name in names}
-            yield from check_robot(robot, targets, **options)
+            yield from self._check(robot, targets, **options)
             return
         if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
@@ -128,15 +124,26 @@ class Doctor(TableCommand):
             model, note = as_mjcf(
                 Path(robot), file.with_suffix(""), arguments=self.xacro, packages=self.package
             )
-            draft = draft_robot(model, targets, read_overrides(self.set))
+            drawn = targets or EnvConfig().targets
+            draft = draft_robot(model, drawn, read_overrides(self.set))
             if note:
                 draft.how["file"] = note + ("" if self.write else "; --write keeps the result")
             self._print(draft, file)
             with replacing(file) as temporary:
                 temporary.write_text(draft.toml(file), "utf-8")
-            self._draw(str(file), targets)
             options = {"angle_deg": draft.success_angle_deg, "ignore_roll": draft.ignore_roll}
-            yield from check_robot(file, targets, **options, distance_m=draft.distance_m)
+            yield from self._check(str(file), targets, **options, distance_m=draft.distance_m)
+
+    def _check(
+        self, robot: str, targets: tuple[str, ...], distance_m: float, **options: Any
+    ) -> Iterable[Check]:
+        """Draw and check a robot's description, or the objects of a task."""
+        self._draw(robot, targets or EnvConfig().targets)
+        if self.task is None:
+            targets = targets or EnvConfig().targets
+            return check_robot(robot, targets, **options, distance_m=distance_m)
+        options["success_angle_deg"] = options.pop("angle_deg")
+        return check_objects(robot, self.task, targets, **options)
 
     def _print(self, draft: Draft, file: Path) -> None:
         """Print a draft, and the commands that come next."""

@@ -19,6 +19,7 @@ from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft_base import place_base
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_home import STEPS, Home, find_homes
+from knowarm.world.own_robot.draft_lift import find_lift_area
 from knowarm.world.own_robot.draft_reach import find_layout, spread_rad
 from knowarm.world.own_robot.draft_view import FOVY_DEG, choose_view
 from knowarm.world.own_robot.robot_check import EVALUATION_M
@@ -26,6 +27,7 @@ from knowarm.world.own_robot.servo_check import MAX_LAG_RAD, best_frequency, ser
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.tasks import TASKS, task_type
 
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)  # Heights of the base above the floor that are tried [m]
 BASE_FIELDS = {"base_position_m", "base_yaw_deg", "table"}
@@ -70,8 +72,11 @@ class Draft:
             options.append("--env.ignore-roll")
         return " ".join(options)
 
-    def toml(self, file: Path | None = None) -> str:
-        """Return the description as TOML, with ``mjcf`` relative to its file if that works."""
+    def toml(self, file: Path | None = None, **given: Any) -> str:
+        """Return the description as TOML, with ``mjcf`` relative to its file if that works.
+
+        ``given`` replaces fields of the description.
+        """
         lines = [f"# {topic}: {text}" for topic, text in self.how.items()]
         if task := self.task_options():
             lines.append(f"# train with: {task}")
@@ -81,7 +86,7 @@ class Draft:
         folder = file.resolve().parent if file else Path.cwd()
         if mjcf.is_relative_to(folder):
             mjcf = mjcf.relative_to(folder)
-        for name, value in (self.fields | {"mjcf": mjcf.as_posix()}).items():
+        for name, value in (self.fields | given | {"mjcf": mjcf.as_posix()}).items():
             lines.append(f"{name} = {_toml(value)}")
         return "\n".join(lines) + "\n"
 
@@ -184,7 +189,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
     robot = _robot(path, values)
     size_m = float(np.linalg.norm(robot.rectangle_half_size_m))
     most_m = EVALUATION_M if angle <= EASY_DEG else EnvConfig.success_distance_m
-    return Draft(
+    draft = Draft(
         robot=robot,
         fields=values,
         how=how,
@@ -192,6 +197,11 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         ignore_roll=roll,
         distance_m=min(most_m, max(0.02, round(SCALE * size_m, 2))),
     )
+    for task in map(task_type, TASKS if robot.fingers and not robot.areas else ()):
+        if task.moves_fingers:
+            area, how[task.area] = find_lift_area(robot, draft.toml, task)
+            values |= {"areas": {task.area: area}} if area else {}
+    return draft
 
 
 def _wide_scene(path: Path, values: dict[str, Any], targets: Sequence[str]) -> Scene:

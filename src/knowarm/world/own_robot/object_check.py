@@ -62,14 +62,19 @@ def check_objects(
     return [*checks, *([_check_oracle(config)] if all(check.ok for check in checks) else [])]
 
 
+def oracle_success(config: EnvConfig) -> float:
+    """Return the share of ``EPISODES`` episodes of a task that the oracle solves."""
+    env = ArmVectorEnv(replace(config, image_size=1), EPISODES)
+    episodes = evaluation_episodes(env.config, EPISODES, 2)
+    return float(play(OracleAgent(env), env, episodes).success.mean())
+
+
 def _check_oracle(config: EnvConfig) -> Check:
     """Play the oracle of the task."""
     try:
-        env = ArmVectorEnv(replace(config, image_size=1), EPISODES)
+        share = oracle_success(config)
     except UserError as error:
         return Check("oracle", False, str(error), "Correct the named field.")
-    episodes = evaluation_episodes(env.config, EPISODES, 2)
-    share = play(OracleAgent(env), env, episodes).success.mean()
     return Check(
         "oracle",
         bool(share >= MIN_ORACLE),

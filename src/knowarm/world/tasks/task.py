@@ -46,6 +46,8 @@ class Task:
     """Whether ``EnvConfig.held_out`` and visual distractors can be combined with the task."""
     dynamics: ClassVar[tuple[str, ...]] = ("dynamic", "kinematic")
     """Values of ``EnvConfig.dynamics`` with which the task can be simulated."""
+    moves_fingers: ClassVar[bool] = False
+    """Whether it needs a robot whose fingers move."""
     knowledge_info: ClassVar[str] = "facet"
     """Info that names the row of the knowledge table for an episode."""
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {}

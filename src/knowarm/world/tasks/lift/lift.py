@@ -37,6 +37,7 @@ class Lift(Task):
     area: ClassVar[str] = "lift"
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps: ClassVar[int] = 100
+    moves_fingers: ClassVar[bool] = True
     dynamics: ClassVar[tuple[str, ...]] = ("dynamic",)  # Kinematics have no contacts.
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "distil": {

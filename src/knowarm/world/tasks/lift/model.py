@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -24,6 +25,8 @@ FINGER_GAIN_N_M = 4_000.0  # Gain of the fingers' position servos
 FINGER_DAMPING_N_S_M = 80.0
 LEAST_OPENING_M = 0.005  # Fingers that are drawn nearer to each other are closed
 SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are gripped with full force
+PAD_M = 0.03  # Length of what grips of a finger behind the tool centre point
+POINTS = 9  # Points along an edge of a finger of which the length that grips is taken
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
 
 
@@ -44,7 +47,8 @@ def build_lift_scene(
 ) -> LiftScene:
     """Compose and compile the scene of an arm that lifts.
 
-    The arm with its servos is that of `compose`. The robot's ``fingers`` slide along the y axis of
+    The arm with its servos is that of `compose`. The robot's ``fingers``, of which bodies grip with
+    a box each, slide along the y axis of
     the tool centre point, coupled as in a parallel gripper, by up to ``GRIP_FORCE_N`` each. Objects
     have their mass, distributed as in their file over its shapes, which collide with robot, support
     and each other. Friction cones are elliptic.
@@ -57,9 +61,8 @@ def build_lift_scene(
         spec.option.timestep = timestep_s
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = IMPRATIO
-        drawn = spec.compile()
-        data = mujoco.MjData(drawn)
-        mujoco.mj_kinematics(drawn, data)
+        _add_pads(spec, _drawn(spec), robot)
+        data = _drawn(spec)
         opening = _move_fingers(spec, data, robot)
         rest = np.stack([_free(spec, data, robot, target) for target in targets])
         for target in targets:
@@ -81,6 +84,68 @@ def build_lift_scene(
 
 FINGERS = ("left", "right")
 """Names of the fingers' bodies, joints and sensors in the model."""
+
+
+def _drawn(spec: mujoco.MjSpec) -> mujoco.MjData:
+    """Compile the scene; return its bodies as they are drawn, with the model."""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
+    """Let each finger that is a body grip with one box, around what it has near the TCP.
+
+    In the grip of hulls of meshes and of several small geoms, objects turn and creep. Geoms that
+    are named as fingers grip as they are.
+    """
+    model = data.model
+    tcp = model.site(ROBOT_PREFIX + robot.tcp_site).id
+    origin, frame = data.site_xpos[tcp], data.site_xmat[tcp].reshape(3, 3)
+    for name in robot.fingers:
+        body = spec.body(ROBOT_PREFIX + name)
+        if body is None:
+            continue
+        number = model.body(body.name).id
+        own = np.flatnonzero(model.geom_bodyid == number)
+        solid = own[model.geom_contype[own] != 0]
+        if not len(own):
+            continue
+        geoms = solid if len(solid) else own
+        points = (np.concatenate([_surface(data, g) for g in geoms.tolist()]) - origin) @ frame
+        near = points[points[:, 2] > -PAD_M]
+        points = near if len(near) else points
+        low, high = points.min(axis=0), points.max(axis=0)
+        for geom in body.geoms:
+            geom.contype = geom.conaffinity = 0
+        turn, quat = data.xmat[number].reshape(3, 3).T, np.zeros(4)
+        mujoco.mju_mat2Quat(quat, (turn @ frame).ravel())
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=np.maximum((high - low) / 2, 1e-4),
+            pos=turn @ (origin + frame @ (low + high) / 2 - data.xpos[number]),
+            quat=quat,
+            mass=0,
+            contype=ROBOT_BIT,
+            conaffinity=SUPPORT_BIT,
+            rgba=[0, 0, 0, 0],
+        )
+
+
+def _surface(data: mujoco.MjData, geom: int) -> NDArray[np.float64]:
+    """Return points along the edges of a mesh, or in the box around another geom, (P, 3) [m]."""
+    model = data.model
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.mesh(model.geom_dataid[geom])
+        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+        corners = model.mesh_vert[mesh.vertadr[0] :][faces]  # (F, 3, 3)
+        share = np.linspace(0, 1, POINTS)[:, None, None, None]
+        local = ((1 - share) * corners + share * np.roll(corners, 1, axis=1)).reshape(-1, 3)
+    else:
+        middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        local = middle + half * np.array(list(product(np.linspace(-1, 1, POINTS), repeat=3)))
+    return np.asarray(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
 
 
 def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> float:
@@ -142,11 +207,12 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
 
 
 def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str) -> list[int]:
-    """Return the ids of a finger's geoms."""
+    """Return the ids of a finger's geoms that grip."""
     body = spec.body(ROBOT_PREFIX + name)
     if body is not None:
         number = model.body(ROBOT_PREFIX + name).id
-        return [g for g in range(model.ngeom) if model.geom_bodyid[g] == number]
+        solid = (model.geom_bodyid == number) & (model.geom_contype != 0)
+        return [int(g) for g in np.flatnonzero(solid)]
     if spec.geom(ROBOT_PREFIX + name) is None:
         raise UserError(
             f"Robot {robot.name!r}: fingers names {name!r}, which {robot.mjcf.name} has neither as "

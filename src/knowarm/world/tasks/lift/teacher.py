@@ -19,7 +19,11 @@ AHEAD = 4  # Points from the one that is passed to the one that is aimed at
 PASSED = (1.0, 0.6)
 """Largest error of a joint at which a point is passed, first and last one [largest steps]."""
 LOST = 4.0  # Error from which the way starts again at its first point [largest steps]
-CLOSE_M, CLOSE_DEG = 0.025, 12.0  # Distance and angle to the grasp frame at which fingers close
+CLOSE_M, CLOSE_DEG = 0.025, 12.0
+"""Largest distance and angle to the grasp frame at which fingers close; an arm of small steps has
+to come as much nearer as its largest step is smaller than ``CLOSE_RAD``."""
+
+CLOSE_RAD = 0.05
 MET_M = 0.001  # Distance of the fingers from each other at which they have met
 NOISE_AT_GRASP = 0.5  # `PRACTICE_NOISE` at the end of the approach
 ON_APPROACH = 0.67  # Share of practice starts on the approach
@@ -37,6 +41,7 @@ class LiftTeacher(Teacher):
         scene = state.scene
         super().__init__(state)
         self._simulator = state.simulator
+        self._near = min(1.0, float(self._largest) / CLOSE_RAD)
         back = -scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
         self._approach = [self.goals]
@@ -65,7 +70,7 @@ class LiftTeacher(Teacher):
         rows = np.arange(len(joints))
         pose = np.where(held[:, None], rise[above, rows], approach[following, rows])
         pose = np.where(closing[:, None], joints, pose)
-        at_grasp = (state.distance < CLOSE_M) & (state.angle < CLOSE_DEG)
+        at_grasp = (state.distance < self._near * CLOSE_M) & (state.angle < self._near * CLOSE_DEG)
         close = held | closing | (~closed & at_grasp)
         way = np.column_stack([pose - joints, np.where(close, closed_m, 0.0) - fingers])
         return np.asarray(way / self._largest)
