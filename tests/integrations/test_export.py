@@ -68,7 +68,7 @@ assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
 
 def test_the_runner_is_short_and_imports_two_libraries():
     text = Path(runner_module.__file__).read_text()
-    assert len(text.splitlines()) <= 160
+    assert len(text.splitlines()) <= 200
     names = {
         (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
         for node in ast.walk(ast.parse(text))

@@ -117,6 +117,43 @@ def test_a_reset_of_numpy_starts_an_episode(parts, server):
     assert (answers[0] != answers[1]).any()
 
 
+def answers(parts, server, changes):
+    with client(server) as connection:
+        connection.recv()
+        return [unpack(ask(connection, observation(parts, **each))) for each in changes]
+
+
+def test_another_question_starts_an_episode_and_the_answer_says_how_it_was_read(parts, server):
+    prompts = ["usedFor drinking", "something to drink from", "usedFor heating", "usedFor heating"]
+    found = answers(parts, server, [{"prompt": prompt} for prompt in prompts])
+    assert [each["episode_start"] for each in found] == [True, False, True, False]
+    assert [each["reading"] for each in found] == ["usedFor drinking"] * 2 + ["usedFor heating"] * 2
+    (fresh,) = answers(parts, server, [{"prompt": "usedFor heating"}])
+    np.testing.assert_array_equal(found[2]["actions"], fresh["actions"])
+
+
+def test_environments_of_a_connection_do_not_share_an_episode(parts, server):
+    found = answers(parts, server, [{"env_id": name} for name in (0, 1, 0, 1, "other")])
+    first, other_first, second, other_second, third = (each["actions"] for each in found)
+    np.testing.assert_array_equal(first, other_first)
+    np.testing.assert_array_equal(first, third)
+    np.testing.assert_array_equal(second, other_second)
+    assert (first != second).any()
+
+
+def test_larger_images_are_averaged_on_request_and_smaller_ones_refused(parts, server):
+    large = np.random.default_rng(0).integers(0, 255, (128, 160, 3), np.uint8)
+    square = large[:, 16:144].reshape(64, 2, 64, 2, 3).astype(float).mean((1, 3))
+    small = np.floor(square + 0.5).astype(np.uint8)
+    asked = [{"observation/image": large, "resize": True}, {"observation/image": small}]
+    (resized, exact) = (answers(parts, server, [each])[0]["actions"] for each in asked)
+    np.testing.assert_array_equal(resized, exact)
+    with client(server) as connection:
+        connection.recv()
+        change = {"observation/image": IMAGE[:32, :32], "resize": True}
+        assert "got (1, 32" in ask(connection, observation(parts, **change))
+
+
 def test_a_client_of_a_full_server_is_told_so(server):
     with contextlib.ExitStack() as others:
         for _ in range(MOST_CONNECTIONS):
@@ -178,6 +215,7 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
         ({"observation/state": np.full(6, np.nan)}, "not finite"),
         ({"observation/state": {"a": 1}}, "must be a list of numbers"),
         ({"prompt": "usedFor flying"}, "not understood"),
+        ({"env_id": [1]}, "must be a number or text"),
         (partial(packed, {b"__npgeneric__": True, b"dtype": "|i1", b"data": 300}), "msgpack"),
         (partial(packed, {b"__ndarray__": True, b"dtype": "i4,(", b"data": b""}), "msgpack"),
         (b"\xc1", "msgpack"),

@@ -35,7 +35,7 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("onnxscript")
 pytest.importorskip("websockets")
 
-from knowarm.integrations.serve import Client, PolicyServer, act
+from knowarm.integrations.serve import Client, Episode, PolicyServer
 
 Forms = Mapping[str, Callable[[], object]]
 Random = np.random.Generator
@@ -250,7 +250,9 @@ def serve(doors: Doors, random: Random) -> list[str]:
     def ask(image=image, runner=runner, state=None, **more):
         state = np.array([*home(runner).values()]) if state is None else state
         seen = {"observation/image": image, "observation/state": state, "prompt": row, **more}
-        return by_name(runner, act(runner, shuffled({**seen, "reset": True}, random)))
+        return by_name(
+            runner, Episode(runner).act(shuffled({**seen, "reset": True}, random))["actions"][0]
+        )
 
     def levels(runner):
         server = PolicyServer(lambda: runner, port=0)

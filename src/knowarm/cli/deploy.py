@@ -10,7 +10,7 @@ from typing import Annotated, Self
 import tyro
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
-from knowarm.cli.tables import FolderPath
+from knowarm.cli.tables import FilePath, FolderPath
 from knowarm.config import at_least
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import load_agent
@@ -32,6 +32,8 @@ class OfRun:
     """Run folder, such as runs/irb120-full-fast/0."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
+    joint_map: FilePath = None
+    """TOML file with the real arm's joints, ``[joint_map]``. Default: that of the robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,8 @@ class Export(OfRun):
 
     def run(self) -> None:
         """Export and say what was written."""
-        contract = export(load_agent(self.run_folder, which=self.which), self.to).contract
+        trained = load_agent(self.run_folder, which=self.which)
+        contract = export(trained, self.to, self.joint_map).contract
         print(f"Wrote {', '.join(sorted(each.name for each in self.to.iterdir()))} to {self.to}.")
         rows = contract["knowledge"]["rows"]
         print(f"knowledge.npy has {len(rows)} row(s), the first for {rows[0]!r}.")
@@ -59,14 +62,17 @@ class Serve(OfRun):
     """Address to listen on. Others than the loopback need a key, in KNOWARM_SERVE_KEY."""
     port: int = 8000
     """Port; 0 takes a free one."""
+    resize: bool = False
+    """Average the central square of larger images to the policy's size."""
 
     def run(self) -> None:
         """Serve and print the address."""
         from knowarm.integrations.serve import PolicyServer
 
-        parts = deployment(load_agent(self.run_folder, which=self.which))
+        parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
         key = os.environ.get("KNOWARM_SERVE_KEY") or None
-        server = PolicyServer(parts.runner, host=self.host, port=self.port, key=key)
+        options = {"host": self.host, "port": self.port, "resize": self.resize}
+        server = PolicyServer(parts.runner, **options, key=key)
         print(
             f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
         )
@@ -89,7 +95,7 @@ class Ros(OfRun):
         """Drive until the last step, a broken rule, or a stop."""
         from knowarm.integrations.ros import drive
 
-        parts = deployment(load_agent(self.run_folder, which=self.which))
+        parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
         rules = partial(tcp_position, parts.scene), self.safety, self.knowledge
         drive(Driver(parts.runner(), *rules, resize=self.resize), self.topic)
 

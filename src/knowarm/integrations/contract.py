@@ -14,6 +14,7 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
 from knowarm.integrations import runner
+from knowarm.integrations.joint_map import real_joints
 from knowarm.integrations.onnx_export import (
     INPUTS,
     OUTPUTS,
@@ -71,11 +72,14 @@ class Deployment:
         )
 
 
-def deployment(trained: TrainedAgent) -> Deployment:
+def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployment:
     """Take a trained agent apart.
 
+    ``joint_map`` is a TOML file whose table of that name replaces that of the robot.
+
     Raises:
-        UserError: the policy closes fingers, or its MPI is larger than that of the robot.
+        UserError: the policy closes fingers, its MPI is larger than that of the robot, or the joint
+            map does not fit.
     """
     env, policy = trained.config.env, trained.policy
     rows = env.task.knowledge_rows(facets_of(env))
@@ -90,7 +94,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
         )
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
-    increments = joint_increments(scene.robot, env)
+    increments, real = joint_increments(scene.robot, env), real_joints(scene, joint_map)
     if (mpi := increments.max()) > scene.robot.mpi_rad:
         raise UserError(
             f"{trained.folder.path} moves a joint by up to {mpi:g} rad per step, and the "
@@ -117,7 +121,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
         },
         "control_period_s": CONTROL_PERIOD_S,
         "max_episode_steps": env.max_episode_steps,
-        "joints": _joints(scene, increments),
+        "joints": _joints(scene, increments) | ({"real": real} if real else {}),
         "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
         "camera": _camera(scene, env.image_size),
         "knowledge": {
@@ -143,13 +147,13 @@ def deployment(trained: TrainedAgent) -> Deployment:
     return Deployment(PolicyStep(policy), step, table, contract, scene)
 
 
-def export(trained: TrainedAgent, folder: Path) -> Deployment:
+def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -> Deployment:
     """Write models, knowledge table, contract and runner; return what was exported.
 
     Raises:
         UserError: the folder cannot be written to, or packages are missing.
     """
-    parts = deployment(trained)
+    parts = deployment(trained, joint_map)
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
         about = {"contract": fingerprint(parts.contract)}

@@ -63,6 +63,9 @@ class Driver:
     ``gripper`` computes the gripper's position (3,) [m], robot base, at joint angles (J,);
     ``knowledge`` is a row of the table; ``resize`` averages the central square of larger images.
 
+    Rules hold for the policy's joint angles [rad]; the real arm's units are converted where
+    readings come in and targets go out, in the order of ``joint_names``.
+
     Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
     (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number;
     ``clock``, which returns seconds that never run backwards.
@@ -77,7 +80,8 @@ class Driver:
         *,
         resize: bool = False,
     ) -> None:
-        about, self.joint_names = runner.contract, runner.joint_names
+        about, self._map = runner.contract, runner.joint_map
+        self.joint_names, self._names = self._map.names, runner.joint_names
         self._runner, self._gripper, self.safety = runner, gripper, safety
         self._knowledge, self._resize = knowledge, resize
         self.period_s, self._mpi = float(about["control_period_s"]), float(about["joints"]["mpi"])
@@ -102,8 +106,8 @@ class Driver:
     def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
         """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
         size = self._runner.contract["camera"]["size"]
-        if not isinstance(image, str) and self._resize and min(image.shape[:2]) > size:
-            image = np.asarray(central_square(Image.fromarray(image), size))
+        if not isinstance(image, str) and self._resize:
+            image = shrunk(image, size)
         if not isinstance(image, str) and (image.shape, image.dtype) != ((size, size, 3), np.uint8):
             image = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
         if not isinstance(image, str) and image.min() == image.max():
@@ -111,12 +115,12 @@ class Driver:
         self._inputs["image"] = image if isinstance(image, str) else (image, stamp_s)
 
     def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
-        """Take joint angles by name [rad], measured at ``stamp_s``; other joints are ignored."""
+        """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored."""
         found = dict(zip(names, positions, strict=False))
-        if found.keys().isdisjoint(self.joint_names):
+        if found.keys().isdisjoint(self._map.moved):
             return  # of a gripper or another robot
-        angles = np.array([found.get(name, np.nan) for name in self.joint_names])
-        if bad := ", ".join(np.array(self.joint_names)[~np.isfinite(angles)]):
+        angles = self._map.from_real([found.get(name, np.nan) for name in self.joint_names])
+        if bad := ", ".join(np.array(self._map.moved)[~np.isfinite(angles)]):
             self._inputs["joint angles"] = f"lack a number for {bad}"
             return
         before, before_s = self._felt or (angles, stamp_s)
@@ -135,7 +139,7 @@ class Driver:
         self.end = self.status = self.end or reason
 
     def tick(self, now_s: float, obstacle: str = "") -> Targets | None:
-        """Return the joint targets (J,) to send now, or None; once per control period.
+        """Return what to send the real arm now, (R,), or None; once per control period.
 
         ``now_s`` is the time by the clock of the stamps, ``obstacle`` a reason to hold.
         """
@@ -173,7 +177,7 @@ class Driver:
         """Compute the next targets."""
         runner = self._runner
         if not runner.is_started:
-            joints = dict(zip(self.joint_names, angles.tolist(), strict=True))
+            joints = dict(zip(self._names, angles.tolist(), strict=True))
             runner.reset(Start(joints, self._knowledge))
         if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
@@ -185,7 +189,7 @@ class Driver:
     def _released(self, targets: Targets, steady: float) -> Targets | None:
         """Return checked targets if the step needs no confirmation or has it."""
         self._held_since, dry = np.inf, self.safety.dry_run
-        moves = zip(self.joint_names, targets - self._previous, strict=True)
+        moves = zip(self._names, targets - self._previous, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
         if not (dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
@@ -197,7 +201,7 @@ class Driver:
         if self.steps == self.max_steps:
             self.completed = True
             self.stop(f"all {self.max_steps} steps are played")
-        return None if dry else targets
+        return None if dry else self._map.to_real(targets)
 
     def _old_input(self, now_s: float) -> str:
         """Say which input is missing, wrong, old or from the future."""
@@ -226,17 +230,25 @@ class Driver:
             (abs(targets - self._previous) > most, f"faster than {most / self.period_s:g} / s"),
         ):
             if broken.any():
-                raise ValueError(f"{', '.join(np.array(self.joint_names)[broken])}: {text}")
+                raise ValueError(f"{', '.join(np.array(self._names)[broken])}: {text}")
 
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
         far = abs(targets - angles) > self.safety.following_steps * self._mpi
         if far.any():
-            return f"{', '.join(np.array(self.joint_names)[far])}: blocked, or moved by hand"
+            return f"{', '.join(np.array(self._names)[far])}: blocked, or moved by hand"
         place = self._gripper(targets)
         if ((place >= self._box[0]) & (place <= self._box[1])).all():
             return ""
         return f"the gripper would leave the workspace, to {place.round(2).tolist()} m"
+
+
+def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
+    """Average the central square of an RGB image (H, W, 3) to ``size``; smaller ones stay."""
+    is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    if not is_rgb or min(image.shape[:2]) < size:
+        return image
+    return np.asarray(central_square(Image.fromarray(image), size))
 
 
 def decoded(

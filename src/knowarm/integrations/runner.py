@@ -28,6 +28,39 @@ class Start:
     names: Any = None  # Row of the contract's knowledge; not read where there is only one
 
 
+class JointMap:
+    """Joints of the real arm, in the order of ``names``: value = scale * angle + offset.
+
+    ``joints`` is that of a contract; without its entry ``real`` nothing is converted. Joints that
+    the policy does not move, such as an open gripper, have a constant value: their scale is 0.
+    ``moved`` are the names on the real arm of the policy's joints, in the policy's order.
+    """
+
+    def __init__(self, joints: Mapping[str, Any]) -> None:
+        own = [{"joint": n, "name": n, "scale": 1.0, "offset": 0.0} for n in joints["names"]]
+        real = joints.get("real") or own
+        place = {each["joint"]: i for i, each in enumerate(real)}
+        self.names = tuple(each["name"] for each in real)
+        self._places = [place[name] for name in joints["names"]]
+        self.moved = tuple(self.names[i] for i in self._places)
+        self._offset = np.array([each["offset"] for each in real], float)
+        self._scale = np.array([real[i]["scale"] for i in self._places], float)
+        finite = np.isfinite([*self._offset, *self._scale]).all() and self._scale.all()
+        if not finite or len({*self.names}) < len(real):
+            raise ValueError("joints.real has names twice, or numbers that are not finite or 0")
+
+    def to_real(self, angles: Any) -> np.ndarray:
+        """Convert the policy's joint angles (..., J) [rad] to values of the real arm (..., R)."""
+        values = np.zeros((*np.shape(angles)[:-1], len(self.names))) + self._offset
+        values[..., self._places] += self._scale * angles
+        return values
+
+    def from_real(self, values: Any) -> np.ndarray:
+        """Convert values of the real arm (..., R) to the policy's joint angles (..., J) [rad]."""
+        found = np.asarray(values, float) - self._offset
+        return found[..., self._places] / self._scale
+
+
 class Runner:
     """Plays n episodes side by side, one on a robot, and then the next ones.
 
@@ -37,7 +70,8 @@ class Runner:
         policy, recognition: the models; recognition is None for agents without such a network.
 
     Raises `ValueError` for a contract, table, input or output that is damaged or does not fit.
-    ``targets`` are the joint angles that the actions have commanded, (n, J) [rad].
+    ``targets`` are the joint angles that the actions have commanded, (n, J) [rad], and
+    ``joint_map`` converts them to what the real arm is sent, and its readings to them.
     """
 
     def __init__(
@@ -51,7 +85,7 @@ class Runner:
         joints = contract["joints"]
         self.contract, self.joint_names = contract, tuple(joints["names"])
         self.lower, self.upper = np.array(joints["lower"]), np.array(joints["upper"])
-        self.increments = np.array(joints["increments"])
+        self.increments, self.joint_map = np.array(joints["increments"]), JointMap(joints)
         self.is_started = False
         self._table, self._policy, self._recognition = knowledge, policy, recognition
 

@@ -1,8 +1,9 @@
 """Policy server: the WebSocket protocol of openpi (msgpack with NumPy arrays), without pickle.
 
 The server first sends its metadata. Then each message of the client is an observation, and each
-answer holds ``actions``, (1, J) joint targets. Clients of this protocol never say that an episode
-starts: the state belongs to the connection, and a new connection or ``reset: true`` starts one.
+answer holds ``actions``, (1, R) joint targets of the real arm. Clients of this protocol rarely say
+that an episode starts: the state belongs to the connection and its ``env_id``, and a new one,
+``reset: true`` or another question starts an episode, which the answer states.
 """
 
 import contextlib
@@ -12,20 +13,21 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, packages_of
-from knowarm.integrations.runner import Runner, Start
+from knowarm.integrations.driver import shrunk
+from knowarm.integrations.messages import pack, unpack
+from knowarm.integrations.runner import JointMap, Runner, Start
 from knowarm.knowledge.queries.answers import row_of
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.viewing.watch import LOOPBACK, refusal
 
 with packages_of("serve", "Serving"):
-    import msgpack
     from websockets.exceptions import ConnectionClosed, WebSocketException
     from websockets.sync.client import ClientConnection, connect
     from websockets.sync.server import Server, ServerConnection, serve
@@ -33,6 +35,8 @@ with packages_of("serve", "Serving"):
 MOST_BYTES = 4 * 2**20
 """Largest message [bytes]; the connection is closed before a larger one is read."""
 MOST_CONNECTIONS = 8
+MOST_ENVIRONMENTS = 64
+"""Values of ``env_id`` per connection, each with an episode of its own."""
 MOST_SOCKETS = 64
 """Open connections, with those that have sent no key yet; each takes a thread and three files."""
 KEY = re.compile(r"[!-~]{16,}")
@@ -40,45 +44,7 @@ KEY = re.compile(r"[!-~]{16,}")
 METADATA_S, ANSWER_S = 30.0, 10.0
 """How long a client waits for the metadata of a server, and for an answer [s]."""
 IMAGE, STATE, PROMPT, RESET = "observation/image", "observation/state", "prompt", "reset"
-_DTYPE = re.compile(r"[<>|=]?[biuf]\d{1,2}")  # no objects, records or complex numbers
-
-
-def pack(values: Any) -> bytes:
-    """Pack values with NumPy arrays as openpi's clients read them."""
-    return bytes(msgpack.packb(values, default=_pack_array))
-
-
-def unpack(data: bytes | str) -> Any:
-    """Unpack a message.
-
-    Raises:
-        ValueError: the message is text or damaged, or an array is not of plain numbers.
-    """
-    try:
-        return msgpack.unpackb(data, object_hook=_unpack_array)
-    except Exception as error:  # NumPy and msgpack raise many types
-        raise ValueError(f"the message is no msgpack map of numbers and arrays: {error}") from error
-
-
-def _pack_array(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        form = {b"dtype": value.dtype.str, b"shape": value.shape}
-        return {b"__ndarray__": True, b"data": value.tobytes(), **form}
-    if isinstance(value, np.generic):
-        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
-    return list(value)
-
-
-def _unpack_array(value: dict[Any, Any]) -> Any:
-    if b"__ndarray__" not in value and b"__npgeneric__" not in value:
-        return value
-    name, shape = value[b"dtype"], value.get(b"shape", ())
-    if not _DTYPE.fullmatch(name) or min(shape, default=0) < 0:
-        raise ValueError(f"arrays of dtype {name!r:.20} and shape {shape!r:.40} are not read")
-    dtype = np.dtype(name)
-    if b"__npgeneric__" in value:
-        return dtype.type(value[b"data"])
-    return np.frombuffer(value[b"data"], dtype).reshape(shape)
+ENVIRONMENT, RESIZE = "env_id", "resize"
 
 
 class _Listener(socket.socket):
@@ -113,6 +79,7 @@ class PolicyServer:
         host: address to listen on; any but a loopback address needs a key.
         port: 0 takes a free one.
         key: clients must send ``Authorization: Api-Key KEY``; 16 visible ASCII characters or more.
+        resize: average the central square of larger images, as on request of a client.
 
     Raises:
         UserError: the port is taken, or there is no such key for an address that others can reach.
@@ -125,6 +92,7 @@ class PolicyServer:
         host: str = "127.0.0.1",
         port: int = 8000,
         key: str | None = None,
+        resize: bool = False,
     ) -> None:
         if key is None and host not in LOOPBACK:
             raise UserError(
@@ -134,6 +102,7 @@ class PolicyServer:
         if key is not None and not KEY.fullmatch(key):
             raise UserError("The key must have at least 16 characters: ASCII, and no spaces.")
         self._make_runner, self._key, self._is_closed = make_runner, key, False
+        self._resize = resize
         self._is_local = host in LOOPBACK
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._computing = threading.Lock()
@@ -198,8 +167,9 @@ class PolicyServer:
                 self._seats.release()
 
     def _serve(self, connection: ServerConnection) -> None:
-        runner, previous_ms = self._make_runner(), None
-        connection.send(pack(metadata(runner)))
+        first, previous_ms = Episode(self._make_runner(), self._resize), None
+        episodes: dict[Any, Episode] = {}
+        connection.send(pack(metadata(first.runner)))
         while True:
             begin = time.monotonic()
             message = connection.recv()
@@ -207,12 +177,22 @@ class PolicyServer:
             if isinstance(message, str):
                 raise ValueError("messages must be binary msgpack, got text")
             observation = unpack(message)
+            if not isinstance(observation, dict):
+                raise ValueError("an observation must be a map")
+            name = observation.get(ENVIRONMENT)
+            if not isinstance(name, int | str | np.integer | None):
+                raise ValueError(f"{ENVIRONMENT!r} must be a number or text, got {name!r:.40}")
+            if name not in episodes and len(episodes) == MOST_ENVIRONMENTS:
+                raise ValueError(f"a connection has at most {MOST_ENVIRONMENTS} of {ENVIRONMENT!r}")
             with self._computing:
-                targets = act(runner, observation)
+                if name not in episodes:
+                    new = Episode(self._make_runner(), self._resize) if episodes else first
+                    episodes[name] = new
+                answer = episodes[name].act(observation)
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
-            connection.send(pack({"actions": targets[None], "server_timing": timing}))
+            connection.send(pack(answer | {"server_timing": timing}))
             previous_ms = 1e3 * (time.monotonic() - begin)
 
 
@@ -230,6 +210,7 @@ class Client:
     def __init__(self, url: str) -> None:
         self._url = url
         self._joints: Any = None  # names, if the server says them
+        self._map: JointMap | None = None
         self._links = [self._connect()]
 
     def reset(self, batch: Batch) -> None:
@@ -246,12 +227,13 @@ class Client:
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Return the levels (n, J) that lead nearest to the joint targets of the server."""
         joints = observations["joint_targets"].astype(np.float64)
-        wanted = np.empty_like(joints)
+        joint_map = self._map or JointMap({"names": range(joints.shape[1])})
+        real, wanted = joint_map.to_real(joints), np.empty_like(joints)
         for i, image in enumerate(observations["image"]):
-            seen = {IMAGE: image, STATE: joints[i], RESET: self._reset}
+            seen = {IMAGE: image, STATE: real[i], RESET: self._reset}
             if self._batch.queries is not None:
                 seen[PROMPT] = self._batch.queries[i]
-            wanted[i] = self._ask(self._links[i], seen)
+            wanted[i] = joint_map.from_real(self._ask(self._links[i], seen))
         self._reset = False
         reached = joints[..., None] + self._batch.increments
         reached = reached.clip(*self._batch.limits[..., None])
@@ -266,7 +248,9 @@ class Client:
         if isinstance(about, str):  # no metadata
             raise UserError(f"The policy server at {self._url} refuses: {about:.300}")
         with contextlib.suppress(ValueError, TypeError, KeyError):  # of another library
-            self._joints = unpack(about)["joints"]["names"]
+            joints = unpack(about)["joints"]
+            self._joints = joints["names"]
+            self._map = JointMap(joints)
         return link
 
     def _ask(self, link: ClientConnection, seen: dict[str, Any]) -> np.ndarray:
@@ -288,32 +272,60 @@ class Client:
         return targets
 
 
-def act(runner: Runner, observation: Any) -> np.ndarray:
-    """Return the joint targets (J,) float64 for one observation of a client.
+class Episode:
+    """The episodes of one environment of a client, one after another.
 
-    Raises:
-        ValueError: the observation lacks something or does not fit the contract.
+    ``question`` is the row of knowledge of the present one, as its prompt was read.
     """
-    if not isinstance(observation, dict):
-        raise ValueError("an observation must be a map")
-    image = observation.get(IMAGE)
-    if not isinstance(image, np.ndarray):
-        raise ValueError(f"the observation lacks the array {IMAGE!r}")
-    if not runner.is_started or observation.get(RESET) in (True,):  # also of NumPy
+
+    def __init__(self, runner: Runner, resize: bool = False) -> None:
+        self.runner, self._resize = runner, resize
+        self._prompt: Any = None
+        self.question: Any = None
+
+    def act(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer to one observation: joint targets (1, R), and how it was read.
+
+        Raises:
+            ValueError: the observation lacks something or does not fit the contract.
+        """
+        runner, image = self.runner, observation.get(IMAGE)
+        if not isinstance(image, np.ndarray):
+            raise ValueError(f"the observation lacks the array {IMAGE!r}")
+        if self._resize or observation.get(RESIZE) in (True,):
+            image = shrunk(image, runner.contract["camera"]["size"])
+        starts = not runner.is_started or observation.get(RESET) in (True,)  # also of NumPy
+        prompt = observation.get(PROMPT)
+        if starts or (prompt is not None and prompt != self._prompt):
+            question = self._read(prompt)
+            starts = starts or question != self.question
+            self._prompt, self.question = prompt, question
+        if starts:
+            runner.reset(Start(self._angles(observation.get(STATE, ())), self.question))
+        runner.act({"image": image[None]})
+        actions = runner.joint_map.to_real(runner.targets)
+        return {"actions": actions, "episode_start": starts, "reading": self.question}
+
+    def _read(self, prompt: Any) -> Any:
+        """Return the row of knowledge that a prompt means; the only one where there is one."""
+        rows = self.runner.contract["knowledge"]["rows"]
+        if len(rows) == 1:
+            return rows[0]
+        is_words = isinstance(prompt, str) and any(" " in row for row in rows)
+        return row_of(prompt, rows) if is_words else prompt
+
+    def _angles(self, state: Any) -> dict[str, float]:
+        """Return the joint angles by name [rad] of what the real arm reads."""
+        joint_map = self.runner.joint_map
         try:
-            state = np.asarray(observation.get(STATE, ()), np.float64).ravel()
+            values = np.asarray(state, np.float64).ravel()
         except (TypeError, ValueError) as error:
             raise ValueError(f"{STATE!r} must be a list of numbers: {error}") from error
-        if len(state) != len(runner.joint_names):
-            names = ", ".join(runner.joint_names)
-            raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(state)}")
-        joints = dict(zip(runner.joint_names, state.tolist(), strict=True))
-        prompt, rows = observation.get(PROMPT), runner.contract["knowledge"]["rows"]
-        if isinstance(prompt, str) and len(rows) > 1 and any(" " in row for row in rows):
-            prompt = row_of(prompt, rows)
-        runner.reset(Start(joints, prompt))
-    runner.act({"image": image[None]})
-    return runner.targets[0]
+        if len(values) != len(joint_map.names):
+            names = ", ".join(joint_map.names)
+            raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(values)}")
+        angles = joint_map.from_real(values).tolist()
+        return dict(zip(self.runner.joint_names, angles, strict=True))
 
 
 def metadata(runner: Runner) -> dict[str, Any]:
@@ -323,9 +335,11 @@ def metadata(runner: Runner) -> dict[str, Any]:
         "action_horizon": 1,
         "observation": {
             IMAGE: "uint8 RGB",
-            STATE: "joint angles in the order of joints.names; read as an episode starts",
+            STATE: f"{', '.join(runner.joint_map.names)}; read as an episode starts",
             PROMPT: "a row of knowledge.rows, or a query in plain words that means one; "
-            "read as an episode starts",
-            RESET: "true starts an episode; so does a new connection",
+            "another one starts an episode",
+            RESET: "true starts an episode; so does a new connection or another question",
+            ENVIRONMENT: "number or text; each has an episode of its own",
+            RESIZE: "true averages the central square of a larger image",
         },
     }

@@ -41,6 +41,14 @@ few joints, is not tested with thresholds that a fixed list of actions meets."""
 START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
 
+JOINT_MAP = (
+    "# The real arm, for knowarm serve, ros, record and export, in its order: value = sign * angle",
+    '# + offset, in the unit: "rad", "deg", or LeRobot\'s "range_0_100" and "range_m100_100".',
+    "[joint_map]",
+)
+UNCHANGED = 'sign = 1, offset = 0.0, unit = "rad"'
+"""Lines of a drafted joint map, which converts nothing; a held joint is sent if it is named."""
+
 _POINT = {"rectangle_centre_m": [0.0, 0.0], "rectangle_half_size_m": [0.0, 0.0]}
 NO_RECTANGLE = _POINT | {"target_yaw_deg": 0.0, "target_yaws_deg": {}}
 WIDE_VIEW = {
@@ -88,6 +96,14 @@ class Draft:
             mjcf = mjcf.relative_to(folder)
         for name, value in (self.fields | given | {"mjcf": mjcf.as_posix()}).items():
             lines.append(f"{name} = {_toml(value)}")
+        if "joint_map" not in self.fields:
+            marks = dict.fromkeys(self.robot.held_joints, "# ") | dict.fromkeys(
+                self.robot.joints, ""
+            )
+            lines += ["", *JOINT_MAP]
+            for name in (*self.robot.joints, *self.robot.held_joints):
+                key = json.dumps(name)
+                lines.append(f"{marks[name]}{key} = {{name = {key}, {UNCHANGED}}}")
         return "\n".join(lines) + "\n"
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from knowarm.config import check_values
 from knowarm.errors import UserError
@@ -45,6 +45,20 @@ class Area:
     """Yaw of the targets [deg]; those of ``target_yaws_deg`` have their own."""
     target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
     """Yaw of single targets by name [deg]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealJoint:
+    """A joint as the real arm names and counts it: value = sign * angle in its unit + offset."""
+
+    name: str = ""
+    """Name on the real arm; empty: that of the model."""
+    sign: Literal[1, -1] = 1
+    """-1 where the real arm counts the other way."""
+    offset: float = 0.0
+    """What the real arm reads, in its unit, where the model's angle is 0 (ranges: is added)."""
+    unit: Literal["rad", "deg", "range_0_100", "range_m100_100"] = "rad"
+    """Radians (slides: metres), degrees, or LeRobot's ranges over the joint's limits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,12 +136,18 @@ class Robot:
     servo_frequency_hz: float = 7.0
     """Natural frequency of the critically damped position servos [Hz]."""
 
+    joint_map: Mapping[str, RealJoint] = field(default_factory=dict)
+    """Joints of the real arm by the model's name, in the real arm's order; empty: the model's.
+    Besides ``joints`` it may name ``held_joints``, whose value is sent unchanged."""
+
     def __post_init__(self) -> None:
         check_values(self)
         if not self.title:
             object.__setattr__(self, "title", self.name)
         count = len(self.joints)
         start, half = self.start_fraction, self.rectangle_half_size_m
+        mapped, known = set(self.joint_map), {*self.joints, *self.held_joints}
+        real = [joint.name or name for name, joint in self.joint_map.items()]
         for valid, message in (
             (count, "joints is empty; name at least one hinge or slide joint"),
             (len(set(self.joints)) == count, f"joints {self.joints} must be different names"),
@@ -136,6 +156,12 @@ class Robot:
                 all(0 <= j < count for j in self.start_joints),
                 f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
             ),
+            (
+                not mapped or set(self.joints) <= mapped <= known,
+                f"joint_map must name every joint of joints, and may name those of held_joints; "
+                f"got {', '.join(self.joint_map)}",
+            ),
+            (len(set(real)) == len(real), f"joint_map has a name twice: {', '.join(real)}"),
             (0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"),
             (min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"),
             (
