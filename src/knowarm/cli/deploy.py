@@ -71,8 +71,8 @@ class Serve(OfRun):
 
         parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
         key = os.environ.get("KNOWARM_SERVE_KEY") or None
-        options = {"host": self.host, "port": self.port, "resize": self.resize}
-        server = PolicyServer(parts.runner, **options, key=key)
+        address = partial(PolicyServer, host=self.host, port=self.port)
+        server = address(parts.runner, key=key, resize=self.resize)
         print(
             f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
         )
