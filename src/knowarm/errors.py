@@ -73,7 +73,8 @@ def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:
         The error; the caller raises it.
     """
     names = sorted(allowed)
-    longer = [name for name in names if given and name.startswith(f"{given}_")]
+    longer = [name for name in names if given and name == f"{given}s"]
+    longer += [name for name in names if given and name.startswith(f"{given}_")]
     near = longer[:3] or get_close_matches(given, names, n=3, cutoff=0.5)
     hint = f" Did you mean {', '.join(map(repr, near))}?" if near else ""
     shown = (

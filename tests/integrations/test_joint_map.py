@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from knowarm.errors import UserError
@@ -44,6 +44,7 @@ real_joint = st.builds(
 )
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(real_joint, min_size=6, max_size=6),
     st.permutations(ROBOTS["irb120"].joints),
