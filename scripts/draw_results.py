@@ -42,6 +42,14 @@ def choose_curves(study: Path) -> str:
     return picture(drawings, BOXES["large"], legend)
 
 
+def learned(study: Path, title: str) -> str:
+    """Draw the interim success of the agents of one task of a study."""
+    task = next(each for each in collect([study]).tasks if each.title == title)
+    figure = curve_figure(task, {"success": SUCCESS_AXIS}, "success", SUCCESS_AXIS.title)
+    legend = {group.name: task.colours[group.name] for group in task.groups}
+    return picture([figure.panels[0].svg], BOXES["large"], legend)
+
+
 def reach_success(irb120: Path, tiago: Path) -> str:
     """Draw the success of every run of the paper's cells, from a study for each robot."""
     agents = {"bm": "c-grey", "partial": "c-orange", "full": "c-blue"}
@@ -100,6 +108,14 @@ def damaged_graph(table: Path) -> str:
 
 FIGURES: dict[str, tuple[Sequence[str], Callable[..., str]]] = {
     "choose-curves.svg": (["choose.tar.xz"], choose_curves),
+    "first-agent-curve.svg": (
+        ["paper.tar.xz"],
+        partial(learned, title="PAL TIAGo · fixed colours · fast"),
+    ),
+    "a3c-curve.svg": (
+        ["a3c-tuned.tar.xz"],
+        partial(learned, title="ABB IRB120 · fixed colours · a3c-tuned"),
+    ),
     "reach-success.svg": (["answer.tar.xz", "paper.tar.xz"], reach_success),
     "answers.svg": (["answers.tar.xz"], partial(answers, agent="choose-answers-fast")),
     "answers-distil.svg": (
