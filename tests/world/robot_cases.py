@@ -70,6 +70,7 @@ CASES = {
     "base away from the origin": change((BASE, '<body name="base" pos="-.47 0 0">')),
     "free base": change((BASE, '<body name="base" pos="0 0 1.5"><freejoint/>')),
     "on the wall": change((BASE, '<body name="base" pos="0 0 .8" euler="0 1.5708 0">')),
+    "on the ceiling": change((BASE, '<body name="base" pos="0 0 1.2" euler="3.1416 0 0">')),
     "base plate below the floor": change(('pos="0 0 .05"/>\n', 'pos="0 0 .04"/>\n')),
     "own table and cube": change(
         (BASE, f'<body name="table" pos=".5 0 .2"><geom size=".2"/></body>{CUBE.format(5)}{BASE}')

@@ -86,6 +86,24 @@ def test_the_arm_is_turned_to_x_and_put_at_the_origin(
     np.testing.assert_allclose(robot.base_position_m, position, atol=0.06)
 
 
+def test_only_what_hangs_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def heights(name: str) -> list[float]:
+        tried: list[float] = []
+
+        def stop(scene_at, heights, overrides):
+            tried.extend(heights)
+            raise UserError("Enough.")
+
+        monkeypatch.setattr(draft, "find_layout", stop)
+        (tmp_path / "arm.xml").write_text(CASES[name])
+        with pytest.raises(UserError, match="Enough"):
+            draft_robot(tmp_path / "arm.xml", ["mug"], {})
+        return tried
+
+    assert heights("plain") == [0, 0.2, 0.4, 0.6]
+    assert heights("on the ceiling") == [0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6]
+
+
 def test_another_arm_is_taken_by_its_joints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +200,15 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    ["two arms", "waist, head and arm", "faces -y", "free base", "force limits", "own floor"],
+    [
+        "two arms",
+        "waist, head and arm",
+        "faces -y",
+        "free base",
+        "on the ceiling",
+        "force limits",
+        "own floor",
+    ],
 )
 def test_drafts_pass_all_checks(name: str, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(CASES[name])

@@ -159,3 +159,18 @@ def test_a_way_that_takes_most_of_an_episode_is_named() -> None:
     way = next(check_agents(config))
     assert not way.ok
     assert "home or mpi_rad" in way.remedy
+
+
+@pytest.mark.parametrize(("name", "yaw"), [("can", "75 degrees (target_yaws_deg)"), ("block", "")])
+def test_an_object_named_as_a_shipped_one_has_the_robots_yaw_for_it(
+    name: str, yaw: str, tmp_path: Path
+) -> None:
+    (tmp_path / "block.xml").write_text(BLOCK)
+    file = tmp_path / "block.toml"
+    file.write_text(f'name = "{name}"\nmjcf = "block.xml"\ncoloured_geoms = ["body"]\n')
+    checks = {check.name: check for check in check_robot("irb120", [str(file)])}
+    assert checks[f"reach of {name}"].found.endswith(f"at a yaw of {yaw or '-135 degrees'}")
+
+
+BLOCK = """<mujoco><worldbody><body name="block"><geom name="body" type="box" size=".04 .04 .08"
+  pos="0 0 .08"/><site name="grasp" pos="0 0 .15" quat="0 1 0 0"/></body></worldbody></mujoco>"""

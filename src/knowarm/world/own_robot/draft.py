@@ -16,7 +16,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects import find_targets
-from knowarm.world.own_robot.draft_base import place_base
+from knowarm.world.own_robot.draft_base import lowest_fixed_m, place_base
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.world.own_robot.draft_lift import find_lift_area
@@ -29,7 +29,9 @@ from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks import TASKS, task_type
 
-HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)  # Heights of the base above the floor that are tried [m]
+HEIGHTS_M = (0.0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6)
+"""Changes of the base's height that are tried, of which it must stay above the floor [m]."""
+
 BASE_FIELDS = {"base_position_m", "base_yaw_deg", "table"}
 """Fields that say where the base is; if one is given, no other place is searched."""
 
@@ -166,7 +168,9 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         return _wide_scene(path, values | NO_RECTANGLE | base, targets)
 
     try:
-        heights = (z,) if BASE_FIELDS & set(overrides) else [z + each for each in HEIGHTS_M]
+        low = lowest_fixed_m(scene_at(z))
+        changes = [each for each in HEIGHTS_M if each >= 0 or low + each > 0]
+        heights = (z,) if BASE_FIELDS & set(overrides) else [z + each for each in changes]
         layout = find_layout(scene_at, heights, overrides)
     except UserError as error:
         tried = "; ".join(f"{topic}: {text}" for topic, text in how.items())

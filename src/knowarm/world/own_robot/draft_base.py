@@ -62,3 +62,12 @@ def place_base(scene: Scene, free: bool) -> dict[str, Any]:
     if yaw_deg or shift.any() or z:
         found["base_position_m"] = [round(float(each), 4) for each in (x, y, z)]
     return found
+
+
+def lowest_fixed_m(scene: Scene) -> float:
+    """Return the least height of the parts of a robot that no joint moves, at most; inf if none."""
+    model = scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    fixed = robot_parts(scene) & (model.body_weldid[model.geom_bodyid] == 0)
+    return float((data.geom_xpos[:, 2] - model.geom_rbound)[fixed].min(initial=np.inf))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
+from knowarm.questions import object_of
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
@@ -282,10 +283,13 @@ def check_reach(
             f"{angle:.0f} deg; {np.median(steps[missed]):.0f} steps of at most {most:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
+    name, yaws = scene.targets[target].name, scene.robot.target_yaws_deg
+    own = " (target_yaws_deg)" if object_of(name) in yaws else ""
     return Check(
-        f"reach of {scene.targets[target].name}",
+        f"reach of {name}",
         share >= MIN_REACHABLE,
-        f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact",
+        f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact, at "
+        f"a yaw of {scene.robot.yaw_deg(name):.0f} degrees{own}",
         where,
     )
 
