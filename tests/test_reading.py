@@ -11,7 +11,6 @@ from knowarm.reading import (
     UnreadableFileError,
     read_arrays,
     read_json,
-    read_text,
     reading,
     refuse_links,
     write_json,
@@ -60,14 +59,6 @@ def test_damaged_json(tmp_path, content):
         read_json(path)
     path.write_text(json.dumps({"ä": 1}), encoding="utf-8")
     assert read_json(path) == {"ä": 1}
-
-
-def test_a_large_file_is_not_read_whole(tmp_path):
-    path = tmp_path / "f.txt"
-    with path.open("wb") as file:
-        file.truncate(50_000_000_000)  # sparse: takes no room on disk
-    with pytest.raises(UnreadableFileError, match="larger than 1 MiB"):
-        read_text(path, remedy="", most=2**20)
 
 
 def test_damaged_arrays(tmp_path):

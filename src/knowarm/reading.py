@@ -14,9 +14,6 @@ from safetensors.numpy import load
 
 from knowarm.errors import UserError
 
-MAX_JSON = 64 * 2**20
-"""Largest JSON or text file that is read whole [bytes]; what KnowArm writes is far smaller."""
-
 
 class UnreadableFileError(UserError):
     """A stored file is missing, incomplete, damaged, or of another format."""
@@ -98,14 +95,10 @@ def one_line(error: BaseException) -> str:
     return text if len(text) <= 300 else text[:297] + "..."
 
 
-def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:
-    """Read a UTF-8 text file of at most ``most`` bytes, without its byte order mark."""
+def read_text(path: Path, *, remedy: str) -> str:
+    """Read a UTF-8 text file, without its byte order mark."""
     with reading(path, remedy):
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise ValueError(f"it is larger than {most / 2**20:.0f} MiB")
-        return data.decode("utf-8-sig")
+        return path.read_bytes().decode("utf-8-sig")
 
 
 def read_json(
@@ -125,8 +118,8 @@ def read_json(
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file of at most one MiB."""
-    text = read_text(path, remedy="Give the path of a TOML file.", most=2**20)
+    """Read a TOML file."""
+    text = read_text(path, remedy="Give the path of a TOML file.")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -16,10 +16,7 @@ def pack_readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], None]]]
     """Write a small pack, and its archive without compression, whose mutations reach the reader."""
     folder.mkdir()
     texts = {"study.json": b"{}", "a/0/config.json": b"{}" * 300}
-    manifest = {
-        "bytes": {name: len(text) for name, text in texts.items()},
-        "sha256": {name: hashlib.sha256(text).hexdigest() for name, text in texts.items()},
-    }
+    manifest = {"sha256": {name: hashlib.sha256(text).hexdigest() for name, text in texts.items()}}
     pack, archive = folder / "pack.tar.xz", folder / "pack.tar"
     with tarfile.open(archive, "w", format=tarfile.USTAR_FORMAT) as file:
         for name, text in {"manifest.json": json.dumps(manifest).encode(), **texts}.items():

@@ -105,33 +105,6 @@ def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
         unpack_study(pack, finished)
 
 
-def tar_header(name: str, kind: bytes, size: int) -> bytes:
-    member = tarfile.TarInfo(name)
-    member.type, member.size = kind, size
-    return member.tobuf(tarfile.GNU_FORMAT)
-
-
-@pytest.mark.parametrize("kind", [b"x", b"L", b"S", b"1", b"2", b"6"])
-def test_members_of_other_kinds_are_refused_before_they_are_read(tmp_path, kind):
-    """The name, attributes or holes of such a member are read into memory as a whole."""
-    file = tmp_path / "hostile.tar.xz"
-    file.write_bytes(lzma.compress(tar_header("manifest.json", kind, 12 * 2**30)))
-    with pytest.raises(UserError, match=r"manifest\.json is no regular file"):
-        unpack_study(file, tmp_path / "out")
-
-
-def test_a_bomb_is_refused(tmp_path):
-    """The manifest may state any size, but no pack expands to 250 times its own."""
-    file, size = tmp_path / "bomb.tar.xz", 200 * 2**20
-    manifest = json.dumps({"bytes": {"a": size}, "sha256": {"a": "0"}}).encode()
-    with lzma.open(file, "wb") as pack:
-        pack.write(tar_header("manifest.json", b"0", len(manifest)) + manifest.ljust(512, b"\0"))
-        pack.write(tar_header("a", b"0", size))
-    with pytest.raises(UserError, match="expands to more than 64 MiB"):
-        unpack_study(file, tmp_path / "out")
-    assert [path.name for path in tmp_path.iterdir()] == ["bomb.tar.xz"]
-
-
 def write_pack(file, members, **manifest):
     """Write a pack of (member, content) whose manifest fits, except where ``manifest`` differs.
 
@@ -139,7 +112,6 @@ def write_pack(file, members, **manifest):
     """
     values = {
         "format": 1,
-        "bytes": {member.name: len(data) for member, data in members},
         "sha256": {member.name: hashlib.sha256(data).hexdigest() for member, data in members},
     }
     text = manifest.get("text", json.dumps(values | manifest)).encode()
@@ -160,16 +132,13 @@ def link(name: str, to: str) -> tarfile.TarInfo:
     [
         ([(tarfile.TarInfo("../outside"), b"x")], {}, "outside"),
         ([(tarfile.TarInfo("/tmp/knowarm-outside"), b"x")], {}, ""),
-        ([(link("a", "/etc/passwd"), b"")], {}, "a is no regular file"),
-        ([(tarfile.TarInfo("a"), b"x")], {"sha256": {}, "bytes": {}}, "not one of the manifest"),
+        ([(link("a", "/etc/passwd"), b"")], {}, "a is not .* or no regular file"),
+        ([(tarfile.TarInfo("a"), b"x")], {"sha256": {}}, "not one of the manifest"),
         ([(tarfile.TarInfo("a"), b"x"), (tarfile.TarInfo("a"), b"x")], {}, "not one of"),
-        ([(tarfile.TarInfo("a"), b"xx")], {"bytes": {"a": 1}}, "a is larger than its manifest"),
-        ([(tarfile.TarInfo("a"), b"xx")], {"bytes": {"a": "1"}}, ""),
         ([(tarfile.TarInfo("a"), b"x")], {"sha256": {"a": "0"}}, "a is missing or was changed"),
-        ([], {"sha256": {"a": "0"}, "bytes": {"a": 1}}, "a is missing or was changed"),
+        ([], {"sha256": {"a": "0"}}, "a is missing or was changed"),
         ([], {"sha256": []}, "manifest.json, or an empty one"),
         *(([], {"text": text}, "") for text in ("[]", "[" * 100_000, '{"sha256": 3}', "1e999")),
-        ([(tarfile.TarInfo("a"), b"x")], {"bytes": None}, ""),
     ],
 )
 def test_packs_of_strangers_write_only_what_their_manifest_states(

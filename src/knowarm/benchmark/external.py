@@ -1,7 +1,6 @@
 """Policies of other libraries: ONNX files and models of Stable-Baselines3."""
 
 import hashlib
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,6 @@ from knowarm.integrations.runner import Runner
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
-
-MOST_STATE = 1_000_000
-"""Most numbers along an axis of a recurrent state."""
 
 
 class OnnxPolicy:
@@ -40,18 +36,15 @@ class OnnxPolicy:
                 f"{path} must have an output for the actions and one per state (all inputs but "
                 f"image and joint_targets; here {', '.join(self._sizes) or 'none'})."
             )
-        if any(type(n) is not int or not 0 < n <= MOST_STATE for n in chain(*self._sizes.values())):
-            raise UserError(
-                f"{path}: the sizes of states must be numbers up to {MOST_STATE:,}, but for the "
-                f"first, got {self._sizes}."
-            )
         self._path, self.inputs = path, tuple(self._seen & {"image"})
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
         self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
 
     def reset(self, batch: Batch) -> None:
         """Start with states of zeros."""
-        self._state = {k: np.zeros((batch.size, *v), np.float32) for k, v in self._sizes.items()}
+        with reading(self._path, f"All sizes of states but the first are numbers: {self._sizes}."):
+            shapes = {name: (batch.size, *size) for name, size in self._sizes.items()}
+            self._state = {name: np.zeros(each, np.float32) for name, each in shapes.items()}
 
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Run the model."""

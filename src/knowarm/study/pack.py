@@ -15,14 +15,12 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import MAX_JSON, reading, replacing
+from knowarm.reading import reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
 
 FORMAT = 1  # of the manifest
-EXPANSION = 250
-"""How many times its size a pack may expand to, beyond `MAX_JSON`."""
 SUFFIX = ".tar.xz"
 
 Part = Literal["policies", "episodes", "steps", "films"]
@@ -77,7 +75,6 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         "format": FORMAT,
         "study": study.name,
         "left_out": sorted(leave_out),
-        "bytes": {name: len(data) for name, data in contents.items()},
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
     with (
@@ -102,8 +99,7 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
 def unpack_study(file: Path, out: Path) -> Path:
     """Write the files of a pack to a new folder, and compare each with its digest.
 
-    Packs of strangers are safe: only regular files of the manifest are written, inside the folder,
-    and none that is larger than the manifest states.
+    Packs of strangers are safe: only regular files of the manifest are written, inside the folder.
 
     Returns:
         ``out``, which `knowarm report` and `knowarm evaluate` read; its runs cannot be resumed.
@@ -118,47 +114,31 @@ def unpack_study(file: Path, out: Path) -> Path:
         with (
             reading(file, "Give an intact pack of a study, or another folder."),
             lzma.open(file) as data,
-            tarfile.open(fileobj=data, mode="r|", tarinfo=_RegularFile) as archive,
+            tarfile.open(fileobj=data, mode="r|") as archive,
         ):
             temporary.mkdir(parents=True)
-            _extract(archive, temporary, MAX_JSON + EXPANSION * file.stat().st_size)
+            _extract(archive, temporary)
         temporary.rename(out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return out
 
 
-class _RegularFile(tarfile.TarInfo):
-    """Member of a pack: a link, sparse file or header extension is refused before it is read."""
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_RegularFile":
-        member = super().frombuf(buf, encoding, errors)
-        if member.type != tarfile.REGTYPE:
-            raise ValueError(f"{member.name} is no regular file")
-        return member
-
-
-def _extract(archive: tarfile.TarFile, folder: Path, most: int) -> None:
-    """Write the manifest and then the files that it lists, ``most`` bytes at most.
+def _extract(archive: tarfile.TarFile, folder: Path) -> None:
+    """Write the manifest and then the files that it lists.
 
     Raises:
-        ValueError: the pack differs from its manifest, or is too large.
+        ValueError: the pack differs from its manifest.
     """
-    sizes, digests = {PACKED: MAX_JSON}, {}
+    listed, digests = {PACKED}, {}
     for member in archive:
         name = member.name
-        if name not in sizes or (folder / name).exists():
-            raise ValueError(f"{name} is not one of the manifest's files")
-        if member.size > sizes[name]:
-            raise ValueError(f"{name} is larger than its manifest allows")
+        if name not in listed or member.type != tarfile.REGTYPE or (folder / name).exists():
+            raise ValueError(f"{name} is not one of the manifest's files, or no regular file")
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
         if name == PACKED:
-            manifest = json.loads((folder / PACKED).read_bytes())
-            digests = dict(manifest["sha256"])
-            sizes = {name: manifest["bytes"][name] for name in digests}
-            if sum(sizes.values()) > most:
-                raise ValueError(f"it expands to more than 64 MiB and {EXPANSION} times its size")
+            digests = dict(json.loads((folder / PACKED).read_bytes())["sha256"])
+            listed = {*digests}
     for name, digest in digests.items():
         found = ""
         if (folder / name).is_file():
