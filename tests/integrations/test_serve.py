@@ -154,7 +154,8 @@ def test_larger_images_are_averaged_on_request_and_smaller_ones_refused(parts, s
         assert "got (1, 32" in ask(connection, observation(parts, **change))
 
 
-def test_a_client_of_a_full_server_is_told_so(server):
+def test_a_client_of_a_full_server_is_told_so(parts):
+    server = started(parts)  # of others, clients may still be leaving
     with contextlib.ExitStack() as others:
         for _ in range(MOST_CONNECTIONS):
             others.enter_context(client(server)).recv()
@@ -338,6 +339,17 @@ def test_pages_of_a_browser_are_refused(parts, server, given):
         link.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
         assert link.recv(100).startswith(b"HTTP/1.1 403 ")
     assert_serves(parts, server)
+
+
+def test_the_policy_is_compiled_before_a_client_comes(parts):
+    """Strangers may hold all files that a process may open, and imports open files."""
+    made = []
+    server = PolicyServer(lambda: made.append(parts.runner()) or made[-1], port=0)
+    threading.Thread(target=server.run, daemon=True).start()
+    with connect(f"ws://127.0.0.1:{server.port}", compression=None) as client:
+        client.recv()
+        assert [runner.is_started for runner in made] == [True, False]
+    server.close()
 
 
 def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts):

@@ -24,7 +24,7 @@ from knowarm.integrations.onnx_export import (
     export_onnx,
     torch_model,
 )
-from knowarm.integrations.runner import FORMAT, Runner, fingerprint
+from knowarm.integrations.runner import FORMAT, Runner, Start, fingerprint
 from knowarm.perception.agent import Recognition
 from knowarm.perception.module import digest
 from knowarm.reading import replacing, write_json, writing
@@ -174,6 +174,14 @@ def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -
         contract = parts.contract | {"digests": digests}
         write_json(folder / "contract.json", contract)
     return parts
+
+
+def play_once(player: Runner) -> None:
+    """Let a runner import and compile what it needs: later no file may be free to open."""
+    joints, size = player.contract["joints"], player.contract["camera"]["size"]
+    home = dict(zip(joints["names"], joints["home"], strict=True))
+    player.reset(Start(home, player.contract["knowledge"]["rows"][0]))
+    player.act({"image": np.zeros((1, size, size, 3), np.uint8)})
 
 
 def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, packages_of
+from knowarm.integrations.contract import play_once
 from knowarm.integrations.driver import shrunk
 from knowarm.integrations.messages import pack, unpack
 from knowarm.integrations.runner import JointMap, Runner, Start
@@ -106,6 +107,7 @@ class PolicyServer:
         self._is_local = host in LOOPBACK
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._computing = threading.Lock()
+        play_once(make_runner())
         try:
             listener = socket.create_server((host, port))
             self._server: Server = serve(
