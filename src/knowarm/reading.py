@@ -106,14 +106,10 @@ def read_json(
 ) -> dict[str, Any]:
     """Read a JSON object."""
     text = read_text(path, remedy=remedy)
-    try:
+    with reading(path, remedy):
         values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        reason = f"is not valid JSON: {one_line(error)}"
-        raise UnreadableFileError(f"{path} {reason}. {remedy}") from error
-    if not isinstance(values, dict):
-        got = type(values).__name__
-        raise UnreadableFileError(f"{path} must hold a JSON object, got {got}. {remedy}")
+        if not isinstance(values, dict):
+            raise ValueError(f"it holds a {type(values).__name__}, and no JSON object")
     return values
 
 

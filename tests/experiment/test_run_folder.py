@@ -32,7 +32,8 @@ def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, m
     ("text", "words"),
     [
         (None, r"has no config\.json"),
-        *((text, "JSON") for text in ("[]", "3", "{", "")),
+        *((text, "no JSON object") for text in ("[]", "3")),
+        *((text, "config.json is damaged or of another format") for text in ("{", "")),
         ('{"format": 99}', "format 99"),
     ],
 )

@@ -65,8 +65,12 @@ def test_the_missing_runs_of_an_unpacked_study_are_run(finished, tmp_path):
     """A pack of what is done can be completed elsewhere, with the result of the whole study."""
     part = shutil.copytree(finished, tmp_path / "part")
     shutil.rmtree(part / "irb120-bm-ppo" / "1")
+    long = part / "irb120-bm-ppo/0/graphs/0a" / f"{'g' * 150}.ttl"
+    long.parent.mkdir(parents=True)
+    long.write_text("")
     pack_study(part, tmp_path / "part.tar.xz", leave_out=("policies", "steps", "films"))
     out = unpack_study(tmp_path / "part.tar.xz", tmp_path / "unpacked")
+    assert (out / long.relative_to(part)).is_file()
     kept = out / "irb120-bm-ppo" / "0" / "metrics.csv"
     before = kept.stat().st_mtime_ns
     assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
@@ -155,10 +159,5 @@ def test_what_cannot_be_packed_is_refused(finished, tmp_path):
         pack_study(tmp_path, tmp_path / "x.tar.xz")
     with pytest.raises(UserError, match=r"\.tar\.xz"):
         pack_study(finished, tmp_path / "x.zip")
-    long = shutil.copytree(finished, tmp_path / "long") / "irb120-bm-ppo" / "0" / "graphs" / "0a"
-    long.mkdir(parents=True)
-    (long / f"{'g' * 110}.ttl").write_text("")
-    with pytest.raises(UserError, match="at most 100 characters"):
-        pack_study(tmp_path / "long", tmp_path / "x.tar.xz")
     with lock_folder(finished, remedy=""), pytest.raises(UserError, match="Stop it"):
         pack_study(finished, tmp_path / "x.tar.xz")

@@ -83,10 +83,9 @@ def _run_command(arguments: list[str]) -> int:
         return _fail("The memory of this machine is not enough: give smaller numbers.")
     except OSError as error:  # of files, full disks, closed streams and limits
         where = str(error.filename or "The system refuses")
-        where = where if len(where) <= 100 else f"{where[:97]}..."
         return _fail(
-            f"{where}: {error.strerror or error}. Give another path or output, start in a folder "
-            "that exists, free disk space, or raise a limit (ulimit -a)."
+            f"{where:.100}: {error.strerror or error}. Give another path or output, start in an "
+            "existing folder, free disk space, or raise a limit (ulimit -a)."
         )
     return 0
 

@@ -80,19 +80,13 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     with (
         replacing(file) as temporary,
         lzma.open(temporary, "wb", preset=9) as compressed,
-        tarfile.open(fileobj=compressed, mode="w", format=tarfile.USTAR_FORMAT) as archive,
+        tarfile.open(fileobj=compressed, mode="w", format=tarfile.PAX_FORMAT) as archive,
     ):
         text = json.dumps(manifest, indent=2) + "\n"
         for name, data in ({PACKED: text.encode()} | contents).items():
             member = tarfile.TarInfo(name)
             member.size = len(data)
-            try:
-                archive.addfile(member, io.BytesIO(data))
-            except ValueError:  # a name that a header does not hold
-                raise UserError(
-                    f"Cannot pack {out / name}: a pack holds file names of at most 100 characters. "
-                    "Shorten it; for a graph or mesh, train with a file of a shorter name."
-                ) from None
+            archive.addfile(member, io.BytesIO(data))
     return len(contents)
 
 
