@@ -60,8 +60,10 @@ class ClockedRobot(RobotNode):
     node: DriverNode
     driver: Watched
 
-    def __init__(self, config: EnvConfig, topics: Topics, delay_s: float) -> None:
-        super().__init__(config, topics, self._wait, delay_s)
+    def __init__(
+        self, config: EnvConfig, topics: Topics, delay_s: float, joint_map: Path | None
+    ) -> None:
+        super().__init__(config, topics, self._wait, delay_s, joint_map)
         self._now, self._topics = 10**9, topics
         self._clock = self.create_publisher(Clock, "/clock", 1)
         self.executor_ = SingleThreadedExecutor()
@@ -74,7 +76,7 @@ class ClockedRobot(RobotNode):
         """Play an episode with a driver."""
         self.node, self.driver = DriverNode(driver, self._topics), driver
         self.executor_.add_node(self.node)
-        topic = self._topics.trajectory
+        topic = self._topics.positions or self._topics.trajectory
         self._spin_until(
             lambda: self.node.count_publishers(topic) == self.node.count_subscribers(topic) == 1
         )
@@ -103,12 +105,20 @@ class ClockedRobot(RobotNode):
 
 
 def by_ros(
-    config: EnvConfig, parts: Deployment, episodes: Episodes, delay_s: float
+    config: EnvConfig,
+    parts: Deployment,
+    episodes: Episodes,
+    delay_s: float,
+    joint_map: Path | None = None,
+    **topics: Any,
 ) -> tuple[np.ndarray, list[str]]:
-    """Play episodes by two ROS nodes; return success and how the failed ones ended."""
+    """Play episodes by two ROS nodes; return success and how the failed ones ended.
+
+    ``joint_map`` is that of ``parts``, ``topics`` are fields of `Topics`.
+    """
     ros.DISCOVERY_S = 0.0  # `play_with` waits until both nodes know each other
     rclpy.init(domain_id=1 + os.getpid() % 100)
-    robot = ClockedRobot(config, Topics(use_clock=True), delay_s)
+    robot = ClockedRobot(config, Topics(use_clock=True, **topics), delay_s, joint_map)
     rows = parts.contract["knowledge"]["rows"]
     periods = config.max_episode_steps + 2 + round(delay_s / CONTROL_PERIOD_S)
     safety = Safety(confirm_steps=0, max_age_s=delay_s + 0.3)
@@ -137,10 +147,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--delays", type=float, nargs="*", default=[0, 0.04, 0.1, 0.2])
     parser.add_argument("--only-ros", action="store_true")
+    parser.add_argument("--joint-map", type=Path)
+    parser.add_argument("--positions", default="")
+    parser.add_argument("--compressed", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     trained = load_agent(arguments.run)
-    config, parts = trained.config.env, deployment(trained)
+    config, parts = trained.config.env, deployment(trained, arguments.joint_map)
+    topics = {"positions": arguments.positions, "compressed": arguments.compressed}
     episodes = evaluation_episodes(config, arguments.episodes, arguments.seed)
     rows: dict[str, dict[str, Any]] = {}
 
@@ -157,7 +171,7 @@ def main() -> None:
         ours = play(trained.agent, ArmVectorEnv(config, 1), episodes)
         add("in process", ours.success)
         with tempfile.TemporaryDirectory() as folder:
-            export(trained, Path(folder))
+            export(trained, Path(folder), arguments.joint_map)
             theirs = play(Runner.load(folder), ArmVectorEnv(config, 1), episodes)
         add("ONNX Runtime", theirs.success, same_joints=same(theirs, ours))
         server = PolicyServer(parts.runner, port=0)
@@ -167,7 +181,7 @@ def main() -> None:
         server.close()
         add("served", theirs.success, same_joints=same(theirs, ours))
     for delay_s in arguments.delays:
-        solved, ends = by_ros(config, parts, episodes, delay_s)
+        solved, ends = by_ros(config, parts, episodes, delay_s, arguments.joint_map, **topics)
         add(f"ROS 2, {1000 * delay_s:.0f} ms", solved, failed=dict(Counter(ends).most_common(3)))
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=2) + "\n")

@@ -18,11 +18,15 @@ import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CompressedImage, Image, JointState
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.driver import Topics
+from knowarm.integrations.joint_map import real_joints
+from knowarm.integrations.runner import JointMap
+from knowarm.pictures import encode
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, facets_of, scene_of
 from knowarm.world.envs.base import draw_images
@@ -58,6 +62,7 @@ class RobotNode(Node):
         config: the environment.
         topics: where it publishes and listens.
         delay_s: age of images and joint states when they are published [s].
+        joint_map: TOML file with the names and units that it speaks; None: as its description says.
     """
 
     def __init__(
@@ -66,17 +71,25 @@ class RobotNode(Node):
         topics: Topics,
         wait: Callable[[], None],
         delay_s: float = 0.0,
+        joint_map: Path | None = None,
     ) -> None:
         super().__init__("robot")
         scene = scene_of(config)
         self.wait, self.commands, self.late = wait, 0, round(delay_s / TICK_S)
         self.arm = Arm(scene, self._tick)
         self.running = RunningEpisodes(config, self.arm)
-        self.names = list(scene.robot.joints)
+        names = scene.robot.joints
+        self.joint_map = JointMap({"names": names, "real": real_joints(scene, joint_map)})
         self._renderer = make_renderer(scene, config, config.image_size, 1)
-        self._images = self.create_publisher(Image, topics.image, 1)
+        kind: Any = CompressedImage if topics.compressed else Image
+        self._is_compressed = topics.compressed
+        self._images = self.create_publisher(kind, topics.image, 1)
         self._states = self.create_publisher(JointState, topics.joint_states, 1)
-        self.create_subscription(JointTrajectory, topics.trajectory, self._follow, 1)
+        if topics.positions:
+            follow = lambda message: self._follow(message.data)  # noqa: E731
+            self.create_subscription(Float64MultiArray, topics.positions, follow, 1)
+        else:
+            self.create_subscription(JointTrajectory, topics.trajectory, self._follow_point, 1)
         self.ticks = 0
         self._queue: list[tuple[Any, Any]] = []
 
@@ -86,22 +99,30 @@ class RobotNode(Node):
         self.running.reset(None, {"episodes": episode})
         self.arm.command = None
         for _ in range(periods):
-            self.running.move(np.zeros((1, len(self.names))))
+            self.running.move(np.zeros((1, len(self.joint_map.moved))))
             if self.running.success[0]:
                 return True
         return False
 
-    def _follow(self, message: Any) -> None:
+    def _follow_point(self, message: Any) -> None:
         wanted = dict(zip(message.joint_names, message.points[-1].positions, strict=True))
-        self.arm.command = np.array([wanted[name] for name in self.names])
+        self._follow([wanted[name] for name in self.joint_map.names])
+
+    def _follow(self, positions: Any) -> None:
+        self.arm.command = self.joint_map.from_real(positions)
         self.commands += 1
 
     def _tick(self) -> None:
         now = self.now()
         pixels = draw_images(self._renderer, self.running)[0]
-        state = JointState(name=self.names, position=self.arm.joint_positions[0].tolist())
-        image = Image(encoding="rgb8", height=len(pixels), width=len(pixels))
-        image.step, image.data = 3 * len(pixels), pixels.tobytes()
+        positions = self.joint_map.to_real(self.arm.joint_positions[0])
+        state = JointState(name=list(self.joint_map.names), position=positions.tolist())
+        image: Any = CompressedImage(format="png")
+        if self._is_compressed:
+            image.data = encode(pixels, "PNG")
+        else:
+            image = Image(encoding="rgb8", height=len(pixels), width=len(pixels))
+            image.step, image.data = 3 * len(pixels), pixels.tobytes()
         image.header.stamp = state.header.stamp = now
         self._queue.append((image, state))
         if len(self._queue) > self.late:

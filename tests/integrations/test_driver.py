@@ -11,8 +11,9 @@ import pytest
 
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.integrations.driver import Driver, Safety, decoded
+from knowarm.integrations.driver import Driver, Safety, decoded, decompressed
 from knowarm.integrations.runner import Runner
+from knowarm.pictures import encode
 from tests.source_tree import ROOT
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
@@ -416,9 +417,28 @@ def test_ros_images_are_decoded_or_refused():
         ("16UC1", 2, 4, 12, pixels.tobytes()),
         ("rgb8", 2, 4, 11, pixels.tobytes()),
         ("rgb8", 3, 4, 12, pixels.tobytes()),
+        ("rgba8", 2, 4, 12, pixels.tobytes()),
         ("rgb8", 0, 0, 0, b""),
     ):
         assert isinstance(decoded(*wrong), str)
+    assert "is grey, and the policy sees colours" in decoded("mono8", 2, 4, 4, b"12345678")
+    with_alpha = np.pad(pixels, ((0, 0), (0, 0), (0, 1))).tobytes()
+    np.testing.assert_array_equal(decoded("rgba8", 2, 4, 16, with_alpha), pixels)
+    np.testing.assert_array_equal(decoded("bgra8", 2, 4, 16, with_alpha), pixels[..., ::-1])
+
+
+def test_compressed_images_are_decoded_or_refused():
+    np.testing.assert_array_equal(decompressed(encode(IMAGE, "PNG")), IMAGE)
+    smooth = np.full((16, 16, 3), [200, 100, 50], np.uint8)
+    found = decompressed(encode(smooth, "JPEG")).astype(int)
+    assert np.abs(found - smooth).max() <= 4
+    for wrong in (
+        encode(IMAGE[..., 0], "PNG"),
+        encode(IMAGE, "BMP"),
+        b"",
+        encode(IMAGE, "PNG")[:50],
+    ):
+        assert isinstance(decompressed(wrong), str)
 
 
 def test_larger_images_are_cut_and_averaged():

@@ -32,7 +32,8 @@ MAPPED = CONTRACT | {"joints": JOINTS | {"real": REAL}}
 
 def scene_with(joint_map, **changes):
     robot = replace(ROBOTS["irb120"], joint_map=joint_map, **changes)
-    lower, upper = np.full(6, -1.5), np.linspace(0.5, 3, 6)
+    count = len(robot.joints)
+    lower, upper = np.full(count, -1.5), np.linspace(0.5, 3, count)
     return SimpleNamespace(robot=robot, joint_lower=lower, joint_upper=upper)
 
 
@@ -77,25 +78,26 @@ def test_values_of_the_units_at_the_lower_limit_and_at_zero(joint, real):
 
 
 def test_a_held_joint_is_sent_at_its_value():
-    joint_map = dict.fromkeys(ROBOTS["irb120"].joints, RealJoint())
-    jaw = {"finger_joint_1": RealJoint(name="gripper.pos", unit="deg", offset=1.0)}
-    held = {"held_joints": {"finger_joint_1": 0.5}}
-    entry = real_joints(scene_with(joint_map | jaw, **held))[-1]
+    robot = ROBOTS["irb120"]
+    joint_map = dict.fromkeys(robot.joints, RealJoint(unit="deg", offset=1.0))
+    fewer = {"joints": robot.joints[:5], "home": robot.home[:5]}
+    entry = real_joints(scene_with(joint_map, **fewer, held_joints={"joint_6": 0.5}))[-1]
     assert (entry["scale"], entry["offset"]) == (0.0, pytest.approx(math.degrees(0.5) + 1))
+    assert real_joints(scene_with(joint_map, **fewer))[-1]["offset"] == 1.0
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"joint_6": None}, "must name every joint"),
-        ({"joint_9": RealJoint()}, "must name every joint"),
+        ({"joint_9": RealJoint()}, "joint_map names 'joint_9'"),
         ({"joint_1": RealJoint(name="joint_2")}, "a name twice"),
     ],
 )
 def test_a_map_that_does_not_fit_is_refused(change, words):
     joint_map = dict.fromkeys(ROBOTS["irb120"].joints, RealJoint()) | change
     with pytest.raises(UserError, match=words):
-        scene_with({name: real for name, real in joint_map.items() if real})
+        real_joints(scene_with({name: real for name, real in joint_map.items() if real}))
 
 
 def mapped_runner(step):

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -11,7 +12,7 @@ import pytest
 from PIL import Image
 
 from knowarm.cli.main import main
-from knowarm.integrations.record import EPISODES
+from knowarm.integrations.record import EPISODES, QUANTILES
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -65,6 +66,46 @@ def test_meta_files_describe_the_data(dataset, frames):
     np.testing.assert_allclose(stats["mean"], actions.mean(0), atol=1e-5)
     np.testing.assert_allclose(stats["std"], actions.std(0), atol=1e-5)
     np.testing.assert_allclose(stats["max"], actions.max(0), atol=1e-5)
+    for name, share in QUANTILES.items():
+        np.testing.assert_allclose(stats[name], np.quantile(actions, share, 0), atol=1e-5)
+
+
+def test_statistics_of_images_are_those_of_their_values(dataset, frames):
+    stats = json.loads((dataset / "meta/stats.json").read_text())["observation.image"]
+    files = [io.BytesIO(frame["observation.image"]["bytes"]) for frame in frames]
+    values = np.stack([np.asarray(Image.open(file)) for file in files]).reshape(-1, 3) / 255
+    shares = {
+        name: np.quantile(values, q, 0, method="inverted_cdf") for name, q in QUANTILES.items()
+    }
+    others = {name: getattr(values, name)(0) for name in ("min", "max", "mean", "std")}
+    for name, expected in (shares | others).items():
+        np.testing.assert_allclose(np.squeeze(stats[name]), expected, atol=1e-9)
+    assert stats["count"] == [len(frames)]
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """The dataset of the same episodes as of an arm in degrees, from a camera with a name."""
+    folder = tmp_path_factory.mktemp("mapped")
+    names = [f"joint_{i}" for i in range(1, 7)]
+    lines = [f'{n} = {{name = "{n}.pos", sign = -1, offset = 5, unit = "deg"}}' for n in names]
+    (folder / "map.toml").write_text("\n".join(["[joint_map]", *lines]))
+    options = ["--camera", "front", "--joint-map", str(folder / "map.toml")]
+    to = ["--episodes", str(COUNT), "--to", str(folder / "dataset")]
+    assert main(["record", "oracle", *to, *options]) == 0
+    return folder / "dataset"
+
+
+def test_a_mapped_dataset_has_names_units_and_values_of_the_real_arm(mapped, frames):
+    features = json.loads((mapped / "meta/info.json").read_text())["features"]
+    assert features["action"]["names"][0] == "joint_1.pos"
+    assert features["observation.state"]["units"] == ["deg"] * 6
+    assert features["action.levels"]["names"][0] == "joint_1"
+    assert "observation.images.front" in features
+    found = pq.read_table(mapped / "data/chunk-000/file-000.parquet").to_pylist()
+    for name in ("observation.state", "action"):
+        degrees = 5 - np.degrees([frame[name] for frame in frames])
+        np.testing.assert_allclose([frame[name] for frame in found], degrees, atol=1e-4)
 
 
 def test_the_task_in_words_does_not_hold_the_answer(tmp_path):
@@ -82,10 +123,26 @@ def test_a_folder_with_files_is_left_alone(dataset, capsys):
     assert (dataset / "meta/info.json").read_bytes() == before
 
 
-def test_the_real_lerobot_reads_it(dataset):
+def lerobot(*arguments):
+    """Run LeRobot's Python without network access; return what it prints."""
     python = os.environ.get("KNOWARM_LEROBOT_PYTHON")
     if python is None:
         pytest.skip("KNOWARM_LEROBOT_PYTHON names no Python with lerobot")
+    environment = os.environ | {"HF_HUB_OFFLINE": "1"}
+    environment.pop("PYTHONPATH", None)
+    command = [python, *map(str, arguments)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    return done.stdout
+
+
+def test_the_real_lerobot_trains_with_quantiles(mapped):
+    first, last = map(
+        float, lerobot(Path(__file__).with_name("lerobot_act.py"), mapped, 200).split()
+    )
+    assert 0 < last < 0.8 * first
+
+
+def test_the_real_lerobot_reads_it(dataset):
     code = """
 import sys
 try:
@@ -96,9 +153,6 @@ d = LeRobotDataset("local/knowarm", root=sys.argv[1])
 first = d[0]
 print(d.num_episodes, len(d), tuple(first["observation.image"].shape), first["task"])
 """
-    environment = os.environ | {"HF_HUB_OFFLINE": "1"}
-    environment.pop("PYTHONPATH", None)
-    command = [python, "-c", code, str(dataset)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    assert done.stdout.startswith(f"{COUNT} ")
-    assert "(3, 64, 64)" in done.stdout
+    printed = lerobot("-c", code, dataset)
+    assert printed.startswith(f"{COUNT} ")
+    assert "(3, 64, 64)" in printed

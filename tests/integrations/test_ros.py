@@ -61,6 +61,23 @@ def test_the_simulated_robot_is_driven_as_in_process(trained, parts):
     assert solved.any(), ends
 
 
+@pytest.mark.parametrize(
+    "topics",
+    [{"compressed": True}, {"positions": "/forward_position_controller/commands"}],
+    ids=str,
+)
+def test_a_robot_in_degrees_is_driven_as_one_in_radians(trained, parts, topics, tmp_path):
+    file, names = tmp_path / "map.toml", parts.contract["joints"]["names"]
+    lines = [f'{n} = {{name = "{n}.pos", sign = -1, offset = 7.5, unit = "deg"}}' for n in names]
+    file.write_text("\n".join(["[joint_map]", *reversed(lines)]))
+    episodes = evaluation_episodes(trained.config.env, 3, 0)
+    mapped = deployment(trained, file)
+    solved, ends = by_ros(trained.config.env, mapped, episodes, 0.0, file, **topics)
+    ours = play(trained.agent, ArmVectorEnv(trained.config.env, 1), episodes)
+    np.testing.assert_array_equal(solved, ours.success)
+    assert solved.any(), ends
+
+
 class Cell:
     """Camera, joints and controller of a robot that stands still."""
 

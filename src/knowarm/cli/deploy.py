@@ -11,7 +11,7 @@ import tyro
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.cli.tables import FilePath, FolderPath
-from knowarm.config import at_least
+from knowarm.config import at_least, file_name
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment, export, tcp_position
@@ -112,6 +112,10 @@ class Record:
     """Number of episodes."""
     seed: int = 0
     """Seed of the episodes."""
+    camera: str = ""
+    """Name of the camera: images are in observation.images.NAME. Default: observation.image."""
+    joint_map: FilePath = None
+    """TOML file with the real arm's joints, ``[joint_map]``. Default: that of the robot."""
     env: EnvConfig = field(default_factory=EnvConfig)
     """Environment of a scripted agent; a run has its own."""
 
@@ -124,6 +128,8 @@ class Record:
         """Play, write and say how many episodes succeeded."""
         at_least(self, 1, "episodes")
         at_least(self, 0, "seed")
+        if self.camera:
+            file_name(self, "camera")
         trained = None if is_scripted(self.agent, self.env) else load_agent(self.agent)
         config = self.env if trained is None else trained.config.env
         env = ArmVectorEnv(config, min(self.episodes, 100))
@@ -131,7 +137,8 @@ class Record:
             SCRIPTED_AGENTS[self.agent].make(env, self.seed) if trained is None else trained.agent
         )
         drawn = evaluation_episodes(config, self.episodes, self.seed)
-        solved = record(agent, env, drawn, self.to)
+        write = partial(record, camera=self.camera, joint_map=self.joint_map)
+        solved = write(agent, env, drawn, self.to)
         print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")
 
 

@@ -6,6 +6,7 @@ Two clocks: stamps are compared with the clock that made them; periods and holds
 monotonic one, which no time server sets.
 """
 
+import io
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,12 +19,15 @@ from PIL import Image
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
 from knowarm.integrations.runner import Runner, Start
+from knowarm.reading import one_line
 from knowarm.world.own_robot.camera_check import central_square
 
 Targets = NDArray[np.float64]
 EARLIEST = 0.8  # Shortest time between two targets, in control periods
 SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
 JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
+ENCODINGS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
+"""Channels red, green and blue of a pixel, by the encodings of ROS that are read."""
 FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 
 
@@ -50,9 +54,11 @@ class Safety:
 class Topics:
     """Names of the ROS topics."""
 
-    image: str = "/camera/image_raw"  # sensor_msgs/Image, rgb8 or bgr8
+    image: str = "/camera/image_raw"  # sensor_msgs/Image: rgb8, bgr8, rgba8 or bgra8
+    compressed: bool = False  # Images are sensor_msgs/CompressedImage: JPEG or PNG
     joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
     trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
+    positions: str = ""  # If given, std_msgs/Float64MultiArray to it instead of trajectories
     stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
     use_clock: bool = False  # Take the time from /clock, as simulators publish it
 
@@ -255,9 +261,22 @@ def decoded(
     encoding: str, height: int, width: int, step: int, data: bytes
 ) -> NDArray[np.uint8] | str:
     """Return the pixels (H, W, 3) RGB of a ROS image, or the reason why it cannot be read."""
-    if encoding not in ("rgb8", "bgr8"):
-        return f"has the encoding {encoding!r} instead of rgb8 or bgr8"
-    if not 0 < 3 * width <= step or not 0 < len(data) == height * step:
+    if encoding not in ENCODINGS:
+        grey = " is grey, and the policy sees colours; publish" if "mono" in encoding else " is not"
+        return f"of the encoding {encoding!r}{grey} {', '.join(ENCODINGS)}"
+    size = len(encoding) - 1  # bytes per pixel
+    if not 0 < size * width <= step or not 0 < len(data) == height * step:
         return f"has {len(data)} bytes, which are not {height} rows of {step}"
-    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : 3 * width]
-    return rows.reshape(height, width, 3)[..., :: -1 if encoding == "bgr8" else 1].copy()
+    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : size * width]
+    return rows.reshape(height, width, size)[..., ENCODINGS[encoding]].copy()
+
+
+def decompressed(data: bytes) -> NDArray[np.uint8] | str:
+    """Return the pixels (H, W, 3) RGB of a JPEG or PNG file, or why it cannot be read."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
+            if image.mode not in ("RGB", "RGBA"):
+                return f"of the mode {image.mode!r} is not RGB; publish colours"
+            return np.array(image.convert("RGB"))
+    except Exception as error:  # Pillow raises many types
+        return f"is no JPEG or PNG: {one_line(error)}"

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.reading import read_toml
 from knowarm.world.robots.robot import RealJoint
-from knowarm.world.scene.mjcf import read_mjcf
+from knowarm.world.scene.mjcf import check_names, read_mjcf
 from knowarm.world.scene.scene import Scene
 
 
@@ -39,10 +40,16 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         found = from_dict(_File, {"joint_map": values["joint_map"]}, where=str(file))
         robot = replace(robot, joint_map=found.joint_map)
     ranges = np.stack([scene.joint_lower, scene.joint_upper], 1)
-    limits = dict(zip(robot.joints, ranges, strict=True))
-    if any(real.unit.startswith("range") for real in robot.joint_map.values()):
-        model = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
-        limits |= {name: model.joint(name).range for name in {*robot.joint_map} - {*robot.joints}}
+    limits: dict[str, Any] = dict(zip(robot.joints, ranges, strict=True))
+    held: dict[str, float] = {}
+    if others := [name for name in robot.joint_map if name not in robot.joints]:
+        owner = f"Robot {robot.name!r}"
+        part = read_mjcf(robot.mjcf, owner)
+        check_names(owner, "joint_map", others, robot.mjcf, "joints", part.joints)
+        model = part.compile()
+        limits |= {name: model.joint(name).range for name in others}
+        held = {name: float(model.joint(name).qpos0[0]) for name in others}
+        held |= robot.held_joints
     entries = []
     for joint, real in robot.joint_map.items():
         lower, upper = map(float, limits.get(joint, (0.0, 0.0)))
@@ -60,7 +67,15 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             zero = low - scale * lower
         scale, offset = real.sign * scale, real.sign * zero + real.offset
         if joint not in robot.joints:
-            scale, offset = 0.0, offset + scale * robot.held_joints[joint]
+            scale, offset = 0.0, offset + scale * held[joint]
         entry = {"joint": joint, "name": real.name or joint, "unit": real.unit}
         entries.append(entry | {"scale": scale, "offset": offset})
     return entries
+
+
+def joint_units(scene: Scene) -> dict[str, str]:
+    """Return "rad" or "m" by name of each joint that the policy moves."""
+    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
+    is_slide = [types[index] == mujoco.mjtJoint.mjJNT_SLIDE for index in scene.qpos_index]
+    units = ("m" if slide else "rad" for slide in is_slide)
+    return dict(zip(scene.joint_names, units, strict=True))

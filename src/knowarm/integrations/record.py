@@ -2,6 +2,7 @@
 
 Readable by LeRobot and by plain PyArrow. Actions are joint targets; the discrete levels that led to
 them stand beside. The state is stored for other learners: KnowArm's policies do not see it.
+State and action are in the names and units of the robot's joint map.
 """
 
 import json
@@ -14,6 +15,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.integrations.joint_map import joint_units, real_joints
+from knowarm.integrations.runner import JointMap
 from knowarm.pictures import encode
 from knowarm.reading import write_json, writing
 from knowarm.world.agents.play import play_steps
@@ -23,7 +26,10 @@ from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.sampling import Episodes
 
 VERSION = "v3.0"
-IMAGE, STATE, ACTION, LEVELS = "observation.image", "observation.state", "action", "action.levels"
+IMAGE, CAMERAS = "observation.image", "observation.images."
+STATE, ACTION, LEVELS = "observation.state", "action", "action.levels"
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles of LeRobot's statistics, by their names there."""
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 EPISODES_PER_FILE = 500
@@ -43,7 +49,15 @@ _SCALARS = {
 }
 
 
-def record(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes, folder: Path) -> int:
+def record(
+    agent: AgentProtocol,
+    env: ArmVectorEnv,
+    episodes: Episodes,
+    folder: Path,
+    *,
+    camera: str = "",
+    joint_map: Path | None = None,
+) -> int:
     """Play episodes and write them as a dataset; return how many succeeded.
 
     Args:
@@ -51,23 +65,43 @@ def record(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes, folder: 
         env: plays several episodes at a time.
         episodes: what to play, N.
         folder: new or empty.
+        camera: the images' column is ``observation.images.CAMERA``; empty: ``observation.image``.
+        joint_map: TOML file whose table of that name replaces that of the robot.
 
     Raises:
-        UserError: the folder holds something, or cannot be written to.
+        UserError: the folder holds something, or cannot be written to, or the joint map does not
+            fit.
     """
+    writer = _Writer(env, folder, CAMERAS + camera if camera else IMAGE, joint_map)
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise UserError(f"{folder} is not empty; give a new folder for the dataset.")
-        return _Writer(env, folder).write(agent, episodes)
+        return writer.write(agent, episodes)
 
 
 class _Writer:
     """Writes a dataset file by file; only one file's frames are in memory."""
 
-    def __init__(self, env: ArmVectorEnv, folder: Path) -> None:
-        self.env, self.folder = env, folder
-        self.joints = [*env.scene.joint_names]
+    def __init__(self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None) -> None:
+        self.env, self.folder, self.image = env, folder, image
+        joints = [*env.scene.joint_names]
+        units, real = joint_units(env.scene), real_joints(env.scene, joint_map)
+        if real and env.scene.joint_names != env.scene.robot.joints:
+            raise UserError(
+                f"The task {env.config.task.kind_of()!r} moves fingers, which joint_map does not "
+                "convert. Record it with a robot without joint_map."
+            )
+        self.joint_map = JointMap({"names": joints, "real": real})
+        own = [(name, name, "rad") for name in joints]
+        entries = [(each["joint"], each["name"], each["unit"]) for each in real] or own
+        self.vectors = {LEVELS: {"names": joints}}
+        for column in (STATE, ACTION):
+            self.vectors[column] = {
+                "names": [name for _, name, _ in entries],
+                "units": [units.get(j, unit) if unit == "rad" else unit for j, _, unit in entries],
+            }
+        self.colours = np.zeros((3, 256), np.int64)
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.frames, self.successes = 0, 0
@@ -95,12 +129,13 @@ class _Writer:
             if moment.actions is None:  # before the first step
                 texts = [env.running.instruct(i) for i in range(len(chunk))]
             else:
-                values = images, joints, env.joint_targets, moment.actions, moment.reward
+                targets = self.joint_map.to_real(env.joint_targets)
+                values = images, joints, targets, moment.actions, moment.reward
                 for i in np.flatnonzero(moment.played):
                     success = bool(moment.infos["is_success"][i])
                     rows[i].append((*(each[i] for each in values), success))
-            images, joints = moment.images, env.joint_positions
-        names = (IMAGE, STATE, ACTION, LEVELS, "next.reward", "next.success")
+            images, joints = moment.images, self.joint_map.to_real(env.joint_positions)
+        names = (self.image, STATE, ACTION, LEVELS, "next.reward", "next.success")
         columns = (dict(zip(names, zip(*each, strict=True), strict=True)) for each in rows)
         return list(zip(texts, columns, strict=True))
 
@@ -122,10 +157,15 @@ class _Writer:
                 }
                 numbers = (*_VECTORS, *_SCALARS)
                 arrays = {name: np.asarray(columns[name]).tolist() for name in numbers}
-                arrays[IMAGE] = [
+                images = columns[self.image]
+                arrays[self.image] = [
                     {"bytes": encode(each, "PNG", compress_level=1), "path": None}
-                    for each in columns[IMAGE]
+                    for each in images
                 ]
+                colours = count_colours(images)
+                self.colours += colours
+                stats = {name: statistics(columns[name]) for name in numbers}
+                stats[self.image] = image_statistics(colours, length)
                 writer.write_table(pa.table(arrays, schema=self.schema))
                 self.rows.append(
                     {
@@ -141,7 +181,7 @@ class _Writer:
                         **{
                             f"stats/{name}/{key}": value
                             for name in self.schema.names
-                            for key, value in statistics(columns[name], name == IMAGE).items()
+                            for key, value in stats[name].items()
                         },
                     }
                 )
@@ -150,12 +190,13 @@ class _Writer:
 
     def _schema(self) -> pa.Schema:
         """Return the columns, with the metadata by which Hugging Face's datasets decodes images."""
-        fields = [pa.field(IMAGE, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
-        features: dict[str, Any] = {IMAGE: {"_type": "Image"}}
+        fields = [pa.field(self.image, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
+        features: dict[str, Any] = {self.image: {"_type": "Image"}}
         for name, kind in _VECTORS.items():
-            fields.append(pa.field(name, pa.list_(pa.type_for_alias(kind), len(self.joints))))
+            length = len(self.vectors[name]["names"])
+            fields.append(pa.field(name, pa.list_(pa.type_for_alias(kind), length)))
             item = {"dtype": kind, "_type": "Value"}
-            features[name] = {"feature": item, "length": len(self.joints), "_type": "List"}
+            features[name] = {"feature": item, "length": length, "_type": "List"}
         for name, kind in _SCALARS.items():
             fields.append(pa.field(name, pa.type_for_alias(kind)))
             features[name] = {"dtype": kind, "_type": "Value"}
@@ -166,10 +207,11 @@ class _Writer:
         size = self.env.config.image_size
         names = ["height", "width", "channels"]
         features: dict[str, Any] = {
-            IMAGE: {"dtype": "image", "shape": [size, size, 3], "names": names}
+            self.image: {"dtype": "image", "shape": [size, size, 3], "names": names}
         }
         for name, kind in _VECTORS.items():
-            features[name] = {"dtype": kind, "shape": [len(self.joints)], "names": self.joints}
+            about = self.vectors[name]
+            features[name] = {"dtype": kind, "shape": [len(about["names"])], **about}
         for name, kind in _SCALARS.items():
             features[name] = {"dtype": kind, "shape": [1], "names": None}
         info = {
@@ -208,32 +250,41 @@ class _Writer:
         write_json(self.folder / "meta/info.json", info)
 
     def _statistics(self) -> dict[str, Any]:
-        """Combine the statistics of the episodes."""
-        combined = {}
-        for name in self.schema.names:
-            stats = {
-                key: np.array([row[f"stats/{name}/{key}"] for row in self.rows], np.float64)
-                for key in ("min", "max", "mean", "std", "count")
-            }
-            weight = stats["count"] / stats["count"].sum()
-            weight = weight.reshape(-1, *[1] * (stats["mean"].ndim - 1))
-            mean = (weight * stats["mean"]).sum(0)
-            square = (weight * (stats["std"] ** 2 + stats["mean"] ** 2)).sum(0)
-            combined[name] = {
-                "min": stats["min"].min(0).tolist(),
-                "max": stats["max"].max(0).tolist(),
-                "mean": mean.tolist(),
-                "std": np.sqrt(np.maximum(square - mean**2, 0)).tolist(),
-                "count": [int(stats["count"].sum())],
-            }
-        return combined
+        """Compute the statistics of the whole dataset from its files."""
+        found = {self.image: image_statistics(self.colours, self.frames)}
+        for name in (*_VECTORS, *_SCALARS):
+            column = pq.read_table(self.folder / "data", columns=[name])[name].combine_chunks()
+            values = column.flatten() if name in _VECTORS else column
+            array = values.to_numpy(zero_copy_only=False).reshape(len(column), -1)
+            found[name] = statistics(array)
+        return found
 
 
-def statistics(values: Any, is_image: bool) -> dict[str, list[Any]]:
-    """Compute a column's statistics per element; per channel, (3, 1, 1), in 0..1 for images."""
+def statistics(values: Any) -> dict[str, list[Any]]:
+    """Compute a column's statistics per element as LeRobot names them."""
     array: NDArray[np.float64] = np.asarray(values, np.float64)
-    axes, shape = ((0, 2, 3), (3, 1, 1)) if is_image else (0, -1)
-    array = (array / 255).transpose(0, 3, 1, 2) if is_image else array
-    found = {key: getattr(array, key)(axes) for key in ("min", "max", "mean", "std")}
-    shaped = {key: value.reshape(shape).tolist() for key, value in found.items()}
-    return shaped | {"count": [len(array)]}
+    array = array.reshape(len(array), -1)
+    found = {key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")}
+    quantiles = np.quantile(array, [*QUANTILES.values()], 0).tolist()
+    return found | dict(zip(QUANTILES, quantiles, strict=True)) | {"count": [len(array)]}
+
+
+def count_colours(images: Any) -> NDArray[np.int64]:
+    """Count the values 0 to 255 of each channel of images (n, H, W, 3), (3, 256)."""
+    channels = np.asarray(images).reshape(-1, 3).T
+    return np.stack([np.bincount(channel, minlength=256) for channel in channels])
+
+
+def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list[Any]]:
+    """Compute statistics per channel, (3, 1, 1), in 0..1, of the counts of `count_colours`."""
+    levels, shares = np.arange(256) / 255, counts / counts.sum(1, keepdims=True)
+    mean, below = shares @ levels, np.cumsum(shares, 1)
+    found = {
+        "min": levels[(counts > 0).argmax(1)],
+        "max": levels[255 - (counts[:, ::-1] > 0).argmax(1)],
+        "mean": mean,
+        "std": np.sqrt(((levels - mean[:, None]) ** 2 * shares).sum(1)),
+        **{key: levels[(below >= share).argmax(1)] for key, share in QUANTILES.items()},
+    }
+    shaped = {key: value.reshape(3, 1, 1).tolist() for key, value in found.items()}
+    return shaped | {"count": [frames]}

@@ -1,4 +1,4 @@
-"""ROS 2 node of a `Driver`: images and joint angles in, joint trajectories of one point out."""
+"""ROS 2 node of a `Driver`: images and joint states in, trajectories or positions out."""
 
 import sys
 import threading
@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from knowarm.errors import UserError, packages_of
-from knowarm.integrations.driver import Driver, Topics, decoded
+from knowarm.integrations.driver import Driver, Topics, decoded, decompressed
 from knowarm.reading import one_line
 
 with packages_of("ros", "Driving a robot"):
@@ -18,8 +18,8 @@ with packages_of("ros", "Driving a robot"):
     from rclpy.parameter import Parameter
     from rclpy.qos import QoSProfile, qos_profile_sensor_data
     from rclpy.signals import SignalHandlerOptions
-    from sensor_msgs.msg import Image, JointState
-    from std_msgs.msg import Empty
+    from sensor_msgs.msg import CompressedImage, Image, JointState
+    from std_msgs.msg import Empty, Float64MultiArray
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 DISCOVERY_S = 1.0
@@ -32,9 +32,12 @@ class DriverNode(Node):
     def __init__(self, driver: Driver, topics: Topics) -> None:
         clock = Parameter("use_sim_time", value=topics.use_clock)
         super().__init__("knowarm", parameter_overrides=[clock])
-        self.driver, self._topic, self._shown, self._out = driver, topics.trajectory, "", None
+        self.driver, self._shown, self._out = driver, "", None
+        self._topic = topics.positions or topics.trajectory
+        self._sends_positions = bool(topics.positions)
         latest = qos_profile_sensor_data
-        self.create_subscription(Image, topics.image, self._see, latest)
+        images = CompressedImage if topics.compressed else Image
+        self.create_subscription(images, topics.image, self._see, latest)
         self.create_subscription(JointState, topics.joint_states, self._feel, latest)
         stop = f"stopped by {topics.stop}"
         # A reliable subscription receives nothing from a best-effort publisher; a best-effort one
@@ -45,7 +48,9 @@ class DriverNode(Node):
                 Empty, topics.stop, lambda _: driver.stop(stop), qos, event_callbacks=quiet
             )
         if not driver.safety.dry_run:
-            self._out = self.create_publisher(JointTrajectory, self._topic, 1)
+            self._out = self.create_publisher(
+                Float64MultiArray if self._sends_positions else JointTrajectory, self._topic, 1
+            )
         if topics.use_clock:
             driver.clock = self._seconds
         self._from = time.monotonic() + DISCOVERY_S
@@ -62,8 +67,11 @@ class DriverNode(Node):
         return float(self.get_clock().now().nanoseconds * 1e-9)
 
     def _see(self, image: Any) -> None:
-        size = image.height, image.width, image.step
-        pixels = decoded(image.encoding, *size, bytes(image.data))
+        data = bytes(image.data)
+        if isinstance(image, CompressedImage):
+            pixels = decompressed(data)
+        else:
+            pixels = decoded(image.encoding, image.height, image.width, image.step, data)
         self.driver.see(pixels, _stamp(image))
 
     def _feel(self, state: Any) -> None:
@@ -79,12 +87,17 @@ class DriverNode(Node):
             obstacle = f"no controller at {self._topic}"
         targets = self.driver.tick(self._seconds(), obstacle)
         if targets is not None and self._out is not None:
-            point = JointTrajectoryPoint(positions=targets.tolist())
-            whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
-            point.time_from_start = Duration(sec=whole, nanosec=part)
-            names = list(self.driver.joint_names)
-            self._out.publish(JointTrajectory(joint_names=names, points=[point]))
+            self._out.publish(self._command(targets.tolist()))
         self.show()
+
+    def _command(self, targets: list[float]) -> Any:
+        """Return the message for targets, which a trajectory reaches after a control period."""
+        if self._sends_positions:
+            return Float64MultiArray(data=targets)
+        point = JointTrajectoryPoint(positions=targets)
+        whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
+        point.time_from_start = Duration(sec=whole, nanosec=part)
+        return JointTrajectory(joint_names=list(self.driver.joint_names), points=[point])
 
 
 def _stamp(message: Any) -> float:

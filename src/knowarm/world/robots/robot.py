@@ -138,7 +138,7 @@ class Robot:
 
     joint_map: Mapping[str, RealJoint] = field(default_factory=dict)
     """Joints of the real arm by the model's name, in the real arm's order; empty: the model's.
-    Besides ``joints`` it may name ``held_joints``, whose value is sent unchanged."""
+    The value at which another joint is held, such as an open gripper's, is sent in each step."""
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -146,7 +146,6 @@ class Robot:
             object.__setattr__(self, "title", self.name)
         count = len(self.joints)
         start, half = self.start_fraction, self.rectangle_half_size_m
-        mapped, known = set(self.joint_map), {*self.joints, *self.held_joints}
         real = [joint.name or name for name, joint in self.joint_map.items()]
         for valid, message in (
             (count, "joints is empty; name at least one hinge or slide joint"),
@@ -157,9 +156,8 @@ class Robot:
                 f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
             ),
             (
-                not mapped or set(self.joints) <= mapped <= known,
-                f"joint_map must name every joint of joints, and may name those of held_joints; "
-                f"got {', '.join(self.joint_map)}",
+                not real or {*self.joints} <= {*self.joint_map},
+                f"joint_map must name every joint of joints; got {', '.join(self.joint_map)}",
             ),
             (len(set(real)) == len(real), f"joint_map has a name twice: {', '.join(real)}"),
             (0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"),
