@@ -80,7 +80,7 @@ def test_values_of_the_units_at_the_lower_limit_and_at_zero(joint, real):
 def test_a_held_joint_is_sent_at_its_value():
     robot = ROBOTS["irb120"]
     joint_map = dict.fromkeys(robot.joints, RealJoint(unit="deg", offset=1.0))
-    fewer = {"joints": robot.joints[:5], "home": robot.home[:5]}
+    fewer = {"joints": robot.joints[:5], "home": robot.home[:5], "areas": {}}
     entry = real_joints(scene_with(joint_map, **fewer, held_joints={"joint_6": 0.5}))[-1]
     assert (entry["scale"], entry["offset"]) == (0.0, pytest.approx(math.degrees(0.5) + 1))
     assert real_joints(scene_with(joint_map, **fewer))[-1]["offset"] == 1.0
