@@ -34,7 +34,8 @@ def scene_with(joint_map, **changes):
     robot = replace(ROBOTS["irb120"], joint_map=joint_map, **changes)
     count = len(robot.joints)
     lower, upper = np.full(count, -1.5), np.linspace(0.5, 3, count)
-    return SimpleNamespace(robot=robot, joint_lower=lower, joint_upper=upper)
+    limits = {"joint_lower": lower, "joint_upper": upper}
+    return SimpleNamespace(robot=robot, joint_names=robot.joints, **limits)
 
 
 real_joint = st.builds(

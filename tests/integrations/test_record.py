@@ -83,6 +83,14 @@ def test_statistics_of_images_are_those_of_their_values(dataset, frames):
     assert stats["count"] == [len(frames)]
 
 
+def test_a_map_without_the_fingers_is_refused_where_they_move(tmp_path, capsys):
+    lines = [f"joint_{i} = {{}}" for i in range(1, 7)]
+    (tmp_path / "map.toml").write_text("\n".join(["[joint_map]", *lines]))
+    options = ["--joint-map", str(tmp_path / "map.toml"), "--to", str(tmp_path / "dataset")]
+    assert main(["record", "oracle", "--env.task", "lift", "--episodes", "1", *options]) == 2
+    assert "moves fingers, which joint_map does not" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory):
     """The dataset of the same episodes as of an arm in degrees, from a camera with a name."""

@@ -91,6 +91,22 @@ def test_served_episodes_are_those_in_process(trained, server):
     np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
 
 
+def test_an_arm_in_degrees_is_served_as_one_in_radians(trained, tmp_path):
+    lines = [
+        f'joint_{i} = {{name = "j{i}", sign = -1, offset = 7.5, unit = "deg"}}' for i in range(1, 7)
+    ]
+    (tmp_path / "map.toml").write_text("\n".join(["[joint_map]", *reversed(lines)]))
+    server = started(deployment(trained, tmp_path / "map.toml"))
+    env, episodes = (
+        ArmVectorEnv(trained.config.env, 1),
+        evaluation_episodes(trained.config.env, 6, 5),
+    )
+    theirs = play(Client(f"ws://127.0.0.1:{server.port}"), env, episodes)
+    server.close()
+    ours = play(trained.agent, env, episodes)
+    np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
+
+
 def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
     with client(server) as one, client(server) as two:
         for connection in (one, two):

@@ -26,7 +26,7 @@ from knowarm.world.own_robot.draft_view import choose_view
 from knowarm.world.own_robot.robot_check import check_robot
 from knowarm.world.own_robot.scene_image import SIDE, write_scene_image
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.robot import Robot
+from knowarm.world.robots.robot import RealJoint, Robot
 from knowarm.world.scene.compose import STOP_RAD
 from knowarm.world.scene.scene import build_scene, load_scene
 from tests.world.helpers import EXAMPLES
@@ -182,6 +182,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     robot = read_description(file, Robot)
     assert robot.camera_fovy_deg == 45.0
     assert robot.joints == SHIPPED.joints
+    assert robot.joint_map == {name: RealJoint(name=name) for name in robot.joints}
     failed = [check for check in check_robot(file, ["mug", "bottle"]) if not check.ok]
     assert failed == []
     scene = load_scene(str(file), ("mug", "bottle"))

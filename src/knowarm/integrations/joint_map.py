@@ -40,7 +40,7 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         found = from_dict(_File, {"joint_map": values["joint_map"]}, where=str(file))
         robot = replace(robot, joint_map=found.joint_map)
     ranges = np.stack([scene.joint_lower, scene.joint_upper], 1)
-    limits: dict[str, Any] = dict(zip(robot.joints, ranges, strict=True))
+    limits: dict[str, Any] = dict(zip(scene.joint_names, ranges, strict=True))
     held: dict[str, float] = {}
     if others := [name for name in robot.joint_map if name not in robot.joints]:
         owner = f"Robot {robot.name!r}"
