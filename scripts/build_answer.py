@@ -199,6 +199,9 @@ def page(
     parts = [
         HEAD,
         answer(tasks, len(faster_cells(cells)), len(cells)),
+        FIGURE,
+        claims_table(cells, [mean_success_row(tasks)]),
+        "\n".join(f"- {verdict(cell)}" for cell in cells),
         TOP.format(
             runs=runs,
             hours=hours,
@@ -206,10 +209,6 @@ def page(
             progress=progress,
             controls=WITH_CONTROLS if has_controls else WITHOUT_CONTROLS,
         ),
-    ]
-    parts += [
-        claims_table(cells, [mean_success_row(tasks)]),
-        "\n".join(f"- {verdict(cell)}" for cell in cells),
     ]
     parts += outcomes_section(tasks)
     parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
@@ -220,7 +219,7 @@ def page(
         *anova_section(tasks),
         *cost_section(tasks),
         "## Every run",
-        f"{FIGURE}\n\n{runs_table(cells)}",
+        runs_table(cells),
         *sections,
         BOTTOM.format(processors=processors),
     ]
