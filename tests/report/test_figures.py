@@ -20,7 +20,6 @@ from knowarm.report.diagrams import (
     Dot,
     confusion_map,
     dot_chart,
-    stacked_bars,
 )
 from knowarm.report.format import palette, slugs
 from knowarm.statistics import Interval
@@ -117,7 +116,6 @@ def drawings():
             Axis(title="x"),
         ),
         "confusion": confusion_map(np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"),
-        "bars": stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name"),
     }
 
 
@@ -133,10 +131,6 @@ def test_long_names_of_rows_fit():
     (dot,) = (each for each in root.iter() if each.get("class") == "dot")
     right = float(root.get("viewBox").split()[2])
     assert float(zero.get("x1")) < float(dot.get("cx")) < right
-
-
-def test_the_legend_hides_parts_of_bars():
-    assert 'data-name="memory"' in stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name")
 
 
 @pytest.mark.parametrize("name", drawings())

@@ -1,4 +1,4 @@
-"""Diagrams with one row per item in SVG: dot charts, bars, confusion matrices."""
+"""Diagrams with one row per item in SVG: dot charts, confusion matrices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,7 @@ from knowarm.statistics import Interval
 from knowarm.svg import drawing, element, hover, label, text_width
 
 ROW = 34  # height of a row of a dot chart [px]
-SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")  # palette classes of the parts of a bar
-WIDTH, BAR_ROW = 560.0, 46  # width, and height of a row of bars [px]
+WIDTH = 560.0  # of a confusion matrix [px]
 CONFUSION_CELL = 34.0  # largest side of a cell of a confusion matrix [px]
 
 
@@ -84,28 +83,6 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     if dot.ring is not None:
         parts.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
     return element("g", hover(words), *parts, class_=f"row {dot.colour}", data_name=dot.name)
-
-
-def stacked_bars(
-    counts: Mapping[str, Mapping[str, int]], title: str, *, width: float = WIDTH
-) -> str:
-    """Draw one bar per name on a common scale; its counts by part from left to right."""
-    largest = max((sum(parts.values()) for parts in counts.values()), default=0) or 1
-    groups = list(dict.fromkeys(part for parts in counts.values() for part in parts))
-    rows = []
-    for row, (name, parts) in enumerate(counts.items()):
-        y, x = row * BAR_ROW, 0.0
-        total = format.integer(sum(parts.values()))
-        rows.append(label(0, y + 13, name, class_="row-name"))
-        rows.append(label(width, y + 13, total, class_="tick", text_anchor="end"))
-        for part, count in parts.items():
-            extent = width * count / largest
-            words = hover(f"{name}: {part} {format.integer(count)}")
-            place = {"x": x, "y": y + 19, "width": max(extent - 1, 0.5), "height": 15}
-            shade = SHADES[groups.index(part) % len(SHADES)]
-            rows.append(element("rect", words, **place, class_=f"bar {shade}", data_name=part))
-            x += extent
-    return drawing(width, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 
 
 def confusion_map(

@@ -12,16 +12,12 @@ from knowarm.report.blocks import (
     Block,
     Column,
     DataTable,
-    Figure,
-    Panel,
     Row,
     Tone,
     Verdict,
     shared,
     table_of,
 )
-from knowarm.report.charts import BOXES
-from knowarm.report.diagrams import SHADES, stacked_bars
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
 
@@ -149,28 +145,15 @@ def _overview(task: TaskData) -> DataTable:
 
 
 def _parameters(task: TaskData) -> list[Block]:
-    """Draw the trainable parameters by part; nothing if no run stored its counts."""
-    counts: dict[str, dict[str, int]] = {}
-    rows: list[Row] = []
-    sources = []
-    for group in task.groups:
-        run = group.runs[0]
-        if parts := {
-            part: n for part, n in run.provenance.parameter_counts.items() if part != "total" and n
-        }:
-            counts[group.name] = parts
-            sources.append(run.path / "provenance.json")
-            rows += [{"agent": group.name, "part": p, "parameters": n} for p, n in parts.items()]
-    if not counts:
+    """List the trainable parameters by part; nothing if no run stored its counts."""
+    stored = [(group, group.runs[0]) for group in task.groups]
+    stored = [(group, run) for group, run in stored if run.provenance.parameter_counts]
+    rows: list[Row] = [{"agent": g.name} | run.provenance.parameter_counts for g, run in stored]
+    parts = dict.fromkeys(part for row in rows for part in row if row[part] and part != "agent")
+    if not parts:
         return []
-    names = dict.fromkeys(part for each in counts.values() for part in each)
-    columns = ["agent", "part", "parameters"]
-    table = table_of(task, "parameters", "Trainable parameters", columns, rows, sources)
-    caption = "A longer vector makes a larger LSTM: compare agents of equal size."
-    name = "Trainable parameters by part of the network"
-    panels = [
-        Panel(svg=stacked_bars(counts, name, width=box.width), only=only)
-        for only, box in BOXES.items()
-    ]
-    legend = [(part, SHADES[i % len(SHADES)]) for i, part in enumerate(names)]
-    return [Figure(table=table, caption=caption, panels=panels, legend=legend)]
+    columns = ["agent", *(Column(part, part, "integer") for part in parts)]
+    sources = [run.path / "provenance.json" for _, run in stored]
+    note = "A longer vector makes a larger LSTM: compare agents of equal size."
+    title = "Trainable parameters by part of the network"
+    return [table_of(task, "parameters", title, columns, rows, sources, note)]
