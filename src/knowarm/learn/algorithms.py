@@ -9,21 +9,20 @@ from knowarm.config import above_zero, at_least, check_values, fraction
 from knowarm.errors import UserError
 
 PRIVILEGED_OPTIONS = {
-    "critic": ("critic", "a network of its own values states"),
-    "auxiliary_coef": ("auxiliary loss", "features of the image predict joints and grasp pose"),
-    "progress_coef": ("progress reward", "every step towards the grasp pose is rewarded"),
-    "way_limit": ("teacher", "inverse kinematics labels every image with an action"),
-    "practice_until": ("practice starts", "episodes start on the teacher's way"),
-    "glimpse_until": ("glimpses", "at first every image is of a new episode, which is not played"),
+    "critic": "critic",
+    "auxiliary_coef": "auxiliary loss",
+    "progress_coef": "progress reward",
+    "way_limit": "teacher",
+    "practice_until": "practice starts",
+    "glimpse_until": "glimpses",
 }
-"""Options that need the simulator's state in training unless they are 0: what it is for, and how.
-"""
+"""Options that need the simulator's state in training unless they are 0, and what it is for."""
 
 
 def privileged_uses(algorithm: Mapping[str, Any]) -> list[str]:
     """List what an algorithm, as a mapping of its fields, uses the simulator's state for."""
     fields = {**algorithm, **algorithm.get("privileged", {})}
-    return [use for name, (use, _) in PRIVILEGED_OPTIONS.items() if fields.get(name)]
+    return [use for name, use in PRIVILEGED_OPTIONS.items() if fields.get(name)]
 
 
 SHORTEST_WAY = 0.5

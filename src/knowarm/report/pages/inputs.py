@@ -7,7 +7,7 @@ from typing import Any
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.config import EmbeddingFacts
-from knowarm.learn.algorithms import PRIVILEGED_OPTIONS, privileged_uses
+from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
     Column,
@@ -48,11 +48,13 @@ PRIVILEGED_TRAINING = (
     "inputs are the image and the vector below."
 )
 
-GROUNDING = "grounding"
-PRIVILEGED_USES = dict(PRIVILEGED_OPTIONS.values()) | {
-    GROUNDING: "the network that finds objects learns from images with labels"
-}
-"""What training uses the simulator's state for, and how."""
+PRIVILEGED_NOTE = (
+    "What the simulator's state is used for in training: the critic's network values states; the "
+    "features of the image predict joints and grasp pose (auxiliary loss); each step towards the "
+    "grasp pose is rewarded (progress reward); inverse kinematics labels images with actions "
+    "(teacher), where episodes start on its way (practice starts), and at first each image is of a "
+    "new episode (glimpses); the network that finds objects learns from labels (grounding)."
+)
 
 
 def input_blocks(task: TaskData) -> list[Block]:
@@ -110,7 +112,7 @@ def _kind_of_input(task: TaskData) -> Verdict:
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
     run = group.runs[0]
-    return privileged_uses(run.settings["algorithm"]) + [GROUNDING] * run.config.knows.is_grounded
+    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * run.config.knows.is_grounded
 
 
 def _overview(task: TaskData) -> DataTable:
@@ -138,9 +140,7 @@ def _overview(task: TaskData) -> DataTable:
         *(Column("training", "simulator's state in training"), "note"),
     ]
     sources = [group.runs[0].path / "provenance.json" for group in task.groups]
-    used = [use for group in task.groups for use in _privileged_uses(group)]
-    note = "; ".join(f"{use}: {PRIVILEGED_USES[use]}" for use in dict.fromkeys(used))
-    note = f"Simulator's state in training: {note}." if note else ""
+    note = PRIVILEGED_NOTE if any(map(_privileged_uses, task.groups)) else ""
     return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources, note)
 
 
@@ -148,11 +148,11 @@ def _parameters(task: TaskData) -> list[Block]:
     """List the trainable parameters by part; nothing if no run stored its counts."""
     stored = [(group, group.runs[0]) for group in task.groups]
     stored = [(group, run) for group, run in stored if run.provenance.parameter_counts]
-    rows: list[Row] = [{"agent": g.name} | run.provenance.parameter_counts for g, run in stored]
+    rows: list[Row] = [{"agent": g.name, **run.provenance.parameter_counts} for g, run in stored]
     parts = dict.fromkeys(part for row in rows for part in row if row[part] and part != "agent")
     if not parts:
         return []
-    columns = ["agent", *(Column(part, part, "integer") for part in parts)]
+    columns: list[str | Column] = ["agent", *(Column(part, part, "integer") for part in parts)]
     sources = [run.path / "provenance.json" for _, run in stored]
     note = "A longer vector makes a larger LSTM: compare agents of equal size."
     title = "Trainable parameters by part of the network"
