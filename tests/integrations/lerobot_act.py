@@ -1,6 +1,7 @@
 """Train LeRobot's ACT with quantiles on a dataset: python lerobot_act.py FOLDER STEPS.
 
-Runs in an environment with LeRobot and without KnowArm; prints the loss at the start and end.
+Runs in an environment with LeRobot, without KnowArm. Prints episodes, shape of an image, and loss at
+start and end.
 """
 
 import sys
@@ -37,4 +38,5 @@ for batch in torch.utils.data.DataLoader(data, 8, sampler=sampler):
     loss.backward()
     optimizer.step()
     losses.append(loss.item())
-print(sum(losses[:10]) / 10, sum(losses[-10:]) / 10)
+shape = "x".join(map(str, data[0]["observation.images.front"].shape))
+print(data.num_episodes, shape, sum(losses[:10]) / 10, sum(losses[-10:]) / 10)

@@ -95,6 +95,8 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
     increments, real = joint_increments(scene.robot, env), real_joints(scene, joint_map)
+    given = [(joint["name"], joint["scale"], joint["offset"]) for joint in real]
+    is_mapped = given != [(name, 1.0, 0.0) for name in scene.joint_names]
     if (mpi := increments.max()) > scene.robot.mpi_rad:
         raise UserError(
             f"{trained.folder.path} moves a joint by up to {mpi:g} rad per step, and the "
@@ -121,7 +123,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         },
         "control_period_s": CONTROL_PERIOD_S,
         "max_episode_steps": env.max_episode_steps,
-        "joints": _joints(scene, increments) | ({"real": real} if real else {}),
+        "joints": _joints(scene, increments) | ({"real": real} if is_mapped else {}),
         "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
         "camera": _camera(scene, env.image_size),
         "knowledge": {

@@ -1,15 +1,12 @@
 """Joint map of a robot's description, resolved for the contract: value = scale * angle + offset."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 
-from knowarm.config import from_dict
+from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.reading import read_toml
 from knowarm.world.robots.robot import RealJoint
@@ -17,13 +14,10 @@ from knowarm.world.scene.mjcf import check_names, read_mjcf
 from knowarm.world.scene.scene import Scene
 
 
-@dataclass(frozen=True)
-class _File:
-    joint_map: Mapping[str, RealJoint]
-
-
 def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
-    """Return the entries of the contract's ``joints.real``; none for a robot without a map.
+    """Return joint, name, unit, scale and offset of each joint of the real arm, in its order.
+
+    Joints that the map does not name, such as fingers that lift, follow as the model has them.
 
     Args:
         scene: of the robot.
@@ -37,45 +31,39 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         values = read_toml(file)
         if "joint_map" not in values:
             raise UserError(f"{str(file)!r} has no table joint_map.")
-        found = from_dict(_File, {"joint_map": values["joint_map"]}, where=str(file))
-        robot = replace(robot, joint_map=found.joint_map)
-    ranges = np.stack([scene.joint_lower, scene.joint_upper], 1)
-    limits: dict[str, Any] = dict(zip(scene.joint_names, ranges, strict=True))
-    held: dict[str, float] = {}
-    if others := [name for name in robot.joint_map if name not in robot.joints]:
+        robot = override(robot, {"joint_map": values["joint_map"]}, where=str(file))
+    ranges = zip(scene.joint_lower, scene.joint_upper, strict=True)
+    limits, held = dict(zip(scene.joint_names, ranges, strict=True)), dict(robot.held_joints)
+    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
+    places = zip(scene.joint_names, scene.qpos_index, strict=True)
+    slides = [name for name, place in places if types[place] == mujoco.mjtJoint.mjJNT_SLIDE]
+    if others := [name for name in robot.joint_map if name not in limits]:
         owner = f"Robot {robot.name!r}"
         part = read_mjcf(robot.mjcf, owner)
         check_names(owner, "joint_map", others, robot.mjcf, "joints", part.joints)
         model = part.compile()
-        limits |= {name: model.joint(name).range for name in others}
-        held = {name: float(model.joint(name).qpos0[0]) for name in others}
-        held |= robot.held_joints
+        limits |= {name: tuple(model.joint(name).range) for name in others}
+        held = {name: float(model.joint(name).qpos0[0]) for name in others} | held
+    same = {name: RealJoint() for name in scene.joint_names if name not in robot.joint_map}
     entries = []
-    for joint, real in robot.joint_map.items():
-        lower, upper = map(float, limits.get(joint, (0.0, 0.0)))
-        scale, zero = 1.0, 0.0
-        if real.unit == "deg":
+    for joint, real in {**robot.joint_map, **same}.items():
+        lower, upper = map(float, limits[joint])
+        scale, zero, unit = 1.0, 0.0, real.unit
+        if unit == "deg":
             scale = math.degrees(1)
-        elif real.unit != "rad":
+        elif unit != "rad":
             if lower >= upper:
                 raise UserError(
-                    f"joint_map.{joint}: {real.unit} is relative to the limits, which the model "
-                    "does not state. Take rad or deg, with an offset."
+                    f"joint_map.{joint}: {unit} is relative to the limits, which the model does "
+                    "not state. Take rad or deg, with an offset."
                 )
-            low = -100.0 if real.unit == "range_m100_100" else 0.0
+            low = -100.0 if unit == "range_m100_100" else 0.0
             scale = (100.0 - low) / (upper - lower)
             zero = low - scale * lower
         scale, offset = real.sign * scale, real.sign * zero + real.offset
-        if joint not in robot.joints:
+        if joint in others:
             scale, offset = 0.0, offset + scale * held[joint]
-        entry = {"joint": joint, "name": real.name or joint, "unit": real.unit}
+        shown = "m" if joint in slides and unit == "rad" else unit
+        entry = {"joint": joint, "name": real.name or joint, "unit": shown}
         entries.append(entry | {"scale": scale, "offset": offset})
     return entries
-
-
-def joint_units(scene: Scene) -> dict[str, str]:
-    """Return "rad" or "m" by name of each joint that the policy moves."""
-    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
-    is_slide = [types[index] == mujoco.mjtJoint.mjJNT_SLIDE for index in scene.qpos_index]
-    units = ("m" if slide else "rad" for slide in is_slide)
-    return dict(zip(scene.joint_names, units, strict=True))

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.integrations.joint_map import joint_units, real_joints
+from knowarm.integrations.joint_map import real_joints
 from knowarm.integrations.runner import JointMap
 from knowarm.pictures import encode
 from knowarm.reading import write_json, writing
@@ -69,8 +69,7 @@ def record(
         joint_map: TOML file whose table of that name replaces that of the robot.
 
     Raises:
-        UserError: the folder holds something, or cannot be written to, or the joint map does not
-            fit.
+        UserError: the folder holds something, or cannot be written to; the map does not fit.
     """
     writer = _Writer(env, folder, CAMERAS + camera if camera else IMAGE, joint_map)
     with writing(folder, "Give another folder."):
@@ -85,22 +84,10 @@ class _Writer:
 
     def __init__(self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None) -> None:
         self.env, self.folder, self.image = env, folder, image
-        joints = [*env.scene.joint_names]
-        units, real = joint_units(env.scene), real_joints(env.scene, joint_map)
-        if real and env.scene.joint_names != env.scene.robot.joints:
-            raise UserError(
-                f"The task {env.config.task.kind_of()!r} moves fingers, which joint_map does not "
-                "convert. Record it with a robot without joint_map."
-            )
+        joints, real = [*env.scene.joint_names], real_joints(env.scene, joint_map)
         self.joint_map = JointMap({"names": joints, "real": real})
-        own = [(name, name, "rad") for name in joints]
-        entries = [(each["joint"], each["name"], each["unit"]) for each in real] or own
-        self.vectors = {LEVELS: {"names": joints}}
-        for column in (STATE, ACTION):
-            self.vectors[column] = {
-                "names": [name for _, name, _ in entries],
-                "units": [units.get(j, unit) if unit == "rad" else unit for j, _, unit in entries],
-            }
+        about = {f"{key}s": [joint[key] for joint in real] for key in ("name", "unit")}
+        self.vectors = {STATE: about, ACTION: about, LEVELS: {"names": joints}}
         self.colours = np.zeros((3, 256), np.int64)
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
