@@ -1,7 +1,7 @@
 """Train LeRobot's ACT with quantiles on a dataset: python lerobot_act.py FOLDER STEPS.
 
-Runs in an environment with LeRobot, without KnowArm. Prints episodes, shape of an image, and loss at
-start and end.
+Runs in an environment with LeRobot, without KnowArm. Prints episodes, shape of an image, and the
+loss at start and end.
 """
 
 import sys
