@@ -112,6 +112,20 @@ def test_every_model_learns(name):
     )
 
 
+def test_one_step_on_all_queries_has_the_gradient_of_all_triples():
+    """Queries with several answers weigh by their answers, as triple by triple."""
+    triples = np.array([[0, 0, 1], [0, 0, 2], [0, 0, 3], [1, 1, 3], [2, 1, 0]])
+    config = KgeConfig(model="complex", dim=8, epochs=1, batch_size=100, n3=0.2)
+    done = train(config, triples, 4, 2)
+    model = new_model(config, 4, 2)
+    head, relation, tail = torch.from_numpy(np.concatenate([triples, reciprocal(triples, 2)])).T
+    loss = torch.nn.functional.cross_entropy(model(head, relation), tail)
+    (loss + 0.2 * model.penalty(head, relation, tail)).backward()
+    torch.optim.Adam(model.parameters(), lr=model.learning_rate).step()
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(done.model.state_dict()[name], value)
+
+
 def test_early_stopping_keeps_the_best():
     split = split_graph(family_graph())
     config = KgeConfig(model="distmult", dim=8, epochs=400, evaluate_every=5, patience=2)

@@ -16,7 +16,7 @@ class KgeConfig:
     epochs: int = 400
     """Largest number of passes over the training triples."""
     batch_size: int = 128
-    """Queries per gradient step."""
+    """Queries (h, r, ?) per gradient step, each with all its answers."""
     learning_rate: float | None = None
     """Adam's step size; None takes the model's own."""
     n3: float | None = None

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import save
-from torch.nn.functional import cross_entropy
 
 from knowarm.config import from_dict
 from knowarm.cores import torch_threads
@@ -130,6 +129,9 @@ def train(
 
         loss = -log softmax(score(h, r, .))_t + n3 * N3(h, r, t)
 
+    A step takes a batch of queries (h, r), each with all its answers t: one row of scores serves
+    them, and the loss stays the mean over triples.
+
     Without validation triples (m, 3), all epochs are trained. ``known`` are all true triples for
     filtered ranks, by default the given ones. ``on_epoch`` receives epoch, loss and validation MRR.
     """
@@ -146,7 +148,12 @@ def train(
         weights = list(model.parameters())
         optimizer = torch.optim.Adam(weights, lr=rate)
         order = torch.Generator().manual_seed(config.seed + 1)
-        queries = torch.from_numpy(np.concatenate([triples, reciprocal(triples, model.relations)]))
+        asked = np.concatenate([triples, reciprocal(triples, model.relations)])
+        # All answers of a query in one step: one row of scores serves them all.
+        pairs, group = np.unique(asked[:, :2], axis=0, return_inverse=True)
+        answers = torch.from_numpy(asked[np.argsort(group.ravel(), kind="stable"), 2])
+        queries, counts = torch.from_numpy(pairs), torch.from_numpy(np.bincount(group.ravel()))
+        starts = counts.cumsum(0) - counts
         losses: list[float] = []
         looks: list[tuple[int, float]] = []
         best, best_epoch, kept = -1.0, 0, deepcopy(model.state_dict())
@@ -154,16 +161,19 @@ def train(
             model.train()
             total = 0.0
             for rows in torch.randperm(len(queries), generator=order).split(config.batch_size):
-                head, relation, tail = queries[rows].T
+                row = torch.repeat_interleave(torch.arange(len(rows)), counts[rows])
+                within = torch.arange(len(row)) - (counts[rows].cumsum(0) - counts[rows])[row]
+                tail = answers[starts[rows][row] + within]
+                head, relation = queries[rows].T
                 scores = model(head, relation)
-                loss = cross_entropy(scores, tail)
+                loss = (scores.logsumexp(dim=1)[row] - scores[row, tail]).mean()
                 if n3:
-                    loss = loss + n3 * model.penalty(head, relation, tail)
+                    loss = loss + n3 * model.penalty(head[row], relation[row], tail)
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
-                total += loss.item() * len(rows)
-            losses.append(total / len(queries))
+                total += loss.item() * len(row)
+            losses.append(total / len(answers))
             if not all(map(torch.all, map(torch.isfinite, (torch.tensor(total), *weights)))):
                 raise UserError(_DIVERGED.format(f"its loss in epoch {epoch} is not finite"))
             mrr = None
