@@ -296,7 +296,9 @@ def ros(doors: Doors, random: Random) -> list[str]:
     same = {**same, "another order": lambda: drive(order=lambda each: reordered(each, random))}
     same = {**same, "rgb8": lambda: message("rgb8", padding=5)}
     same = {**same, "bgr8": lambda: message("bgr8", image[..., ::-1])}
-    return compare(drive(), same, {**other, "rgba8": lambda: message("rgba8", padding=64)})
+    opaque = np.pad(image, ((0, 0), (0, 0), (0, 1)), constant_values=255)
+    same = {**same, "rgba8": lambda: message("rgba8", opaque, padding=5)}
+    return compare(drive(), same, {**other, "yuv422": lambda: message("yuv422", padding=64)})
 
 
 def benchmark(doors: Doors, random: Random) -> list[str]:
