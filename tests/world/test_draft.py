@@ -215,6 +215,8 @@ def test_arm_with_four_joints_gets_an_easier_orientation() -> None:
     assert draft.success_angle_deg > 15 or draft.ignore_roll
     assert "--env." in draft.task_options()
     assert f"# train with: {draft.task_options()}" in draft.toml()
+    judged = f"--angle-deg {draft.success_angle_deg:.0f}"
+    assert f"# evaluate with: {judged}" in draft.toml()
 
 
 THREE_JOINTS = """

@@ -153,14 +153,13 @@ class Doctor(TableCommand):
         file, agent = self.write or Path(file.name), "full-fast"
         eased = draft.success_angle_deg != EnvConfig.success_angle_deg
         angle = f"--angle-deg {draft.success_angle_deg:.0f}" if eased else ""
-        roll = "ignore-roll" if draft.ignore_roll else ""
-        near = f"--distance-m {draft.distance_m:g}" if draft.distance_m < EVALUATION_M else ""
+        roll, judged = "ignore-roll" if draft.ignore_roll else "", draft.evaluation_options()
         lines = (
-            f"doctor --robot {file} {angle} {roll and f'--{roll}'} {near}",
+            f"doctor --robot {file} {judged} {roll and f'--{roll}'}",
             f"view {file} {angle} {roll and f'--{roll}'}",
-            f"evaluate oracle --env.robot {file} {angle} {roll and f'--env.{roll}'} {near}",
+            f"evaluate oracle --env.robot {file} {judged} {roll and f'--env.{roll}'}",
             f"train {agent} --env.robot {file} {draft.task_options()}",
-            f"evaluate runs/{file.stem}-{agent}/0 {angle} {near}",
+            f"evaluate runs/{file.stem}-{agent}/0 {judged}",
         )
         print("Next, each with the options that this arm needs:")
         print("".join(f"  knowarm {' '.join(line.split())}\n" for line in lines))

@@ -82,6 +82,13 @@ class Draft:
             options.append("--env.ignore-roll")
         return " ".join(options)
 
+    def evaluation_options(self) -> str:
+        """Return the options of ``knowarm evaluate`` for the task that the arm can do, or ''."""
+        eased = self.success_angle_deg != EnvConfig.success_angle_deg
+        near = self.distance_m < EVALUATION_M
+        angle = f"--angle-deg {self.success_angle_deg:.0f}" if eased else ""
+        return f"{angle} {f'--distance-m {self.distance_m:g}' if near else ''}".strip()
+
     def toml(self, file: Path | None = None, **given: Any) -> str:
         """Return the description as TOML, with ``mjcf`` relative to its file if that works.
 
@@ -90,8 +97,8 @@ class Draft:
         lines = [f"# {topic}: {text}" for topic, text in self.how.items()]
         if task := self.task_options():
             lines.append(f"# train with: {task}")
-        if self.distance_m < EVALUATION_M:
-            lines.append(f"# evaluate with: --distance-m {self.distance_m:g}")
+        if options := self.evaluation_options():
+            lines.append(f"# evaluate with: {options}")
         mjcf = self.robot.mjcf.resolve()
         folder = file.resolve().parent if file else Path.cwd()
         if mjcf.is_relative_to(folder):
