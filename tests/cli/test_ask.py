@@ -147,6 +147,20 @@ def test_without_one_visible_answer_the_arm_can_stay(asker):
     assert not asker.ask(question, scene=0, unclear="guess").stopped
 
 
+def test_the_sentence_measures_the_object_that_was_reached(asker):
+    """Not the first of several that answer."""
+    question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
+    found = [asker.ask(question, scene=scene, unclear="guess") for scene in range(12)]
+    others = [asked for asked in found if asked.right and asked.reached != asked.shown[0]]
+    assert len(others) >= 2
+    for asked in others:
+        film_end = asked.film[-1]  # measured to the first that answers
+        assert asked.distance < film_end.distance
+        assert f"{100 * asked.distance:.1f} cm" in asked.outcome
+        assert ("did not arrive" in asked.outcome) is not asked.within
+    assert any(asked.within for asked in others)
+
+
 def test_the_user_picks_where_several_objects_may_be_meant(monkeypatch, capsys, tmp_path):
     path = tmp_path / "found.json"
     words = ["ask", RUN, "not red", "--scene", "0"]

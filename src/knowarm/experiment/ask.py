@@ -23,6 +23,8 @@ from knowarm.perception.images import first_facets
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.choose.choose import measure_object
+from knowarm.world.tasks.reward import is_success
 from knowarm.world.viewing.record import Frame, record_episode
 
 EXAMPLES = 6
@@ -57,6 +59,12 @@ class Asked:
     """Whether the arm stayed because it saw no answer, or several."""
     reached: ObjectColour
     """What the gripper was nearest to at the end."""
+    distance: float
+    """Distance of the gripper from the grasp of that object [m]."""
+    angle: float
+    """Angle from it [deg]."""
+    within: bool
+    """Whether both are within the task's thresholds."""
     film: tuple[Frame, ...]
     """The episode."""
 
@@ -68,18 +76,16 @@ class Asked:
     @property
     def outcome(self) -> str:
         """What the arm did, in a sentence."""
-        end, name = self.film[-1], " ".join(reversed(self.reached))
+        name = " ".join(reversed(self.reached))
         seen = ", ".join(f"the {colour} {name}" for name, colour in self.candidates)
         if self.stopped:
             return f"The arm stayed: it sees {'several answers: ' + seen if seen else 'no answer'}."
         several = f" It saw several answers: {seen}." if len(self.candidates) > 1 else ""
-        what = "reached" if end.success else "ended nearest to"
+        what = "reached" if self.within else "did not arrive; it ended nearest to"
         verdict = "which answers" if self.right else "which does not answer"
-        wanted = self.shown[0]
-        grasp = "its grasp" if self.reached == wanted else f"that of the {wanted[1]} {wanted[0]}"
         return (
-            f"The arm {what} the {name}, {verdict}, after {end.step} steps: "
-            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from {grasp}.{several}"
+            f"The arm {what} the {name}, {verdict}, after {self.film[-1].step} steps: "
+            f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp.{several}"
         )
 
     @property
@@ -235,8 +241,10 @@ class Asker:
         agent = self.trained.answering(wanted[None])
         agent.unclear, agent.threshold = unclear, self.threshold
         film = record_episode(agent, self._env, episode)
-        infos = self._env.config.task.infos(self._env.running)
-        nearest = int(np.flatnonzero(infos["objects"][0] == infos["reached_object"][0])[0])
+        end = self._env.running
+        infos = end.config.task.infos(end)
+        nearest = np.argmax(infos["objects"] == infos["reached_object"][:, None], axis=1)
+        distance, angle = measure_object(end, nearest)
         with torch.inference_mode():
             image = torch.as_tensor(film[0].policy)[None]
             seen = agent.recognition.see(image, torch.from_numpy(answers.satisfies[None]))
@@ -254,7 +262,10 @@ class Asker:
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
             stopped=not agent.moves[0],
-            reached=self.facets[shown[order][nearest]],
+            reached=self.facets[shown[order][nearest[0]]],
+            distance=float(distance[0]),
+            angle=float(angle[0]),
+            within=bool(is_success(distance, angle, *end.limits)[0]),
             film=tuple(film),
         )
 
