@@ -69,7 +69,7 @@ def export_onnx(
     Raises:
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """
-    batch = torch.export.Dim("batch", min=1)
+    batch = torch.export.Dim("batch", min=2)  # of the trace; ONNX plays 1 as well
     log = logging.getLogger("torch.onnx")  # warns of torchvision's operators, which no model has
     level = log.level
     log.setLevel(logging.ERROR)
