@@ -24,6 +24,7 @@ def style() -> str:
     colours, *others = style_sheet().split("\n\n")
     (marks,) = (each for each in others if each.startswith("svg text"))
     light = re.sub(r"light-dark\((.+?), [^;]+\);", r"\1;", colours.replace("light dark", "light"))
+    light = re.sub(r"(?m)^:root\..*\n", "", light)  # the user's choice of a page
     return f"{light}\n{marks}\n"
 
 

@@ -251,7 +251,7 @@ def serve(doors: Doors, random: Random) -> list[str]:
         state = np.array([*home(runner).values()]) if state is None else state
         seen = {"observation/image": image, "observation/state": state, "prompt": row, **more}
         return by_name(
-            runner, Episode(runner).act(shuffled({**seen, "reset": True}, random))["actions"][0]
+            runner, Episode(runner).answer(shuffled({**seen, "reset": True}, random))["actions"][0]
         )
 
     def levels(runner):

@@ -190,7 +190,7 @@ class PolicyServer:
                 if name not in episodes:
                     new = Episode(self._make_runner(), self._resize) if episodes else first
                     episodes[name] = new
-                answer = episodes[name].act(observation)
+                answer = episodes[name].answer(observation)
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
@@ -285,7 +285,7 @@ class Episode:
         self._prompt: Any = None
         self.question: Any = None
 
-    def act(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+    def answer(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to one observation: joint targets (1, R), and how it was read.
 
         Raises:
