@@ -302,6 +302,7 @@ NAME = st.one_of(
     WORD.map(lambda text: "x" + text),
     WORD.map(lambda text: E + "".join(filter(str.isalnum, text))),
 )
+CELL = NAME.map(lambda text: " ".join(text.split()))  # tables have single blanks
 RELATION = st.sampled_from(["usedFor", "isA", E + "hasPart", E + "P1"])
 LITERAL = WORD.map(literal) | WORD.map(lambda text: literal(text + " \n", language="en"))
 MANY = settings(max_examples=40, deadline=None)
@@ -385,7 +386,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("name", OTHERS)
 @MANY
-@given(triples=st.lists(st.tuples(NAME, RELATION, NAME), min_size=1, max_size=12))
+@given(triples=st.lists(st.tuples(CELL, RELATION, CELL), min_size=1, max_size=12))
 def test_what_other_libraries_write_is_read(tmp_path_factory, name, triples):
     path = write(tmp_path_factory.mktemp("graph") / name, OTHERS[name](triples))
     assert read_graph(path) == graph_of(triples)
