@@ -40,13 +40,16 @@ def convert(folder: Path, text: str, name: str = "arm.urdf", **options) -> mujoc
     return model
 
 
-def test_collision_shapes_are_drawn_where_there_is_nothing_else(tmp_path: Path) -> None:
+def test_collision_shapes_are_drawn_only_where_a_file_has_no_visuals(tmp_path: Path) -> None:
+    """A link of collisions alone may be a safety box, which no viewer of URDF draws."""
     both = '</visual><collision><geometry><sphere radius=".1"/></geometry></collision>'
-    model = convert(
-        tmp_path, urdf().replace("</visual>", both, 2).replace("visual", "collision", 2)
-    )
-    assert model.geom_group[model.geom_size[:, 0] == 0.1].tolist() == [0, 3]
+    text = urdf().replace("</visual>", both, 2)
+    model = convert(tmp_path / "some", text.replace("visual", "collision", 2))
+    assert model.geom_group[model.geom_size[:, 0] == 0.1].tolist() == [3, 3]
     assert (model.geom_contype[model.geom_size[:, 0] == 0.1] == 1).all()
+    assert (model.geom_group == 1).sum() == 4
+    none = convert(tmp_path / "none", text.replace("visual", "collision"))
+    assert (none.geom_group == 0).all()
 
 
 @pytest.mark.parametrize("name", ["arm.urdf", "arm.xml"])

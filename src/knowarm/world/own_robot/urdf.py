@@ -83,10 +83,10 @@ def as_mjcf(
             for mesh in spec.meshes:  # a visual has no mass, and may have no volume
                 if mesh.name.startswith("visual"):
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            for body in spec.bodies:
-                if any(geom.group == VISUAL_GROUP for geom in body.geoms):
-                    for geom in body.geoms:  # images show a link once
-                        geom.group = geom.group or COLLISION_GROUP
+            geoms = [geom for body in spec.bodies for geom in body.geoms]
+            if any(geom.group == VISUAL_GROUP for geom in geoms):
+                for geom in geoms:  # images show what a viewer of URDF does, safety boxes not
+                    geom.group = geom.group or COLLISION_GROUP
             for body in spec.bodies[1:]:  # frames without shape, such as tool0
                 if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
                     body.add_site(name=body.name)
