@@ -158,6 +158,10 @@ def test_the_sentence_measures_the_object_that_was_reached(asker):
         assert asked.distance < film_end.distance
         assert f"{100 * asked.distance:.1f} cm" in asked.outcome
         assert ("did not arrive" in asked.outcome) is not asked.within
+    for mark, changes in (
+        ("good", {"within": True}), ("bad", {"within": False}), ("open", {"stopped": True}),
+    ):  # fmt: skip
+        assert f'class="verdict {mark}"' in page(replace(others[0], **changes), question, [])
     assert any(asked.within for asked in others)
 
 
