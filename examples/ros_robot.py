@@ -86,8 +86,7 @@ class RobotNode(Node):
         self._images = self.create_publisher(kind, topics.image, 1)
         self._states = self.create_publisher(JointState, topics.joint_states, 1)
         if topics.positions:
-            follow = lambda message: self._follow(message.data)  # noqa: E731
-            self.create_subscription(Float64MultiArray, topics.positions, follow, 1)
+            self.create_subscription(Float64MultiArray, topics.positions, self._follow_array, 1)
         else:
             self.create_subscription(JointTrajectory, topics.trajectory, self._follow_point, 1)
         self.ticks = 0
@@ -107,6 +106,9 @@ class RobotNode(Node):
     def _follow_point(self, message: Any) -> None:
         wanted = dict(zip(message.joint_names, message.points[-1].positions, strict=True))
         self._follow([wanted[name] for name in self.joint_map.names])
+
+    def _follow_array(self, message: Any) -> None:
+        self._follow(message.data)
 
     def _follow(self, positions: Any) -> None:
         self.arm.command = self.joint_map.from_real(positions)

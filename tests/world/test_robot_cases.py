@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -176,16 +177,17 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
 ) -> None:
     robot = replace(lay_out("plain", tmp_path, monkeypatch)[1].robot, mpi_rad=0.08)
     robot = replace(robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2))
-    shares = iter([0.4, 0.7, 0.95])
-    monkeypatch.setattr(draft_lift, "oracle_success", lambda config: next(shares))
-    area, text = draft_lift.find_lift_area(robot, lambda file, areas: "", Lift)
-    assert area == {
-        "centre_m": [0.6, 0.0],
-        "half_size_m": [0.025, 0.15],
-        "mpi_rad": 0.03,
-        "target_yaw_deg": -135.0,
-    }
-    assert "95 %" in text
+    trials = (([0.4, 0.7, 0.95], -135.0), ([0.4, 0.7, 0.6, 0.5], 180.0))  # enough; the best of all
+    for shares, yaw in trials:
+        monkeypatch.setattr(draft_lift, "oracle_success", Mock(side_effect=shares))
+        area, text = draft_lift.find_lift_area(robot, lambda file, areas: "", Lift)
+        assert area == {
+            "centre_m": [0.6, 0.0],
+            "half_size_m": [0.025, 0.15],
+            "mpi_rad": 0.03,
+            "target_yaw_deg": yaw,
+        }
+        assert f"{100 * max(shares):.0f} %" in text
 
     def refuse(config: object) -> float:
         raise UserError("Fingers touch.")
