@@ -29,6 +29,7 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
         (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
         (["irb120", "--seed", "-1", "--strip", "x.png"], "seed must be at least 0, got -1"),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
+        (["irb120", "--axes"], "--axes needs --video, --strip or --rrd"),
         (["irb120", "--angle-deg", "0", "--strip", "x.png"], "angle_deg must be larger than 0"),
         (
             ["--agent", ZOO, "--colours", "randomized", "--strip", "x.png"],

@@ -11,6 +11,7 @@ from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.viewing.record import record_episode, write_strip, write_video
 from tests.world.helpers import MakeEnv
@@ -90,3 +91,24 @@ def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
     write_strip(tmp_path / "without.png", [[replace(frame, goal="") for frame in frames]])
     heights = [Image.open(tmp_path / f"{name}.png").height for name in ("with", "without")]
     assert heights[0] > heights[1]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_axes_are_drawn_where_the_image_shows_the_goal(shift: float, make_env: MakeEnv) -> None:
+    """The grasp of a bottle is on its stopper, just above its coloured pixels."""
+    env = make_env(1, targets=("bottle",), randomization=VisualRandomization(camera_shift_m=shift))
+    episodes = evaluation_episodes(env.config, 1, seed=4)
+    plain, drawn = (
+        record_episode(OracleAgent(env), env, episodes, axes=axes)[0].large.astype(int)
+        for axes in (False, True)
+    )
+    changed = np.argwhere((plain != drawn).any(axis=2))
+    circle = np.argwhere((drawn == 255).all(axis=2) & (plain != 255).any(axis=2))
+    r, g, b = plain.transpose(2, 0, 1)
+    bottle = np.argwhere((r > 100) & (g > 0.8 * r) & (b < 0.5 * g))
+    top = bottle[bottle[:, 0] < bottle[:, 0].min() + 6].mean(axis=0)
+    assert len(circle) > 50
+    assert len(changed) < 0.02 * 480**2
+    middle = (circle.min(axis=0) + circle.max(axis=0)) / 2
+    radius = (circle.max(axis=0) - circle.min(axis=0)).mean() / 2
+    assert np.linalg.norm(top - middle) < 0.7 * radius

@@ -60,6 +60,9 @@ class View:
     """Write an image with one film strip per episode, instead of opening the viewer."""
     rrd: FilePath = None
     """Write images, joints, distances and what a run knows to an .rrd file for Rerun's viewer."""
+    axes: bool = False
+    """Draw the frames of grasp and gripper, and the sphere of success around the grasp, over the
+    large view of a video, strip or recording."""
     port: int = 0
     """Port of the web viewer, which only this machine can reach; 0 takes the first free port from
     8080."""
@@ -84,6 +87,11 @@ class View:
             check_video(self.video)
         if self.rrd is not None:
             check_rrd(self.rrd)
+        live = self.video is None and self.strip is None and self.rrd is None
+        if live and self.axes:
+            raise UserError(
+                "--axes needs --video, --strip or --rrd: the viewer draws no axes of its own."
+            )
         make_agent, config = self._agent()
         given = {
             name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
@@ -92,7 +100,7 @@ class View:
         env = ArmVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
-        if self.video is None and self.strip is None and self.rrd is None:
+        if live:
             print(f"{self.agent} repeats its episodes ({len(episodes)}) until Ctrl-C.")
             title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
             options: dict[str, Any] = {"port": self.port, "open_browser": self.browser}
@@ -100,7 +108,7 @@ class View:
             return
         films, knowledge = [], []
         for number in range(len(episodes)):
-            films.append(record_episode(agent, env, episodes[number : number + 1]))
+            films.append(record_episode(agent, env, episodes[number : number + 1], axes=self.axes))
             if self.rrd is not None:
                 knowledge.append(self._knowledge(agent, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)

@@ -205,12 +205,17 @@ def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.flo
     return np.concat([position, height], axis=-1)
 
 
-def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(
+    scene: Scene, points: NDArray[np.float64], view: NDArray[np.floating] | None = None
+) -> NDArray[np.float64]:
     """Project world points (n, 3) [m] into the square image, (n, 2).
 
-    Right and up from the centre in half image widths; NaN for points behind the camera.
+    Right and up from the centre in half image widths; NaN for points behind the camera. ``view``,
+    (12,), is the camera's position [m] and rotation to world where it is not the scene's.
     """
-    local = (points - scene.camera_position) @ scene.camera_matrix
+    scene_view = np.append(scene.camera_position, scene.camera_matrix)
+    position, matrix = np.split(scene_view if view is None else view, [3])
+    local = (points - position) @ matrix.reshape(3, 3)
     depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
     half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
     return np.asarray(local[:, :2] / (depth * half_height))

@@ -16,6 +16,7 @@ from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.viewing.axes import draw_axes
 
 FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
 _LAST_FRAMES = 10
@@ -37,12 +38,17 @@ class Frame:
     goal: str = ""  # What the episode's goal is, as "red mug", for captions
 
 
-def record_episode(agent: AgentProtocol, env: ArmVectorEnv, episode: Episodes) -> list[Frame]:
-    """Play one episode in one environment and keep every frame, from the start pose to the end."""
+def record_episode(
+    agent: AgentProtocol, env: ArmVectorEnv, episode: Episodes, *, axes: bool = False
+) -> list[Frame]:
+    """Play one episode in one environment and keep every frame, from the start pose to the end.
+
+    With ``axes``, both frames and the sphere of success are drawn over the large view.
+    """
     return [
         Frame(
             policy=moment.images[0].copy(),
-            large=env.render()[0],
+            large=draw_axes(env, env.render()[0]) if axes else env.render()[0],
             step=moment.step,
             distance=float(moment.infos["distance"][0]),
             angle=float(moment.infos["angle"][0]),
