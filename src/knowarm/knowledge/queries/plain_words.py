@@ -120,7 +120,7 @@ class _Reader:
         if _COMPARED.fullmatch(word):
             yield from self.numbered(place, state)
             return
-        if word == "one" and vocabulary.noun(self.after(place)):
+        if word == "one" and vocabulary.noun(self.after(place), counted=True):
             yield 1, replace(state, number="1", weak=())
         if state.noun and state.outer is None:  # "more than two parts that ..."
             for closed in self.closed(state):
@@ -154,8 +154,9 @@ class _Reader:
         last = state.done[-1].relation if state.done and not state.join else ""
         if said := vocabulary.said(word):
             both = said if state.strong is None else said & state.strong
+            is_counted = bool(state.number) or self.words[place - 1] == "no"
             if both:
-                yield 1, replace(state, strong=both, noun=vocabulary.noun(word))
+                yield 1, replace(state, strong=both, noun=vocabulary.noun(word, is_counted))
             is_place = word == "used" and self.after(place) in ("in", "at", "on")
             if state.strong is None and not state.weak and (last in said or is_place):
                 yield 1, state  # "round shape", "red in colour", "used in the kitchen"
@@ -217,9 +218,7 @@ class _Reader:
 
     def values(self, place: int, state: _State) -> Iterator[tuple[int, _State]]:
         """Yield the states behind the values that stand at a place."""
-        if state.number or state.best:
-            return
-        found = self.found[place]
+        found = [] if state.number or state.best else self.found[place]
         longest = max((len(entry.words) for entry, _ in found), default=0)
         for entry, cost in found:
             if len(entry.words) < longest:

@@ -15,6 +15,7 @@ from knowarm.knowledge.queries.lexicon import (
     INFLECTED,
     SYNONYM,
     WEAK,
+    WORDS,
     Family,
     near,
 )
@@ -103,13 +104,17 @@ class Vocabulary:
             or any(near(word, each, INFLECTED) for each in self.family(name).strong.split())
         )
 
-    def noun(self, word: str) -> str:
-        """Return the relation whose values a word counts, as "parts" those of hasPart, or ""."""
+    def noun(self, word: str, counted: bool = False) -> str:
+        """Return the relation whose values a word counts, as "parts" those of hasPart, or "".
+
+        ``counted``: behind a number "use" is a noun; else it may be a verb, as "uses" is not.
+        """
         for name, words in self.words.items():
             is_noun = words[0] in _HAVE or self.family(name) is FAMILIES["part"]
             if name != COLOUR_RELATION and is_noun and near(word, words[-1], 0):
                 return name
-            if word in ("uses", "purposes") and self.family(name) is FAMILIES["use"]:
+            uses = WORDS["uses"] + WORDS["use"] * counted
+            if word in uses and self.family(name) is FAMILIES["use"]:
                 return name
         return ""
 
