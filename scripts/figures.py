@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from knowarm.experiment.summary import Summary
-from knowarm.report.charts import Box, Scale, percent_axis
+from knowarm.report.charts import Axis, Box, Scale, percent_axis
 from knowarm.svg import drawing, element, escape, label, style_sheet, text_width
 from knowarm.world.viewing.record import Frame
 
@@ -78,37 +78,45 @@ def picture(
 
 
 def dots(
-    scores: Mapping[str, Mapping[str, Sequence[float]]], name: str, title: str, low: float = 0.0
+    scores: Mapping[str, Mapping[str, Sequence[float]]],
+    name: str,
+    title: str | Axis,
+    low: float = 0.0,
+    spans: Mapping[str, Mapping[str, tuple[float, float]]] | None = None,
 ) -> str:
-    """Draw one dot per training seed, on one axis in per cent.
+    """Draw one dot per value, such as the success of a training seed.
 
     Args:
-        scores: for each row, fractions per training seed by palette class.
+        scores: for each row, values by palette class.
         name: text alternative.
-        title: title of the axis.
-        low: start of the axis.
+        title: title of an axis in per cent, or another axis with its range.
+        low: start of the axis in per cent, as a fraction.
+        spans: for each row, the ends of an interval by palette class.
 
     Returns:
         An inline SVG element of the size of `dots_box`.
     """
     box = dots_box(scores)
-    x = Scale(low, 1.0, *box.x)
-    axis = percent_axis(title)
+    axis = percent_axis(title) if isinstance(title, str) else title
+    start, end = axis.range or (0.0, 1.0)
+    x = Scale(max(low, start), end, *box.x)
     parts = []
     for value, words in zip(x.ticks(5), axis.labels(x.ticks(5)), strict=True):
         at = x(value)
         parts.append(element("line", class_="grid", x1=at, x2=at, y1=box.top, y2=box.y[0]))
         parts.append(label(at, box.y[0] + 17, words, class_="tick", text_anchor="middle"))
-    parts.append(label(box.x[1], box.y[0] + 33, title, class_="axis-title", text_anchor="end"))
+    parts.append(label(box.x[1], box.y[0] + 33, axis.title, class_="axis-title", text_anchor="end"))
     for i, (row, groups) in enumerate(scores.items()):
         y = box.top + 26 * i + 13
         parts.append(label(box.left - 10, y + 4, row, class_="row-name", text_anchor="end"))
         offset = -3.5 * (len(groups) - 1)
         for j, (colour, values) in enumerate(groups.items()):
-            marks = [
-                element("circle", cx=x(v), cy=y + offset + 7 * j, r=4.2, opacity=0.75)
-                for v in values
-            ]
+            at = y + offset + 7 * j
+            marks = [element("circle", cx=x(v), cy=at, r=4.2, opacity=0.75) for v in values]
+            if spans:
+                low_end, high_end = (x(end) for end in spans[row][colour])
+                line = {"x1": low_end, "x2": high_end, "y1": at, "y2": at}
+                marks.append(element("line", **line, stroke="var(--c)", stroke_width=2))
             parts.append(element("g", *marks, class_=colour, fill="var(--c)"))
     return drawing(box.width, box.height, name, *parts, class_="chart")
 
