@@ -220,6 +220,12 @@ def test_ask():
     assert edited.reached[0] == "lamp"
     again = knowarm.ask(run, "usedFor drinking", scene=edited.scene)
     assert again.reached == edited.shown[1]
+    one = knowarm.ask(run, "usedFor drinking", edit="- mug usedFor drinking")
+    assert "mug" not in {name for name, _ in one.answers.evidence}
+    with pytest.raises(knowarm.UserError, match="Unknown value of unclear 'maybe'"):
+        knowarm.ask(run, "usedFor drinking", unclear="maybe")
+    with pytest.raises(knowarm.UserError, match="must be 0 to 3999, got 'a'"):
+        knowarm.ask(run, "usedFor drinking", scene="a")
 
 
 @example("write_report")

@@ -5,8 +5,13 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.config import InterimConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge import KnowledgeConfig
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.world.config import EnvConfig
+from knowarm.world.scene.appearance import VisualRandomization
+from knowarm.world.tasks.choose.choose import Choose
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,6 +32,28 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
     config = experiment_config("irb120-full-fast")
     with pytest.raises(UserError, match="'Full'"):
         dataclasses.replace(config, knows=dataclasses.replace(config.knows, detail="Full"))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: EnvConfig(max_episode_steps="many"), "max_episode_steps must be of type int"),
+        (lambda: EnvConfig(antialiasing="no"), "EnvConfig.antialiasing must be of type bool"),
+        (lambda: EnvConfig(targets=(3,)), r"EnvConfig.targets\[0\] must be of type str, got 3"),
+        (lambda: EnvConfig(task=Choose), "must be a task, such as Reach\\(\\), or its name"),
+        (lambda: EnvConfig(task="chose"), "Did you mean 'choose'"),
+        (lambda: VisualRandomization(light="a"), "light must be between 0 and 1, got 'a'"),
+        (lambda: PPOConfig(learning_rate="a"), "PPOConfig.learning_rate must be of type float"),
+        (lambda: InterimConfig(every_steps="a"), "every_steps must be at least 1, got 'a'"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_where_a_config_is_made(make, message):
+    with pytest.raises(UserError, match=message):
+        make()
+
+
+def test_a_config_of_an_environment_takes_its_task_by_name():
+    assert EnvConfig(task="choose") == EnvConfig(task=Choose())
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,7 @@ _Reader = Callable[[Any, str], Any]
 
 
 def check_values(config: Any, *, where: str = "") -> None:
-    """Check choices of a (nested) config, that numbers are finite, and seeds fit into 63 bits."""
+    """Check types and choices of a (nested) config, that numbers are finite, and seeds fit."""
     if isinstance(config, float):
         if not math.isfinite(config):
             raise UserError(f"{where} must be a finite number, got {config}.")
@@ -53,21 +53,20 @@ def check_values(config: Any, *, where: str = "") -> None:
             check_values(value, where=f"{where}[{i}]")
     elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
-        for name, choices in _choices(typing.cast(Any, type(config))):
-            value, path = getattr(config, name), f"{prefix}.{name}"
-            if choices:
-                _choice(choices, value, path)
+        for field in dataclasses.fields(config):
+            value, path = getattr(config, field.name), f"{prefix}.{field.name}"
+            hint = _hints(type(config))[field.name]
+            if _is_plain(hint):
+                _reader(hint)(value, path)
             check_values(value, where=path)
 
 
 @cache
-def _choices(cls: Any) -> list[tuple[str, tuple[Any, ...]]]:
-    """Return the fields of a config with the values that a literal one may have."""
-    hints = {field.name: _hints(cls)[field.name] for field in dataclasses.fields(cls)}
-    return [
-        (name, get_args(hint) if get_origin(hint) is Literal else ())
-        for name, hint in hints.items()
-    ]
+def _is_plain(hint: Any) -> bool:
+    """Return whether values of a type hold no configs."""
+    inner = [arg for arg in get_args(hint) if arg not in (type(None), Ellipsis)]
+    nested = get_origin(hint) in (Union, types.UnionType, tuple) and all(map(_is_plain, inner))
+    return nested or get_origin(hint) is Literal or hint in (bool, int, float, str)
 
 
 def at_least(config: Any, least: float, *names: str, where: str = "") -> None:
@@ -82,7 +81,13 @@ def above_zero(config: Any, *names: str, where: str = "") -> None:
 
 def fraction(config: Any, *names: str, where: str = "") -> None:
     """Check that fields of a config lie between 0 and 1."""
-    _check(config, names, where, "between 0 and 1", lambda value: 0 <= value <= 1)
+    within(config, 0, 1, *names, where=where)
+
+
+def within(config: Any, least: float, most: float, *names: str, where: str = "") -> None:
+    """Check that fields of a config, where they are not None, are numbers in a range."""
+    allowed = f"between {least:g} and {most:g}"
+    _check(config, names, where, allowed, lambda value: least <= value <= most)
 
 
 def file_name(config: Any, *names: str, where: str = "") -> None:
@@ -96,8 +101,12 @@ def _check(
 ) -> None:
     for name in names:
         value = getattr(config, name)
-        if value is not None and not test(value):
-            raise UserError(f"{where}{name} must be {allowed}, got {value}.")
+        try:
+            passed = value is None or test(value)
+        except TypeError:  # such as a number in quotes
+            passed = False
+        if not passed:
+            raise UserError(f"{where}{name} must be {allowed}, got {value!r}.")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

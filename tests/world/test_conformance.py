@@ -264,7 +264,7 @@ def test_wrong_seeds_masks_and_counts_are_refused(face: Face) -> None:
         env.reset(seed=-1)
     with pytest.raises(UserError, match="reset_mask"):
         env.reset(options={"reset_mask": np.zeros(6, dtype=np.bool_)})
-    with pytest.raises(UserError, match="num_envs must be at least 1, got 0"):
+    with pytest.raises(UserError, match="num_envs must be a whole number of at least 1, got 0"):
         face.make(0)
 
 

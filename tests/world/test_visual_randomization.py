@@ -158,8 +158,8 @@ def test_held_out_places_and_colours_are_never_mixed() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: VisualRandomization(light=1.5), "light must lie in 0 to 1, got 1.5"),
-        (lambda: VisualRandomization(distractors=9), "distractors must lie in 0 to 4, got 9"),
+        (lambda: VisualRandomization(light=1.5), "light must be between 0 and 1, got 1.5"),
+        (lambda: VisualRandomization(distractors=9), "distractors must be between 0 and 4, got 9"),
         (lambda: HeldOut(), "needs colours or places"),
         (lambda: HeldOut(places=(-1, 1, -1, 1)), "50 % of the rectangle"),
         (lambda: HeldOut(places=(0.5, 0.2, 0, 1)), "x from < x to"),

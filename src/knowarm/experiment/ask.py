@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, pairwise
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
@@ -231,6 +232,8 @@ class Asker:
     ) -> Asked:
         """Play a scene with an agent that looks for the answers, or for the one that is picked."""
         _check_scene(scene)
+        if unclear not in get_args(Unclear):
+            raise unknown_name("value of unclear", unclear, get_args(Unclear))
         episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         names = ("objects", "names", "colours", "positions")
@@ -275,7 +278,7 @@ def ask(
     question: str,
     *,
     graph: KnowledgeGraph | Path | str | None = None,
-    edit: Sequence[str] = (),
+    edit: Sequence[str] | str = (),
     scene: int | None = None,
     seed: int = 0,
     names: Mapping[str, str] | None = None,
@@ -289,8 +292,8 @@ def ask(
             ``zoo/irb120-choose-answers-fast``, or what `load_agent` returned.
         question: such as "usedFor drinking and not hasColor blue", or SPARQL.
         graph: another graph than the run's: a file, or the name of a shipped one.
-        edit: changes of the graph, such as "- mug usedFor drinking". The scene is then one with
-            another answer than without them, unless ``scene`` is given.
+        edit: a change of the graph, such as "- mug usedFor drinking", or several. The scene is
+            then one with another answer than without them, unless ``scene`` is given.
         scene: number of the scene; None takes the first in which exactly one object answers.
         seed: seed of the scenes.
         names: the graph's names for objects, such as ``{"mug": "CoffeeMug"}``.
@@ -308,9 +311,10 @@ def ask(
     """
     trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
     with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
-        return asker.ask(question, edit, scene, unclear)
+        edits = [edit] if isinstance(edit, str) else edit
+        return asker.ask(question, edits, scene, unclear)
 
 
 def _check_scene(scene: int) -> None:
-    if not 0 <= scene < SCENES:
-        raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene}.")
+    if scene not in range(SCENES):
+        raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene!r}.")

@@ -140,7 +140,8 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
     if not folder.is_dir() and _former(folder).is_dir():
         folder = _former(folder)  # saving ended between two renames
     if not folder.is_dir():
-        raise UserError(f"There is no checkpoint in {folder}.")
+        others = ", ".join(sorted(each.name for each in folder.parent.glob("[!.]*")))
+        raise UserError(f"There is no checkpoint {folder}. Available: {others or 'none'}.")
     file, remedy = folder / "meta.json", "The checkpoint is incomplete: restore it or delete it."
     meta = read_json(file, remedy=remedy)
     with reading(file, remedy):

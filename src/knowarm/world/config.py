@@ -31,7 +31,7 @@ class EnvConfig:
         metadata=registered(lambda: map(task_type, task_names()), "task"),
     )
     """What an episode is, what counts as success, reward and infos: ``Reach``, ``Choose``, or a
-    task of your own."""
+    task of your own; in Python also by its name."""
     targets: tuple[str, ...] = ()
     """Names of `knowarm list` or TOML files; objects are drawn from them. Empty: the task's."""
     colours: Colours = "fixed"
@@ -65,6 +65,13 @@ class EnvConfig:
     """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
+        task: Any = self.task
+        if isinstance(task, str):
+            object.__setattr__(self, "task", task_type(task)())
+        elif not isinstance(task, Task):
+            raise UserError(
+                f"EnvConfig.task must be a task, such as Reach(), or its name, got {task!r}."
+            )
         given: Any = self.targets
         targets = (given,) if isinstance(given, str) else tuple(given)
         object.__setattr__(self, "targets", targets or self.task.targets)

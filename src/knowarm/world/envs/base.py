@@ -23,8 +23,8 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
     def __init__(
         self, config: EnvConfig, num_envs: int, num_threads: int, **interface: Any
     ) -> None:
-        if num_envs < 1:
-            raise UserError(f"num_envs must be at least 1, got {num_envs}.")
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise UserError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
         self.config = config
         self.num_envs = num_envs
         self.scene = scene = scene_of(config)

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks import task_type
-from knowarm.world.tasks.task import Task
 
 INTERFACE = ("action", "observe", "knowledge")
 """Options of ``ArmVectorEnv`` besides the fields of ``EnvConfig``."""
@@ -89,15 +87,14 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._vector.render()[0] if self.render_mode else None
 
 
-def env_config(*, task: str | Task = "reach", **options: Any) -> tuple[EnvConfig, dict[str, Any]]:
-    """Return the config of an environment, whose task may be given by name, and other options."""
+def env_config(**options: Any) -> tuple[EnvConfig, dict[str, Any]]:
+    """Return the config of an environment, and its other options."""
     fields = [field.name for field in dataclasses.fields(EnvConfig)]
     for name in options:
         if name not in (*fields, *INTERFACE):
             raise unknown_name("option of an environment", name, [*fields, *INTERFACE])
     interface = {name: options.pop(name) for name in INTERFACE if name in options}
-    made = task_type(task)() if isinstance(task, str) else task
-    return EnvConfig(task=made, **options), interface
+    return EnvConfig(**options), interface
 
 
 def make_vector_env(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers
-from knowarm.errors import UserError
+from knowarm.config import within
 from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4
@@ -53,11 +53,7 @@ class VisualRandomization:
             ("surface_colour", 1.0),
             ("distractors", MAX_DISTRACTORS),
         ):
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise UserError(
-                    f"VisualRandomization.{name} must lie in 0 to {most:g}, got {value}."
-                )
+            within(self, 0, most, name, where="VisualRandomization.")
 
     @property
     def draws(self) -> int:
