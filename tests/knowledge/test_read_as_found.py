@@ -120,6 +120,28 @@ def test_what_is_left_out_or_doubtful_is_said_in_one_line(
     assert [str(each.message).count("\n") for each in caught] == [0]
 
 
+@pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
+@pytest.mark.parametrize(
+    ("text", "said", "mistaken", "typed"),
+    [
+        ("Ding,Art,Wert\nmug,drinking,usedFor\nbottle,drinking,usedFor\n"
+         "mug,tea,holds\nbottle,tea,holds\n", "write head,relation,tail", "Ding,Art,Wert",
+         "head,tail,relation"),
+        ("mug,usedFor,drinking,1\nmug,holds,tea,2\n", "name all columns in the first line, such "
+         "as head,relation,tail,weight", "", "head,relation,tail,weight\n"),
+        ("source,Art,target\nmug,usedFor,drinking\nmug,holds,tea\n", "Name the relation one of "
+         "relation, predicate", "Art", "relation"),
+    ],
+)  # fmt: skip
+def test_the_remedy_for_columns_works_when_it_is_typed(tmp_path, text, said, mistaken, typed):
+    path = write(tmp_path / "a.csv", text)
+    with pytest.raises((UserError, DataWarning), match=said):
+        read_graph(path)
+    write(path, text.replace(mistaken, typed, 1))
+    with warnings.catch_warnings(action="ignore", category=DataWarning):  # "weight" is not read
+        assert {MUG, ("mug", "holds", "tea")} <= set(read_graph(path))
+
+
 ONTOLOGY = {
     "ofn": """Prefix(:=<http://e.org/>)
 Prefix(rdfs:=<http://www.w3.org/2000/01/rdf-schema#>)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from knowarm.config import at_least, fraction
+from knowarm.config import at_least, fraction, override
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning
@@ -57,6 +57,10 @@ class BaseTest:
     def prepare(self, subject: Subject) -> Subject:
         """Return what is evaluated under this condition."""
         raise NotImplementedError
+
+    def stored(self, env: EnvConfig) -> EnvConfig:
+        """Return the environment that was played as the summary stores it."""
+        return env
 
     def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return further columns of the episodes that were played."""
@@ -146,6 +150,10 @@ class GraphTest(BaseTest):
 
         config = with_graph(subject.trained, self.graph, self.names)
         return replace(subject, env=config.env, config=config)
+
+    def stored(self, env: EnvConfig) -> EnvConfig:
+        """Return it with the given graph, not with the cached copy that has the names."""
+        return override(env, {"task": {"queries": {"graph": self.graph}}})
 
 
 @dataclass(frozen=True, kw_only=True)

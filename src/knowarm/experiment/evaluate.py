@@ -166,7 +166,7 @@ def evaluate(
         agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
         label=config.folder,
         config=config,
-        env=to_dict(subject.env),
+        env=to_dict(config.stored(subject.env)),
         joints=tuple(env.scene.joint_names),
         numbers=numbers | findings.numbers,
         groups=groups | findings.groups,

@@ -8,6 +8,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.conditions import AnyCondition, GraphTest, SplitTest, Subject
 from knowarm.experiment.probes import AnyProbe, BlindProbe, FilmsProbe, StepsProbe
 from knowarm.knowledge.queries.splits import Split
+from knowarm.world.config import EnvConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,3 +83,9 @@ class EvaluationConfig:
             subject.env, success_distance_m=self.distance_m, success_angle_deg=self.angle_deg
         )
         return replace(subject, env=judged)
+
+    def stored(self, env: EnvConfig) -> EnvConfig:
+        """Return the environment that was played as the summary stores it."""
+        for condition in self.test:
+            env = condition.stored(env)
+        return env
