@@ -43,8 +43,6 @@ def check_values(config: Any, *, where: str = "") -> None:
     elif isinstance(config, int):
         if where.endswith(".seed") and not 0 <= config <= MAX_SEED:
             raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
-    elif isinstance(config, str):
-        return
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")

@@ -80,6 +80,9 @@ def test_names_are_no_markup_in_a_progress_bar(monkeypatch, capsys):
 
 
 def test_sizes_of_the_benchmark_out_of_range_are_refused():
-    for options in ({"num_envs": 0}, {"seconds": 0.0}):
-        with pytest.raises(UserError, match="--num-envs must be at least 1 and --seconds above 0"):
+    for options, message in (
+        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+        ({"seconds": 0.0}, r"seconds must be larger than 0, got 0\.0"),
+    ):
+        with pytest.raises(UserError, match=message):
             Bench(**options).run()

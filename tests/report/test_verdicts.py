@@ -182,13 +182,25 @@ def test_without_any_effect_at_most_one_study_in_twenty_claims_one(tmp_path):
     assert loud <= 10
 
 
-def test_two_splits_of_one_task_are_not_both_tasks():
-    task, subject = SimpleNamespace(title="A"), SimpleNamespace(name="full")
-    on = [
-        SimpleNamespace(task=task, subject=subject, outcome=o, kind="understood")
-        for o in ("S1", "S4")
-    ]
-    assert "full: on S1, A and S4, A the query is understood" in answer(on, 2).sentence
+def test_splits_are_named_once_for_the_tasks_that_share_them():
+    subject = SimpleNamespace(name="full")
+
+    def said(tasks: dict[str, tuple[str, ...]]) -> str:
+        found = [
+            SimpleNamespace(
+                task=SimpleNamespace(title=title), subject=subject, outcome=split, kind="understood"
+            )
+            for title, splits in tasks.items()
+            for split in splits
+        ]
+        return answer(found, 2).sentence
+
+    understood = "the query is understood"
+    assert f"full: on S1 and S4 of A {understood}" in said({"A": ("S1", "S4")})
+    assert f"on S1 and S4 of both tasks {understood}" in said(
+        {"A": ("S1", "S4"), "B": ("S1", "S4")}
+    )
+    assert f"on S1 of A and S4 of B {understood}" in said({"A": ("S1",), "B": ("S4",)})
 
 
 def test_the_answer_names_outcomes_that_differ():

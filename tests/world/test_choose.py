@@ -283,7 +283,7 @@ def test_configs_that_do_not_fit_are_refused(options: dict[str, Any], message: s
 
 
 def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
-    with pytest.raises(UserError, match="2 to 6, got 1"):
+    with pytest.raises(UserError, match="between 2 and 6, got 1"):
         Choose(objects=1)
 
 

@@ -9,7 +9,7 @@ from knowarm.world.config import EnvConfig
     [
         ({"mpi_rad": 0}, r"mpi_rad must be larger than 0, got 0"),
         ({"mpi_rad": float("nan")}, r"mpi_rad must be a finite number, got nan"),
-        ({"image_size": 0}, r"image_size must be 1 to 4096, got 0"),
+        ({"image_size": 0}, r"image_size must be between 1 and 4096, got 0"),
         ({"success_distance_m": -1.0}, r"success_distance_m must be larger than 0"),
         ({"success_angle_deg": 0.0}, r"success_angle_deg must be larger than 0"),
         ({"max_episode_steps": -1}, r"max_episode_steps must be at least 1"),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from knowarm.cli.tables import TableCommand, print_table
+from knowarm.config import above_zero, at_least
 from knowarm.cores import available_cores, processor
-from knowarm.errors import UserError
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import (
     measure_images,
@@ -32,9 +32,8 @@ class Bench(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Measure and print."""
-        if self.num_envs < 1 or not self.seconds > 0:
-            got = f"{self.num_envs} and {self.seconds}"
-            raise UserError(f"--num-envs must be at least 1 and --seconds above 0, got {got}.")
+        at_least(self, 1, "num_envs")
+        above_zero(self, "seconds")
         config, cores = experiment_config(self.experiment), available_cores()
         steps = config.total_steps
         _announce("simulation with images")

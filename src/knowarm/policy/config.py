@@ -94,10 +94,7 @@ class PolicyShape:
     def __post_init__(self) -> None:
         at_least(self, 1, "joints", "levels", "knowledge_slots")
         at_least(self, 0, "knowledge_dim")
-        if self.image_size < 20:
-            raise UserError(
-                f"image_size must be at least 20 for the two convolutions, got {self.image_size}."
-            )
+        at_least(self, 20, "image_size")  # for the two convolutions
 
 
 def hidden_size(config: PolicyConfig, shape: PolicyShape) -> int:

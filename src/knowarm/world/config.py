@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from knowarm.config import above_zero, at_least, check_values, registered
+from knowarm.config import above_zero, at_least, check_values, registered, within
 from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.objects import find_targets
@@ -83,10 +83,7 @@ class EnvConfig:
         thresholds = ("success_distance_m", "success_angle_deg", "mpi_rad")
         above_zero(self, *thresholds, where="EnvConfig.")
         at_least(self, 1, "max_episode_steps", where="EnvConfig.")
-        if not 1 <= self.image_size <= MAX_IMAGE_SIZE:
-            raise UserError(
-                f"EnvConfig.image_size must be 1 to {MAX_IMAGE_SIZE}, got {self.image_size}."
-            )
+        within(self, 1, MAX_IMAGE_SIZE, "image_size", where="EnvConfig.")
         if len(set(self.targets)) != len(self.targets):
             raise UserError(
                 f"EnvConfig.targets contains a name twice: {', '.join(self.targets)}; list each "

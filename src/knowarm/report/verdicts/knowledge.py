@@ -1,7 +1,7 @@
 """Findings on knowledge vectors, and the answer of a report from these and those on queries."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from knowarm.report.blocks import Verdict
 from knowarm.report.format import listed
@@ -145,22 +145,22 @@ WORDS: dict[Kind, str] = {
 
 def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     """Return the answer of a report of some tasks, agent by agent."""
-    said: dict[str, dict[str, dict[str, list[str]]]] = defaultdict(
-        lambda: defaultdict(lambda: defaultdict(list))
+    said: dict[str, dict[str, dict[str, dict[str, list[str]]]]] = defaultdict(
+        lambda: defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
     )
     for finding in findings:
         is_split = finding.outcome not in OUTCOMES
-        scope = [finding.outcome] * is_split + [finding.task.title] * (tasks > 1)
         name = finding.subject.name if finding.subject else "agents with knowledge"
         outcome = "" if is_split else finding.outcome
-        said[name][outcome][WORDS[finding.kind]].append(", ".join(scope))
-    titles, parts = {each.task.title for each in findings}, []
+        splits = said[name][outcome][WORDS[finding.kind]][finding.task.title]
+        splits += [finding.outcome] * is_split
+    parts = []
     for name, outcomes in said.items():
         if outcomes.get("success") == outcomes.get("speed"):
             outcomes.pop("speed", None)
         clauses = [
             (f"{OUTCOMES[outcome]}: " if "speed" in outcomes and outcome else "")
-            + "; ".join(f"{_where(where, tasks, titles)}{words}" for words, where in each.items())
+            + "; ".join(f"{_where(splits, tasks)}{words}" for words, splits in each.items())
             for outcome, each in outcomes.items()
         ]
         parts.append(f"{name}: {'; '.join(clauses)}.")
@@ -169,10 +169,14 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     return Verdict(sentence=sentence, tone=tones.pop() if len(tones) == 1 else "open")
 
 
-def _where(scopes: Sequence[str], tasks: int, titles: set[str]) -> str:
-    """Return where a finding holds: on some splits or tasks, or nothing for a single task."""
-    if not any(scopes):
-        return ""
-    if len(scopes) == tasks > 1 and titles.issuperset(scopes):
-        return "on both tasks " if tasks == 2 else f"on all {tasks} tasks "
-    return f"on {listed(scopes)} "
+def _where(splits: Mapping[str, Sequence[str]], tasks: int) -> str:
+    """Return where a finding holds, given splits by task; nothing for all of a single task."""
+    titles: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for title, each in splits.items():
+        titles[tuple(each)].append(title)
+    places = []
+    for each, found in titles.items():
+        is_all = len(found) == tasks
+        named = ("both tasks" if tasks == 2 else f"all {tasks} tasks") if is_all else listed(found)
+        places.append(" of ".join([listed(each)] * bool(each) + [named] * (tasks > 1)))
+    return f"on {listed(places)} " if any(places) else ""

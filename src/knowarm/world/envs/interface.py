@@ -44,7 +44,7 @@ class Interface:
         observe: Observe = "image",
         knowledge: ArrayLike | None = None,
     ) -> None:
-        names = ("image",) if observe == "image" else tuple(observe)
+        names: tuple[str, ...] = (observe,) if isinstance(observe, str) else tuple(observe)
         for name in names:
             if name not in get_args(Observed):
                 raise unknown_name("part of an observation", name, get_args(Observed))

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.config import check_values, registered
-from knowarm.errors import UserError
+from knowarm.config import check_values, registered, within
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
@@ -82,11 +81,7 @@ class Choose(Task):
 
     def __post_init__(self) -> None:
         check_values(self)
-        if not 2 <= self.objects <= MAX_OBJECTS:
-            raise UserError(
-                f"Choose.objects must be 2 to {MAX_OBJECTS}, got {self.objects}. With one object "
-                "take the task Reach()."
-            )
+        within(self, 2, MAX_OBJECTS, "objects", where="Choose.")
 
     @property
     def title(self) -> str:
