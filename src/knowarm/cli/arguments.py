@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
 from functools import partial
 from io import StringIO
+from itertools import groupby
 from pathlib import Path
 from textwrap import fill
 from typing import (
@@ -43,6 +44,9 @@ OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
 """Options of every command that import a part of your own: variable that does too, and how."""
 REGISTRY = ConstructorRegistry()
 """Rules by which values of options are read, beside tyro's own."""
+NO_TYPE = re.compile(r"no type matching (?:\{None\}\|)?(.*) could be instantiated from \[(.*)\]")
+INVALID_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.*)'\. Expected .*?\('(.*)'\)\.")
+"""Messages of tyro: type and value; value, option and allowed values."""
 
 
 @REGISTRY.primitive_rule
@@ -90,10 +94,24 @@ def parse_options(
         error = ended.__context__
         while error is not None and not isinstance(error, UserError):
             error = error.__context__
-        if error is not None:  # of a class of grouped options: without tyro's frame
-            raise error from None
-        sys.stderr.write(frame.getvalue())
-        raise
+        raise error or _in_one_line(frame.getvalue(), prog) from None
+
+
+def _in_one_line(frame: str, prog: str) -> UserError:
+    """Return the error that tyro has drawn in a frame, without its help texts."""
+    plain = re.sub(r"\x1b\[\d*m", "", frame)
+    rows = [re.sub("[│╰╯]", " ", row)[2:].rstrip("─- ") for row in plain.splitlines()[1:]]
+    sections = [[*part] for is_text, part in groupby(rows, bool) if is_text]
+    message = " ".join(line.strip() for line in sections[0] if not line.startswith(8 * " "))
+    if choice := INVALID_CHOICE.fullmatch(message):
+        given, option, allowed = choice.groups()
+        return unknown_name(f"value of {option}", given, {*allowed.split("', '")} - {"None"})
+    message = NO_TYPE.sub(r"expected \1, got \2", message)
+    message = message.replace("could not convert string to float:", "expected a number, got")
+    options = [line.split()[0] for part in sections[1:] for line in part if line[:6] == "    --"]
+    near = [name for name in dict.fromkeys(options) if name not in re.split("[ ,:]", message)]
+    hint = f" Did you mean {', '.join(near)}?" if near else ""
+    return UserError(f"{message.rstrip('.:')}.{hint} `{prog} --help` shows the arguments.")
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:

@@ -47,9 +47,10 @@ class Export(OfRun):
         """Export and say what was written."""
         trained = load_agent(self.run_folder, which=self.which)
         contract = export(trained, self.to, self.joint_map).contract
-        print(f"Wrote {', '.join(sorted(each.name for each in self.to.iterdir()))} to {self.to}.")
+        names = sorted(["contract.json", "runner.py", *contract["digests"]])
+        print(f"Wrote {', '.join(names)} to {self.to}.")
         rows = contract["knowledge"]["rows"]
-        print(f"knowledge.npy has {len(rows)} row(s), the first for {rows[0]!r}.")
+        print(f"Rows of knowledge.npy: {len(rows)}, the first for {rows[0]!r}.")
         if not contract["success"]:
             print(f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success.")
 
@@ -130,7 +131,7 @@ class Record:
         at_least(self, 0, "seed")
         if self.camera:
             file_name(self, "camera")
-        trained = None if is_scripted(self.agent, self.env) else load_agent(self.agent)
+        trained = None if is_scripted(self.agent) else load_agent(self.agent)
         config = self.env if trained is None else trained.config.env
         env = ArmVectorEnv(config, min(self.episodes, 100))
         agent: AgentProtocol = (

@@ -186,7 +186,7 @@ class Evaluate(TableCommand):
         chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
         report = partial(print, file=sys.stderr, flush=True)
-        if is_scripted(self.agent, self.env):
+        if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
             for name in ("success_distance_m", "success_angle_deg"):
@@ -224,29 +224,28 @@ class Evaluate(TableCommand):
 def parse_with_task(
     command: type[Command], prog: str, arguments: Sequence[str], **missing: Any
 ) -> Command:
-    """Make a command with a field ``env``; ``missing`` are the fields that have no default.
+    """Make a command with the fields ``agent`` and ``env``; ``missing`` are those without default.
 
-    `--env.task` takes the name of a task, or package.module:Name.
+    Only scripted agents take options ``env``. `--env.task` takes the name of a task, or
+    package.module:Name.
     """
     rest, task = take_option(arguments, "--env.task", "package.module:Name")
-    if task is None:
-        return parse_options(command, prog, rest)
-    env = EnvConfig(task=task_type(task)())
-    make: Callable[..., Command] = command
-    return parse_options(command, prog, rest, default=make(**missing, env=env))
+    options: dict[str, Any] = {}
+    if task is not None:
+        make: Callable[..., Command] = command
+        options["default"] = make(**missing, env=EnvConfig(task=task_type(task)()))
+    parsed: Any = parse_options(command, prog, rest, **options)
+    if any(word.startswith("--env.") for word in arguments) and not is_scripted(parsed.agent):
+        raise UserError("A run has its own environment: leave out the --env options.")
+    return parsed
 
 
-def is_scripted(agent: str, env: EnvConfig | None = None) -> bool:
-    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder.
-
-    A run takes no options ``env``.
-    """
+def is_scripted(agent: str) -> bool:
+    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder."""
     if agent in SCRIPTED_AGENTS:
         return True
     if "/" not in agent and not Path(agent).exists():
         raise unknown_name("agent or run folder", agent, SCRIPTED_AGENTS)
-    if env not in (None, EnvConfig()):
-        raise UserError("A run has its own environment: leave out the --env options.")
     return False
 
 

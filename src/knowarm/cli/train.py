@@ -48,7 +48,7 @@ EXPERIMENT is one of the names ROBOT-AGENT[-dr]-ALGORITHM that `knowarm list` ex
 {DEFAULT_EXPERIMENT}. For a robot of your own leave out ROBOT and give --env.robot my_arm.toml.
 Its options have that experiment's values as defaults:
   knowarm train {DEFAULT_EXPERIMENT} --help             the ten options that matter first
-  knowarm train {DEFAULT_EXPERIMENT} --help knowledge   a group of options
+  knowarm train {DEFAULT_EXPERIMENT} --help knows       a group of options
   knowarm train {DEFAULT_EXPERIMENT} --help-all         all options
   knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
 FIRST = (

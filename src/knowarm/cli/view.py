@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
 import tyro
@@ -135,6 +136,8 @@ class View:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
+            if (Path(robot) / "config.json").exists():
+                raise UserError(f"{robot} is a run: knowarm view --agent {robot}")
             config = EnvConfig(robot=robot, task=self.task)
             return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
         from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds

@@ -1,6 +1,6 @@
 """Contract: what a robot, camera and caller must provide to play a trained policy; its export."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -173,8 +173,8 @@ def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -
         files = ["policy.onnx", "knowledge.npy"]
         files += ["recognition.onnx"] * (parts.recognition is not None)
         digests = {name: digest((folder / name).read_bytes()) for name in files}
-        contract = parts.contract | {"digests": digests}
-        write_json(folder / "contract.json", contract)
+        parts = replace(parts, contract=parts.contract | {"digests": digests})
+        write_json(folder / "contract.json", parts.contract)
     return parts
 
 

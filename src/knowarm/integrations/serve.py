@@ -118,9 +118,10 @@ class PolicyServer:
                 process_request=self._request,
             )
         except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error).rstrip(".")
             raise UserError(
-                f"Cannot listen on {host}, port {port}: {getattr(error, 'strerror', error)}. Stop "
-                "the other program or give another port."
+                f"Cannot listen on {host}, port {port}: {reason}. Give another port, or stop the "
+                "program that uses it."
             ) from error
         self.port: int = self._server.socket.getsockname()[1]
 

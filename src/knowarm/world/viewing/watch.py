@@ -138,7 +138,7 @@ def listen(port: int) -> socket.socket:
         try:
             return socket.create_server((ADDRESS, each))
         except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = getattr(error, "strerror", None) or str(error).rstrip(".")
     raise UserError(
         f"The viewer cannot listen on {ADDRESS}, port {port or PORTS[0]}: {reason}. Choose another "
         "port."
