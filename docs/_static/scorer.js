@@ -1,7 +1,7 @@
 // Scores of search results: Sphinx's own, with guides first and records of the work last.
 var Scorer = {
   score: ([page, title, anchor, description, score]) => {
-    if (/^(tutorials|how-to)\//.test(page)) return score + 20;
+    if (/^(tutorials|how-to)\//.test(page)) return score + 10;
     return /^(lab-notes|changelog|decisions)/.test(page) ? score - 20 : score;
   },
   objNameMatch: 11,

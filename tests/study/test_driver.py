@@ -62,7 +62,7 @@ def test_a_study_trains_and_evaluates_every_run_once(tmp_path, executors):
 def test_a_stopped_run_goes_on_and_missing_evaluations_are_made(tmp_path, executors):
     study = tiny(seeds=(0,))
     train(study.runs()[0], tmp_path, should_stop=lambda: True)
-    assert states(study, tmp_path) == ["stalled"]
+    assert states(study, tmp_path) == ["stopped"]
     train(study.runs()[0], tmp_path, resume=True)
     assert states(study, tmp_path) == ["trained"]
     run_study(study, tmp_path)

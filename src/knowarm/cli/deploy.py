@@ -50,7 +50,7 @@ class Export(OfRun):
         names = sorted(["contract.json", "runner.py", *contract["digests"]])
         print(f"Wrote {', '.join(names)} to {self.to}.")
         rows = contract["knowledge"]["rows"]
-        print(f"Rows of knowledge.npy: {len(rows)}, the first for {rows[0]!r}.")
+        print(f"knowledge.npy: vectors of {', '.join(rows[:3])}{' and more' * (len(rows) > 3)}.")
         if not contract["success"]:
             print(f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success.")
 

@@ -21,7 +21,7 @@ from knowarm.study.worker import STOP, record_failure
 
 POLL_S = 0.5  # time between two looks at the workers [s]
 STATUS_S = 2.0  # time between two readings of all run folders [s]
-UNFINISHED = ("waiting", "stalled", "trained")  # states in which a free run is worked on
+UNFINISHED = ("waiting", "stalled", "stopped", "trained")  # states in which a free run is worked on
 
 OnStatus = Callable[[Sequence[RunStatus]], None]
 

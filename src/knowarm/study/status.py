@@ -24,7 +24,8 @@ from knowarm.study.executor import RunKey
 State = Literal[
     "waiting",  # not started
     "running",  # a process holds its folder
-    "stalled",  # started, and its process ended or is silent; `study run` resumes it
+    "stalled",  # a process holds its folder, and has written nothing for a while
+    "stopped",  # its process ended before the last step; `study run` resumes it
     "failed",  # an error ended it; ``study retry`` lets it resume
     "damaged",  # a file of its folder cannot be read; `study run` leaves it alone
     "trained",  # all steps done, evaluations missing
@@ -42,7 +43,7 @@ class RunStatus:
     experiment: str
     seed: int
     state: State
-    detail: str = ""  # why it failed or stalled, or how it ended early
+    detail: str = ""  # why it failed, stalled or stopped, or how it ended early
     step: int = 0  # environment steps taken
     total_steps: int
     success: float | None = None  # of the first post-training evaluation, or the latest interim one
@@ -91,7 +92,7 @@ def run_status(
 def _state(
     folder: RunFolder, config: ExperimentConfig, evaluations: Sequence[EvaluationConfig]
 ) -> tuple[State, str]:
-    """Return the state of a run, and why it failed or stalled, or how it ended early."""
+    """Return the state of a run, and why it failed, stalled or stopped, or how it ended early."""
     path = folder.path
     failure = _failure(path)
     if not folder.config_path.exists():
@@ -104,7 +105,7 @@ def _state(
     if failure:
         return "failed", failure
     if not is_trained(folder, config):
-        return "stalled", "resumes with the next study run"
+        return "stopped", "resumes with the next study run"
     early = folder.ended_early_at(config.stop_when)
     detail = "" if early is None or early >= config.total_steps else f"ended early at {early:,}"
     return "trained" if missing_evaluations(folder, evaluations) else "done", detail
