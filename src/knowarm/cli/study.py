@@ -36,7 +36,13 @@ from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
-STYLES = {"running": "cyan", "failed": "red", "stalled": "yellow", "stopped": "yellow", "done": "green"}
+STYLES = {
+    "running": "cyan",
+    "failed": "red",
+    "stalled": "yellow",
+    "stopped": "yellow",
+    "done": "green",
+}
 BAD = ("failed", "damaged")  # states that need an action of the user
 
 
