@@ -124,8 +124,8 @@ def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
     assert not after
     assert not faster, "write the answer for what is found"
     text = (
-        "**Answer.** No effect of full knowledge on the success after training, nor on the steps "
-        f"to 80 %, is found in any of {cells} cells."
+        "**No effect of full knowledge on the success after training, nor on the steps to 80 %, is "
+        f"found in any of {cells} cells.**"
     )
     for (title, name, outcome), finding in better.items():
         assert finding.kind == "size may explain it", "write the answer for what is found"
