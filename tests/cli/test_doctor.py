@@ -92,6 +92,7 @@ def test_the_commands_for_an_eased_orientation_parse(
         distance_m=0.05,
     )
     monkeypatch.setattr("knowarm.cli.doctor.draft_robot", lambda *args: draft)
+    monkeypatch.setattr("knowarm.cli.doctor.shrink_distance", lambda draft, targets: draft)
     monkeypatch.setattr("knowarm.cli.doctor.check_robot", lambda *args, **options: [])
     Doctor(robot="arm.xml", write=tmp_path / "arm.toml").run()
     printed = [line for line in capsys.readouterr().out.splitlines() if "  knowarm" in line]

@@ -18,7 +18,7 @@ from knowarm.world.description import read_description
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
-from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
+from knowarm.world.own_robot.draft import Draft, _toml, draft_robot, read_overrides, shrink_distance
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_home import Home
 from knowarm.world.own_robot.draft_reach import find_layout
@@ -240,10 +240,33 @@ def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> 
     assert (draft.success_angle_deg, draft.ignore_roll) == (90.0, True)
     (tmp_path / "arm.toml").write_text(draft.toml(tmp_path / "arm.toml"))
     assert draft.distance_m == 0.05
-    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": 0.05}
+    smaller = shrink_distance(draft, targets).distance_m
+    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": smaller}
     checks = [*check_robot(tmp_path / "arm.toml", targets, **options)]
     assert [check for check in checks if not check.ok] == []
     assert len(checks) == 17
+
+
+@pytest.mark.parametrize(
+    ("shares", "distance_m"),
+    [([0.4], 0.05), ([0.8, 0.6, 0.38], 0.025), ([0.9] * 4, 0.02)],
+)
+def test_the_distance_of_success_shrinks_until_a_fixed_list_solves_little(
+    shares: list[float], distance_m: float, monkeypatch
+) -> None:
+    tried = []
+
+    def solve(config: EnvConfig, distance_m: float) -> tuple[float, float]:
+        assert (config.success_angle_deg, config.ignore_roll) == (60.0, True)
+        tried.append(distance_m)
+        return shares[len(tried) - 1], 60.0
+
+    monkeypatch.setattr("knowarm.world.own_robot.draft.fixed_list_success", solve)
+    options = {"success_angle_deg": 60.0, "ignore_roll": True, "distance_m": 0.05}
+    draft = shrink_distance(Draft(robot=SHIPPED, fields={}, how={}, **options), ["mug"])
+    assert draft.distance_m == pytest.approx(distance_m)
+    assert tried == pytest.approx([0.05, 0.035, 0.025, 0.02][: len(shares)])
+    assert f"within {100 * distance_m:g} cm" in draft.how["success"]
 
 
 def test_overrides_are_fields_in_tomls_notation() -> None:

@@ -11,7 +11,7 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.objects import find_targets
 from knowarm.world.own_robot import draft, draft_lift
-from knowarm.world.own_robot.draft import draft_robot
+from knowarm.world.own_robot.draft import draft_robot, shrink_distance
 from knowarm.world.own_robot.robot_check import check_joints, check_robot
 from knowarm.world.own_robot.servo_check import check_servos
 from knowarm.world.robots.robot import Robot
@@ -215,6 +215,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
 def test_drafts_pass_all_checks(name: str, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(CASES[name])
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
+    found = shrink_distance(found, ["mug", "bottle"])
     (tmp_path / "arm.toml").write_text(found.toml(tmp_path / "arm.toml"))
     angle, roll = found.success_angle_deg, found.ignore_roll
     options = {"angle_deg": angle, "ignore_roll": roll, "distance_m": found.distance_m}

@@ -14,7 +14,7 @@ from tests.world.helpers import EXAMPLES, write_robot
 
 def test_example_robot_passes_all_checks() -> None:
     targets = ["bottle", str(EXAMPLES / "bowl.toml")]
-    checks = [*check_robot(EXAMPLES / "scara.toml", targets, distance_m=0.06)]
+    checks = [*check_robot(EXAMPLES / "scara.toml", targets, distance_m=0.03)]
     assert [check for check in checks if not check.ok] == []
     assert {check.name for check in checks} >= {
         "joints",
@@ -75,7 +75,7 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
 ) -> None:
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
-    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": 0.05}
+    options = {"angle_deg": 90.0, "ignore_roll": True, "distance_m": 0.03}
     checks = [*check_robot(file, ["bottle"], **options)]
     assert [check for check in checks if not check.ok] == []
     assert "way to the grasps" in {check.name for check in checks}

@@ -16,7 +16,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.check import Check
-from knowarm.world.own_robot.draft import Draft, draft_robot, read_overrides
+from knowarm.world.own_robot.draft import Draft, draft_robot, read_overrides, shrink_distance
 from knowarm.world.own_robot.object_check import check_objects
 from knowarm.world.own_robot.robot_check import EVALUATION_M, check_robot
 from knowarm.world.own_robot.scene_image import write_scene_image
@@ -126,6 +126,8 @@ class Doctor(TableCommand):
             )
             drawn = targets or EnvConfig().targets
             draft = draft_robot(model, drawn, read_overrides(self.set))
+            if self.task is None:
+                draft = shrink_distance(draft, drawn)
             if note:
                 draft.how["file"] = note + ("" if self.write else "; --write keeps the result")
             self._print(draft, file)

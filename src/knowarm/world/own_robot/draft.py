@@ -3,9 +3,10 @@
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -22,7 +23,7 @@ from knowarm.world.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.world.own_robot.draft_lift import find_lift_area
 from knowarm.world.own_robot.draft_reach import find_layout, spread_rad
 from knowarm.world.own_robot.draft_view import FOVY_DEG, choose_view
-from knowarm.world.own_robot.robot_check import EVALUATION_M
+from knowarm.world.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.world.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
@@ -39,6 +40,10 @@ SCALE, EASY_DEG = 0.35, 30.0
 """Distance of success in an evaluation relative to half the diagonal of the rectangle, at most
 `EVALUATION_M`, and the angle above which it is at most that of the task: a small arm, or one of
 few joints, is not tested with thresholds that a fixed list of actions meets."""
+
+LEAST_M, STEP_M, SHRINK, WANTED_BLIND = 0.02, 0.005, 0.7, MAX_BLIND - 0.1
+"""Least distance of success and its multiples [m], the factor by which it shrinks while a fixed
+list of actions solves too much, and the success of the list from which it stays."""
 
 START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
@@ -222,13 +227,31 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         how=how,
         success_angle_deg=angle,
         ignore_roll=roll,
-        distance_m=min(most_m, max(0.02, round(SCALE * size_m, 2))),
+        distance_m=min(most_m, max(LEAST_M, round(SCALE * size_m, 2))),
     )
     for task in map(task_type, TASKS if robot.fingers and not robot.areas else ()):
         if task.moves_fingers:
             area, how[task.area] = find_lift_area(robot, draft.toml, task)
             values |= {"areas": {task.area: area}} if area else {}
     return draft
+
+
+def shrink_distance(draft: Draft, targets: Sequence[str]) -> Draft:
+    """Shrink a draft's distance of success until a fixed list of actions solves little enough."""
+    angle, roll = draft.success_angle_deg, draft.ignore_roll
+    with TemporaryDirectory() as folder:
+        (file := Path(folder) / "arm.toml").write_text(draft.toml(file), "utf-8")
+        config = EnvConfig(
+            robot=str(file), targets=tuple(targets), success_angle_deg=angle, ignore_roll=roll
+        )
+        distance_m = draft.distance_m
+        while (share := fixed_list_success(config, distance_m)[0]) > WANTED_BLIND:
+            if distance_m <= LEAST_M:
+                break
+            distance_m = max(LEAST_M, round(SHRINK * distance_m / STEP_M) * STEP_M)
+    solved = f"the best fixed list of actions solves {100 * share:.0f} %"
+    how = draft.how | {"success": f"within {100 * distance_m:g} cm, where {solved}"}
+    return replace(draft, distance_m=distance_m, how=how)
 
 
 def _wide_scene(path: Path, values: dict[str, Any], targets: Sequence[str]) -> Scene:
