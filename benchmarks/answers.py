@@ -5,11 +5,14 @@ nearest to the wanted object's, per split: by the query's vector, by the graph's
 controls of these. "perfect names" is what the answers are worth with a network that never errs:
 one of the visible answers, or any object where none is visible. With --damage it damages the graph
 that the agent knows, by kind and share, over several damage seeds; with --repair it is completed
-by link prediction before it answers.
+by link prediction before it answers. With --confidence the agent also knows how doubtful each fact
+is: calibrated probabilities that tell kept facts from damaged ones with an area under the ROC curve
+of so much.
 
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast --damage --splits S1 S2
     python -m benchmarks.answers answers/irb120-choose-answers-fast/* --damage --reasoning graph
+    python -m benchmarks.answers zoo/*-choose-answers-fast --damage wrong --confidence .75 .9 1
 """
 
 import argparse
@@ -22,13 +25,16 @@ from typing import Any, cast, get_args
 
 import numpy as np
 import torch
+from scipy.special import expit, logit
+from scipy.stats import norm
 
 from knowarm.config import override
 from knowarm.experiment.conditions import DamageTest, Subject
 from knowarm.experiment.knows import GraphAnswers
 from knowarm.experiment.load import TrainedAgent, load_agent
-from knowarm.experiment.other_graphs import splits_of, with_graph
+from knowarm.experiment.other_graphs import splits_of, target_names, with_graph
 from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
@@ -88,7 +94,7 @@ def measure(
     parts = zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True)
     seen = [known.see(images, known.of_rows(rows)) for images, rows in parts]
     visible = torch.cat([each.visible for each in seen]).numpy()
-    shown = answers[labels.queries[:, None].numpy(), labels.facets.numpy()]
+    shown = answers[labels.queries[:, None].numpy(), labels.facets.numpy()] > 0
     count = shown.sum(axis=1)
     guess = np.full(len(count), 1 / shown.shape[1])
     perfect = np.where(count > 0, shown[:, 0] / np.maximum(count, 1), guess)
@@ -120,19 +126,41 @@ def tasks_of(
     return tasks
 
 
+def doubted(
+    graph: KnowledgeGraph, env: EnvConfig, true: KnowledgeGraph, auc: float, seed: int
+) -> KnowledgeGraph:
+    """Return a damaged graph with a confidence of each fact, by a graph of the true ones.
+
+    A score of each fact is drawn from one of two normal distributions, which overlap as the AUC
+    says. The confidence is the probability that the fact is true, by its score and the share of
+    true facts about the task's objects.
+    """
+    facts, known = [*graph], set(true)
+    kept = np.array([fact in known for fact in facts])
+    about = np.isin(graph.heads, [graph.entity_id(name) for name in target_names(env)])
+    apart = np.sqrt(2) * norm.ppf(min(auc, 1 - 1e-9))
+    noise = np.random.default_rng(derive_seed(seed, "damage", 3)).normal(size=len(kept))
+    score = noise + np.where(kept, apart / 2, -apart / 2)
+    confidence = expit(apart * score + logit(kept[about].mean())).tolist()
+    return graph_of(
+        facts, nodes=graph.entities, confidence=dict(zip(facts, confidence, strict=True))
+    )
+
+
 def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> None:
     """Write the curves of damaged graphs as CSV."""
     columns = ["robot", "agent", "training_seed", "split", "kind", "share", "damage_seed"]
     rows = csv.writer(sys.stdout, lineterminator="\n")
-    rows.writerow([*columns, "reasoning", "repair", "right", "perfect_names", "sees_none"])
+    measured = ["right", "perfect_names", "sees_none"]
+    rows.writerow([*columns, "reasoning", "repair", *measured, "confidence"])
     graphs: dict[tuple[object, ...], KnowledgeGraph | None] = {}  # completing one takes seconds
     for trained in runs:
         config = trained.config
         tasks = tasks_of(trained, arguments.splits, arguments.images)
         seeds, repairs = range(arguments.damage_seeds), arguments.repair or [None]
-        for split, kind, share, seed, reasoning, repair in product(
-            tasks, arguments.damage, arguments.shares, seeds, arguments.reasoning, repairs
-        ):
+        aucs = [None, *arguments.confidence]
+        options = arguments.damage, arguments.shares, seeds, arguments.reasoning, repairs, aucs
+        for split, kind, share, seed, reasoning, repair, auc in product(tasks, *options):
             if share == 0 and seed > 0 and repair is None:  # nothing is drawn
                 continue
             damage = {"damage": kind, "share": share, "seed": seed, "repair": repair}
@@ -146,13 +174,18 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
             if key not in graphs:
                 known = Subject(env=env, config=config, graph=edited(env, split))
                 graphs[key] = override(DamageTest(), damage).prepare(known).graph
-            found = measure(trained, tasks[split], reasoning, graphs[key])
+            graph, true = graphs[key], edited(env, split) or config.knows.read_graph()
+            if auc is not None:
+                assert graph is not None
+                assert true is not None
+                graph = doubted(graph, env, true, auc, seed)
+            found = measure(trained, tasks[split], reasoning, graph)
             shares = [
                 f"{found[name].mean():.4f}" if name in found else ""
                 for name in ("right", "perfect", "sees_none")
             ]
             facts = [config.env.robot, config.agent, config.seed, split, kind, share, seed]
-            rows.writerow([*facts, reasoning, repair or "", *shares])
+            rows.writerow([*facts, reasoning, repair or "", *shares, "" if auc is None else auc])
             sys.stdout.flush()
 
 
@@ -170,6 +203,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the images")
     parser.add_argument("--damage-seeds", type=int, default=5)
     parser.add_argument("--repair", nargs="+", choices=sorted(MODELS))
+    parser.add_argument("--confidence", type=float, nargs="+", default=[], help="AUC, .5 to 1")
     arguments = parser.parse_args()
     runs = [load_agent(run) for run in arguments.runs]
     if arguments.graph is not None:

@@ -129,3 +129,17 @@ def test_relations_of_two_namespaces_are_told_apart():
     names = [query.name for query in asked.queries()]
     assert names == ["http://a/usedFor tea", "http://b/usedFor soup"]
     assert asked.answers(asked.queries()).tolist() == [[True, False], [False, True]]
+
+
+def test_doubtful_facts_answer_as_probably_as_one_of_them_holds():
+    facts = {("mug", "usedFor", "drinking"): 0.9, ("mug", "holds", "tea"): 0.5}
+    other = [("can", "usedFor", "drinking"), ("jar", "holds", "tea"), ("can", "holds", '"tea"')]
+    graph = graph_of([*facts, ("mug", "holds", '"tea"'), *other], confidence=facts)
+    graph = graph_of(graph, confidence=facts | {("mug", "holds", '"tea"'): 0.2})
+    asked = QueryGraph(graph, [("mug", "red"), ("can", "red"), ("jar", "blue")])
+    names = ["usedFor drinking", "holds tea", "holds tea and hasColor red",
+             "usedFor drinking and holds tea"]  # fmt: skip
+    degrees = asked.degrees([parse_query(name) for name in names])
+    expected = [[0.9, 1, 0], [0.6, 1, 1], [0.6, 1, 0], [0.54, 1, 0]]
+    np.testing.assert_allclose(degrees, expected, rtol=1e-6)
+    np.testing.assert_array_equal(asked.answers([parse_query(name) for name in names]), degrees > 0)

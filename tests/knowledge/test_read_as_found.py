@@ -15,6 +15,8 @@ from knowarm.errors import DataWarning, UserError
 from knowarm.knowledge import graph_of, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.formats.splits import read_split
+from knowarm.knowledge.graph.builder import union
+from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import iri_of_name, literal, parse_literal
 
 MUG, BOTTLE = ("mug", "usedFor", "drinking"), ("bottle", "usedFor", "drinking")
@@ -140,6 +142,38 @@ def test_the_remedy_for_columns_works_when_it_is_typed(tmp_path, text, said, mis
     write(path, text.replace(mistaken, typed, 1))
     with warnings.catch_warnings(action="ignore", category=DataWarning):  # "weight" is not read
         assert {MUG, ("mug", "holds", "tea")} <= set(read_graph(path))
+
+
+DOUBTED = {("mug", "holds", "tea"): 0.25}
+WITH_CONFIDENCE = {
+    "a.csv": "head,relation,tail,confidence\nmug,usedFor,drinking,\nmug,holds,tea,.25\n"
+             "mug,holds,tea,.1\nmug,usedFor,drinking,.5\n",
+    "a.tsv": "confidence\ttail\trelation\thead\n0.25\ttea\tholds\tmug\n1\tdrinking\tusedFor\tmug\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WITH_CONFIDENCE)
+def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
+    graph = read_graph(write(tmp_path / name, WITH_CONFIDENCE[name]))
+    assert (set(graph), graph.confidence) == ({MUG, ("mug", "holds", "tea")}, DOUBTED)
+    for kept in (edited(graph, ["+ bottle holds tea", "- mug usedFor drinking"]),
+                 union(graph_of([BOTTLE]), graph), graph.with_triples(graph.triples)):  # fmt: skip
+        assert kept.own_confidence() == DOUBTED
+    assert union(graph_of(DOUBTED), graph).own_confidence() == {}  # the other graph is certain
+    write_graph(graph, tmp_path / "b.tsv")
+    assert read_graph(tmp_path / "b.tsv") == graph
+    assert read_graph(tmp_path / "b.tsv") != graph_of(graph)
+    with pytest.warns(DataWarning, match="confidence of 1 triples is left out"):
+        write_graph(graph, tmp_path / "b.ttl")
+
+
+@pytest.mark.parametrize("value", ["1.5", "-1", "sure", "nan"])
+def test_a_confidence_that_is_no_probability_is_refused(tmp_path, value):
+    path = write(
+        tmp_path / "a.csv", f"head,relation,tail,confidence\nmug,usedFor,drinking,{value}\n"
+    )
+    with pytest.raises(UserError, match=f"line 2: the confidence is '{value}'; .* from 0 to 1"):
+        read_graph(path)
 
 
 ONTOLOGY = {

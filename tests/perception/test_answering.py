@@ -175,3 +175,23 @@ def test_a_zeroed_query_is_a_guess_and_a_swapped_one_leads_to_the_other_object(t
         assert (nearest(own(labels.images, other)) == 1).float().mean() > 0.93
         assert (nearest(swapped(labels.images, rows)) == 1).float().mean() > 0.93
         assert 0.18 < (nearest(zeros(labels.images, rows)) == 0).float().mean() < 0.32
+
+
+def test_of_two_visible_answers_the_surer_one_is_found(trained, labels):
+    network, rows = trained.network, torch.arange(len(labels.images))
+    both = torch.zeros(len(rows), len(network.spec.facets))
+    both[rows, labels.facets[:, 0]] = both[rows, labels.facets[:, 1]] = 1.0
+
+    def nearest(first, second):
+        known = both.clone()
+        known[rows, labels.facets[:, 0]], known[rows, labels.facets[:, 1]] = first, second
+        seen = AnswerGrounding(network, known).see(labels.images, known)
+        position = seen.frames[:, :3] * network.position_std + network.position_mean
+        return (labels.grasp_position - position[:, None]).norm(dim=2).argmin(1), seen
+
+    (first, seen), (second, _), (either, _) = nearest(1, 1e-4), nearest(1e-4, 1), nearest(1, 1)
+    assert (first == 0).float().mean() > 0.9
+    assert (second == 1).float().mean() > 0.9
+    assert (either == 0).float().mean() < 0.8
+    torch.testing.assert_close(nearest(0.3, 0.3)[0], either)  # alike: as if certain
+    assert (seen.visible == 1).float().mean() > 0.9

@@ -72,7 +72,9 @@ def answers_by(
     *,
     colours_only: bool = False,
 ) -> np.ndarray:
-    """Return which of F facets answer each query of a task by a graph, (Q, F) bool.
+    """Return the probability that each of F facets answers each query of a task, (Q, F) float32.
+
+    It is 0 or 1, but for triples with a confidence.
 
     Objects that the graph does not describe never answer. With ``colours_only`` no facts are known,
     so that only a query's colour restricts the answers.
@@ -81,9 +83,9 @@ def answers_by(
     if colours_only:
         queries = tuple(Query(tuple(c for c in q.conditions if c.is_seen)) for q in queries)
     known = np.array(described(graph, [name for name, _ in facets]))
-    answers = np.zeros((len(queries), len(facets)), bool)
+    answers = np.zeros((len(queries), len(facets)), np.float32)
     shown = [facet for facet, is_known in zip(facets, known, strict=True) if is_known]
-    answers[:, known] = QueryGraph(graph, shown).answers(queries)
+    answers[:, known] = QueryGraph(graph, shown).degrees(queries)
     return answers
 
 

@@ -2,7 +2,8 @@
 
 Every place of the image has a score per facet, its object's logit plus its colour's. The place
 whose log-sum-exp over the answering facets is largest holds the answer, and its features give the
-grasp frame. Nothing of this is trained on queries.
+grasp frame. A facet that answers by doubtful facts has the logarithm of its probability added.
+Nothing of this is trained on queries.
 """
 
 from collections.abc import Mapping
@@ -31,7 +32,7 @@ class SeenAnswers(NamedTuple):
     places: Tensor
     """Where they stand, (n, m) int64."""
     answering: Tensor
-    """Whether these facets answer, (n, m) bool."""
+    """Whether these facets answer, more probably than not, (n, m) bool."""
     likelihood: Tensor
     """Probability that what stands there answers, (n, m) float32."""
 
@@ -48,42 +49,43 @@ class SeenAnswers(NamedTuple):
 class AnswerGrounding(FrameRecognition):
     """Recognition of grasp frames by the answers of a graph, with the same grounding network.
 
-    ``knowledge`` (rows, F) is 1 where a facet of the network answers the query of a row.
+    ``knowledge`` (rows, F) is the probability that a facet of the network answers the query of a
+    row: 1 or 0, but for facts with a confidence.
     """
 
     def see(self, images: Tensor, knowledge: Tensor) -> SeenAnswers:
         """Find the answers to queries, as `locate`."""
-        answers = knowledge > 0
-        frames, scores, by_place = self._find(images, answers)
+        frames, scores, by_place = self._find(images, knowledge)
         named, places = self._name(by_place)
         at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
         part = self.module.part_of
         same = part[:, None] == part[named][:, None]  # of the named part of an object, (n, F, m)
         shares = at_place.masked_fill(~same, -torch.inf).softmax(1)
-        likelihood = (shares * answers[:, :, None]).sum(1)
-        return SeenAnswers(frames, scores, named, places, answers.gather(1, named), likelihood)
+        likelihood = (shares * knowledge[:, :, None]).sum(1)
+        answering = knowledge.gather(1, named) >= 0.5
+        return SeenAnswers(frames, scores, named, places, answering, likelihood)
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `Recognition.place_scores`."""
-        return self._find(images, knowledge > 0)[1]
+        return self._find(images, knowledge)[1]
 
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `Recognition.locate`."""
-        return self._find(images, knowledge > 0)[0]
+        return self._find(images, knowledge)[0]
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """As `Recognition.make_agent`."""
         return AnsweringAgent(policy, recognition=self, **options)
 
-    def _find(self, images: Tensor, answers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _find(self, images: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
         features = self.module.encoder.features(images)
         objects, colours = self.module.encoder.logits(features)
         object_of, colour_of = self.module.encoder.facet_parts
         by_place = objects[:, object_of] + colours[:, colour_of]
         # Where nothing answers, every facet counts, so that there is a place to guess.
-        counted = answers | ~answers.any(1, keepdim=True)
-        answering = by_place.masked_fill(~counted[:, :, None], -torch.inf)
+        counted = torch.where((knowledge > 0).any(1, keepdim=True), knowledge, 1.0)
+        answering = by_place + counted.log()[:, :, None]
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
         at_place = place[:, None, None].expand(-1, answering.shape[1], 1)

@@ -127,7 +127,7 @@ class GraphAnswers(Grounded):
         graph: "KnowledgeGraph | None" = None,
         control: Control | None = None,
     ) -> np.ndarray:
-        """Return which of F facets answer each query by the graph, (Q, F) bool; see `input`."""
+        """Return how probably F facets answer each query by the graph, (Q, F); see `input`."""
         from knowarm.experiment.answers import answers_by
         from knowarm.knowledge.graph.builder import shuffle_tails
 

@@ -3,6 +3,7 @@
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -19,6 +20,10 @@ ROLES = {
              "target", "dst", "to", "value"),
 }  # fmt: skip
 """Names of the three columns, the surest first: a source beside a subject is a reference."""
+
+
+CONFIDENCE = "confidence"
+"""Name of the column with the probability that a triple holds."""
 
 
 class Columns(NamedTuple):
@@ -62,6 +67,17 @@ def name_of_cell(cell: str) -> str:
     if is_iri(cell) or cell.startswith("_:") or parse_literal(cell) is not None:
         return cell
     return unicodedata.normalize("NFC", " ".join(cell.split()))
+
+
+def confidence_of(value: object, where: str) -> float:
+    """Return the probability that a cell states; an empty one states that the triple is certain."""
+    with suppress(ValueError):
+        confidence = float(str(value) or 1)
+        if 0 <= confidence <= 1:
+            return confidence
+    raise UserError(
+        f"{where}: the confidence is {value!r}; it must be a number from 0 to 1, such as 0.9."
+    )
 
 
 def listed(names: Iterable[str]) -> str:

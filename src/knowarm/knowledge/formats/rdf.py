@@ -228,6 +228,10 @@ def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
             f"{path}: RDF/XML cannot hold the relation {bad!r}, whose IRI does not end in an XML "
             f"name. Write Turtle or N-Triples."
         )
+    if doubtful := graph.own_confidence():
+        warn(
+            f"{path}: the confidence of {len(doubtful)} triples is left out; tables have a column."
+        )
     prefixes = PREFIXES if syntax == RdfFormat.TURTLE else None
     serialize(rdf_triples(graph), path, syntax, prefixes=prefixes)
 

@@ -10,10 +10,12 @@ from pathlib import Path
 
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import (
+    CONFIDENCE,
     ROLES,
     Columns,
     cell_of_name,
     columns_of,
+    confidence_of,
     listed,
     name_of_cell,
 )
@@ -52,12 +54,18 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     by_name = {name: i for i, name in enumerate(names)}
     beside = {by_name.get(f"{names[i]};label"): place for place, i in enumerate(columns)}  # KGTK
     labels = [(place, number) for number, place in beside.items() if number is not None]
-    if others := [name for i, name in enumerate(names) if name and i not in {*columns, *beside}]:
+    sure = by_name.get(CONFIDENCE, -1)
+    read = {*columns, *beside, sure}
+    if others := [name for i, name in enumerate(names) if name and i not in read]:
         warn(f"{path}: these columns are not read: {listed(others)}.")
     count, again, words = 0, named, {name_of_cell(cell) for cell in first[1]}
     for number, row in rows:
         triple = _triple(path, number, row, names, columns)
         builder.add_statement(*triple)
+        if sure >= 0:
+            fact = triple[0], triple[1], triple[2]
+            confidence = confidence_of(row[sure], f"{path}, line {number}")
+            builder.confidence[fact] = max(confidence, builder.confidence.get(fact, 0.0))
         for name, label in labels:
             if row[label]:
                 builder.add_statement(triple[name], LABEL_RELATIONS[0], literal(row[label]))
@@ -72,15 +80,19 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
 
 
 def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
-    """Write triples, then labels as rdfs:label triples. Entities without either are left out."""
+    """Write triples, with any confidence, then labels as rdfs:label; no entities without either."""
     labels = [
         (name, LABEL_RELATIONS[0], literal(text))
         for name, text in sorted(graph.own_labels().items())
     ]
-    rows = ([cell_of_name(name) for name in triple] for triple in (*graph, *labels))
+    doubtful = graph.own_confidence()
+    rows = (
+        [*map(cell_of_name, triple), *([doubtful.get(triple, 1)] if doubtful else [])]
+        for triple in (*graph, *labels)
+    )
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, delimiter=separator, lineterminator="\n")
-        writer.writerows(chain([ROLES], rows))
+        writer.writerows(chain([[*ROLES, *([CONFIDENCE] if doubtful else [])]], rows))
 
 
 def _triple(

@@ -20,6 +20,7 @@ class GraphBuilder:
         self.relations: dict[str, int] = defaultdict(count().__next__)
         self.ids = array("i")  # head, relation and tail of every triple, flat
         self._labels: dict[str, tuple[int, str]] = {}  # (rank of the language, text) by name
+        self.confidence: dict[Triple, float] = {}  # of some triples
 
     def add(self, head: str, relation: str, tail: str) -> None:
         """Add one triple."""
@@ -73,7 +74,9 @@ class GraphBuilder:
         inside = sorted(written.keys() & (self.entities.keys() | self.relations.keys()))
         kept = {name: written[name] for name in inside}
         nodes = np.arange(len(self.entities), dtype=np.int32)
-        return KnowledgeGraph(entity_names, relation_names, triples, nodes=nodes, labels=kept)
+        doubtful = {triple: sure for triple, sure in self.confidence.items() if sure < 1}
+        names = entity_names, relation_names
+        return KnowledgeGraph(*names, triples, nodes=nodes, labels=kept, confidence=doubtful)
 
 
 def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
@@ -87,15 +90,22 @@ def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
 
 
 def graph_of(
-    triples: Iterable[Triple], *, nodes: Iterable[str] = (), labels: Mapping[str, str] | None = None
+    triples: Iterable[Triple],
+    *,
+    nodes: Iterable[str] = (),
+    labels: Mapping[str, str] | None = None,
+    confidence: Mapping[Triple, float] | None = None,
 ) -> KnowledgeGraph:
     """Make a graph of triples of names, of entities that may have no triple, and of labels by name.
+
+    ``confidence`` is the probability that a triple holds, of those that are not certain.
 
     >>> graph = graph_of([("mug", "hasColor", "red"), ("mug", "isA", "cup")])
     >>> list(graph)
     [('mug', 'hasColor', 'red'), ('mug', 'isA', 'cup')]
     """
     builder = GraphBuilder()
+    builder.confidence = dict(confidence or {})
     for triple in triples:
         builder.add(*triple)
     for node in nodes:
@@ -105,11 +115,11 @@ def graph_of(
 
 def with_facts(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
     """Return a graph with more triples of its names and of new ones."""
-    return graph_of((*graph, *triples), nodes=graph.entities, labels=graph.own_labels())
+    return graph_of((*graph, *triples), **graph.beside())
 
 
 def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
-    """Return the triples and entities of both; where labels differ, the first graph's are kept.
+    """Return the triples and entities of both; labels and confidence of the first graph go first.
 
     Blank nodes of two graphs are never the same: those of the second get names that are free.
     """
@@ -119,7 +129,11 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
     nodes = (*first_names, *(new.get(name, name) for name in second.entities))
     labels = {new.get(name, name): label for name, label in second.own_labels().items()}
-    return graph_of((*first, *triples), nodes=nodes, labels=labels | first.own_labels())
+    doubted = second.own_confidence().items()
+    sure = {(new.get(h, h), r, new.get(t, t)): each for (h, r, t), each in doubted}
+    sure = {fact: each for fact, each in sure.items() if fact not in first} | {**first.confidence}
+    labels |= first.own_labels()
+    return graph_of((*first, *triples), nodes=nodes, labels=labels, confidence=sure)
 
 
 def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:

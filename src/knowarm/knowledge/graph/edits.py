@@ -38,7 +38,7 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 f"{stated or f'nothing about {head}'}."
             )
         kept = [fact for fact in graph if fact != triple]
-        graph = graph_of(kept, nodes=graph.entities, labels=graph.own_labels())
+        graph = graph_of(kept, **graph.beside())
     return graph
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class KnowledgeGraph:
         relation_names: relation names by id.
         heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), distinct.
         labels: written label (rdfs:label) by entity or relation name.
+        confidence: probability that a triple holds, 0 to 1, by triple of names; others are certain.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class KnowledgeGraph:
         *,
         nodes: np.ndarray | None = None,
         labels: Mapping[str, str] | None = None,
+        confidence: Mapping[Triple, float] | None = None,
     ) -> None:
         """Make a graph of ids (n, 3) int: head, relation, tail, in any order.
 
@@ -58,6 +60,7 @@ class KnowledgeGraph:
         )
         self._alone = np.empty(0, np.int32) if nodes is None else nodes
         self.labels: Mapping[str, str] = {} if labels is None else labels
+        self.confidence: Mapping[Triple, float] = {} if confidence is None else confidence
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
@@ -99,13 +102,14 @@ class KnowledgeGraph:
         return bool(((self.relations[rows] == relation) & (self.tails[rows] == tail)).any())
 
     def __eq__(self, other: object) -> bool:
-        """Return whether both graphs hold the same triples, entities and labels by name."""
+        """Return whether both graphs hold the same by name: triples, confidence, nodes, labels."""
         if not isinstance(other, KnowledgeGraph):
             return NotImplemented
         if len(self) != len(other) or len(self.nodes) != len(other.nodes):
             return False
         same = set(self) == set(other) and set(self.entities) == set(other.entities)
-        return same and self.own_labels() == other.own_labels()
+        sure = self.own_confidence() == other.own_confidence()
+        return same and sure and self.own_labels() == other.own_labels()
 
     __hash__ = None  # type: ignore[assignment]  # equality compares every triple
 
@@ -132,6 +136,15 @@ class KnowledgeGraph:
         inside = {*self.entities, *self.relations_used} if self.labels else set()
         return {name: label for name, label in self.labels.items() if name in inside}
 
+    def own_confidence(self) -> dict[Triple, float]:
+        """Return the confidence of those triples of this graph that are not certain."""
+        return {triple: sure for triple, sure in self.confidence.items() if triple in self}
+
+    def beside(self) -> dict[str, Any]:
+        """Return what `graph_of` takes beside the triples."""
+        about = {"labels": self.own_labels(), "confidence": self.confidence}
+        return {"nodes": self.entities, **about}
+
     def out_rows(self, entity: int) -> np.ndarray:
         """Return the rows whose head is the entity id, (k,) int64."""
         low = np.searchsorted(self.heads, np.int32(entity))
@@ -146,6 +159,7 @@ class KnowledgeGraph:
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         part = object.__new__(KnowledgeGraph)
         part.names, part.relation_names, part.labels = self.names, self.relation_names, self.labels
+        part.confidence = self.confidence
         part.entity_spellings = self.entity_spellings
         part.relation_spellings = self.relation_spellings
         part.heads, part.relations = self.heads[rows], self.relations[rows]
@@ -155,9 +169,8 @@ class KnowledgeGraph:
 
     def with_triples(self, triples: np.ndarray) -> "KnowledgeGraph":
         """Return a graph with the entities, names and labels of this one and other triples."""
-        return KnowledgeGraph(
-            self.names, self.relation_names, triples, nodes=self.nodes, labels=self.labels
-        )
+        about: dict[str, Any] = {"labels": self.labels, "confidence": self.confidence}
+        return KnowledgeGraph(self.names, self.relation_names, triples, nodes=self.nodes, **about)
 
     def find_entity(self, name: str) -> int | None:
         """Return the id by name, last part of the IRI, label or spelling; None without.

@@ -233,4 +233,4 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
             heads = [graph.names[graph.entity_id(name)] for name in held.holders[condition]]
             moved |= {(head, relation, old): (head, relation, new) for head in heads}
     triples = [moved.get(triple, triple) for triple in graph]
-    return graph_of(triples, nodes=graph.entities, labels=graph.own_labels())
+    return graph_of(triples, **graph.beside())

@@ -114,11 +114,18 @@ class QueryGraph:
         A condition on the colour, or on the object of a part, is answered by the facet itself, any
         other by the graph's triples about the facet's object or part.
         """
+        return self.degrees(queries) > 0
+
+    def degrees(self, queries: Sequence[Query]) -> np.ndarray:
+        """Return the probability that each facet answers each query, (Q, F) float32.
+
+        It is 0 or 1, but for triples with a confidence, which are taken as independent.
+        """
         rows = {c: self._holders(c) for query in queries for c in query.conditions}
-        table = np.ones((len(queries), len(self.facets)), bool)
+        table = np.ones((len(queries), len(self.facets)), np.float32)
         for row, query in zip(table, queries, strict=True):
             for condition in query.conditions:
-                row &= rows[condition]
+                row *= rows[condition]
         return table
 
     def possible(self) -> np.ndarray:
@@ -149,7 +156,7 @@ class QueryGraph:
             ) from error
 
     def _holders(self, condition: Condition) -> np.ndarray:
-        """Return which facets satisfy a condition, (F,) bool."""
+        """Return the probability that each facet satisfies a condition, (F,)."""
         if condition.is_seen:
             is_object = condition.relation == OBJECT_RELATION
             seen = ((object_of(name) if is_object else colour) for name, colour in self.facets)
@@ -160,4 +167,11 @@ class QueryGraph:
             return np.zeros(len(self.facets), bool)
         values = graph.values(condition.value)
         rows = (graph.relations == relation) & np.isin(graph.tails, values)
-        return np.asarray(np.isin(self._ids, graph.heads[rows])[self.owner])
+        held = np.isin(self._ids, graph.heads[rows]).astype(float)
+        if graph.confidence:
+            wrong = np.ones(len(self._ids))  # probability that no triple about an object holds
+            part = graph.rows(np.flatnonzero(rows))
+            for head, triple in zip(part.heads, part, strict=True):
+                wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
+            held = 1 - wrong
+        return np.asarray(held[self.owner])
