@@ -65,6 +65,7 @@ READ = [
                '{"source": 0, "target": 2, "type": "usedFor"},'
                ' {"source": 1, "target": 2, "type": "usedFor"}]}'),
     ("a.jsonld", json.dumps([list(MUG), list(BOTTLE)])),
+    ("a.tsv", json.dumps([list(MUG), list(BOTTLE)])),
     # RDF under another suffix
     ("a.owl", TURTLE + ":bottle :usedFor :drinking ."),
     ("a.txt", "# nt\n<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n"

@@ -178,7 +178,7 @@ def _format_of(path: Path) -> str:
     with reading(path, "Copy or compress it again."), open_bytes(path) as file:
         text = file.read(_BEGINNING).decode(errors="replace")
     body = re.sub(r"\A(\s|#.*\n)*", "", text)
-    tried = ["conceptnet"] if suffix in (".csv", ".tsv") else [*FORMATS]
+    tried = ["conceptnet", "json"] if suffix in (".csv", ".tsv") else [*FORMATS]
     found = next((name for name in tried if _begins(FORMATS[name].begins, body)), None)
     if named in _TEXT_RDF and found in _TEXT_RDF:
         return named
