@@ -99,8 +99,8 @@ def test_continuous_actions_are_joint_steps_in_units_of_the_mpi(robot: str) -> N
         assert list(observed) == ["joints"]
         np.testing.assert_allclose(observed["joints"], levels.joint_positions, atol=1e-5)
     for wrong, message in (
-        (np.full(steps.action_space.shape, 1.1), "must lie in -1 to 1"),
-        (np.full(steps.action_space.shape, np.nan), "must lie in -1 to 1"),
+        (np.full(steps.action_space.shape, 1.1), r"floats from -1 to 1 .*got 1\.1 to 1\.1"),
+        (np.full(steps.action_space.shape, np.nan), "floats from -1 to 1 .*got nan"),
         (np.zeros(steps.action_space.shape, int), "must be floats"),
     ):
         with pytest.raises(UserError, match=message):

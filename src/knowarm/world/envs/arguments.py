@@ -10,33 +10,29 @@ from knowarm.errors import UserError
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> NDArray[np.int64]:
     """Return actions as int64 of a shape (n, J)."""
-    array = np.asarray(actions)
-    if array.shape != shape or array.dtype.kind not in "iu":
-        raise UserError(
-            f"actions must be integers of shape {shape} (environments, joints), got "
-            f"{array.dtype} of shape {array.shape}."
-        )
-    if array.min() < 0 or array.max() >= levels:
-        raise UserError(
-            f"actions must lie in 0 to {levels - 1}, got {array.min()} to {array.max()}."
-        )
+    array = _checked(actions, shape, "iu", (0, levels - 1), f"integers from 0 to {levels - 1}")
     return array.astype(np.int64, copy=False)
 
 
 def checked_steps(actions: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return continuous actions as float64 of a shape (n, J)."""
+    allowed = "floats from -1 to 1 (in units of the maximum position increment)"
+    return _checked(actions, shape, "f", (-1, 1), allowed).astype(np.float64)
+
+
+def _checked(
+    actions: ArrayLike, shape: tuple[int, int], kinds: str, ends: tuple[int, int], allowed: str
+) -> NDArray[Any]:
     array = np.asarray(actions)
-    if array.shape != shape or array.dtype.kind != "f":
-        raise UserError(
-            f"actions must be floats of shape {shape} (environments, joints), got {array.dtype} "
-            f"of shape {array.shape}."
-        )
-    if not (np.abs(array) <= 1).all():
-        raise UserError(
-            f"actions must lie in -1 to 1, got {array.min()} to {array.max()}; they are joint "
-            "steps in units of the maximum position increment."
-        )
-    return array.astype(np.float64)
+    if array.shape != shape or array.dtype.kind not in kinds:
+        got = f"{array.dtype} of shape {array.shape}"
+    elif not ((ends[0] <= array) & (array <= ends[1])).all():
+        got = f"{array.min()} to {array.max()}"
+    else:
+        return array
+    raise UserError(
+        f"actions must be {allowed} of shape {shape} (environments, joints), got {got}."
+    )
 
 
 def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -> None:
