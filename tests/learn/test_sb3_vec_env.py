@@ -4,6 +4,7 @@ import pytest
 pytest.importorskip("sb3_contrib")
 
 from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from knowarm.learn.sb3_vec_env import SB3VecEnv
@@ -51,6 +52,17 @@ def test_a_later_seed_is_of_the_next_reset_alone():
     env.seed(3)  # as an algorithm of Stable-Baselines3 does with its own seed
     np.testing.assert_array_equal(env.reset()["image"], plain.reset(seed=3)[0])
     np.testing.assert_array_equal(env.reset()["image"], plain.reset()[0])
+
+
+@pytest.mark.filterwarnings("error")
+def test_policies_are_evaluated_without_another_wrapper():
+    class Still:
+        def predict(self, observation, **_):
+            return np.zeros((4, 6), np.int64), None
+
+    _, lengths = evaluate_policy(Still(), vectorized(), 4, return_episode_rewards=True)
+    assert lengths == [6] * 4
+    assert vectorized().env_is_wrapped(VecMonitor) == [False] * 4
 
 
 @pytest.mark.slow

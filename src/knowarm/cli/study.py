@@ -36,13 +36,8 @@ from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
-STYLES = {
-    "running": "cyan",
-    "failed": "red",
-    "stalled": "yellow",
-    "stopped": "yellow",
-    "done": "green",
-}
+PAUSED = ("stalled", "stopped")  # begun, and not going on
+STYLES = {"running": "cyan", "failed": "red", "done": "green", **dict.fromkeys(PAUSED, "yellow")}
 BAD = ("failed", "damaged")  # states that need an action of the user
 
 
@@ -89,7 +84,7 @@ def status_tables(
 
 def _cell(status: RunStatus, left: dict[RunKey, float]) -> Text:
     words: list[str] = [status.state]
-    if status.state in ("running", "stalled", "stopped", "failed"):
+    if status.state in ("running", "failed", *PAUSED):
         words.append(f"{100 * status.step / status.total_steps:.0f} %")
     if status.success is not None:
         words.append(f"success {100 * status.success:.0f} %")
@@ -240,7 +235,7 @@ class Status(FolderCommand, TableCommand):
         for table in status_tables(study, statuses, console.width):
             console.print(table, crop=False, soft_wrap=isinstance(table, Text))
         for each in statuses:
-            if each.detail and each.state in (*BAD, "stalled", "stopped"):
+            if each.detail and each.state in (*BAD, *PAUSED):
                 print(f"{each.name} {each.state}: {printable(each.detail)}")
         values = {"study": study.name, **totals(statuses, study.where.cores)}
         return values | {"runs": [asdict(each) for each in statuses]}

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import VectorEnv
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
@@ -94,8 +95,8 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
-        """Return false for each index: there are no single environments to wrap."""
-        return [False] * len(self._indices(indices))
+        """Return for each index whether infos hold what a wrapper adds: true for `Monitor`."""
+        return [wrapper_class is Monitor] * len(self._indices(indices))
 
     def _indices(self, indices: Any) -> Sequence[int]:
         return range(self.env.num_envs) if indices is None else list(self._get_indices(indices))
