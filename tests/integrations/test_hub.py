@@ -195,6 +195,9 @@ def test_a_pack_is_shared_as_a_file(hub, tmp_path):
     assert hub("push", pack, "someone/study").returncode == 0
     assert hub("pull", "someone/study", "--to", tmp_path / "there").returncode == 0
     assert (tmp_path / "there/study.tar.xz").read_bytes() == b"packed"
+    unreachable = hub("pull", "someone/study", "--to", tmp_path, HF_ENDPOINT="http://127.0.0.1:1")
+    assert unreachable.returncode == 2, unreachable.stdout
+    assert "Check the connection" in unreachable.stderr
 
 
 @pytest.mark.slow(8)

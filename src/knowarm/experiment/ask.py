@@ -311,8 +311,7 @@ def ask(
     """
     trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
     with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
-        edits = [edit] if isinstance(edit, str) else edit
-        return asker.ask(question, edits, scene, unclear)
+        return asker.ask(question, [edit] if isinstance(edit, str) else edit, scene, unclear)
 
 
 def _check_scene(scene: int) -> None:

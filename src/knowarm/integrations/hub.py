@@ -67,7 +67,7 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
     """Download a repository, or take it from the cache; return its folder.
 
     Only what a run or a pack consists of is downloaded; its size is not limited.
-    Without a connection, and with ``HF_HUB_OFFLINE=1``, the cache alone is searched.
+    Without a connection or with ``HF_HUB_OFFLINE=1`` the cache alone is searched (not with ``to``).
 
     Raises:
         UserError: no such repository or revision, no access, or no connection and no copy.
@@ -75,6 +75,8 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
     with _access(repo_id) as hub:
         wanted = [*RUN_FILES, *(f"*{suffix}" for suffix in FILES), "README.md"]
         options = {"revision": revision, "local_dir": to, "allow_patterns": wanted}
+        if to is not None:  # without a connection any folder that exists would be returned
+            hub.HfApi().repo_info(repo_id, revision=revision)
         return Path(hub.snapshot_download(repo_id, **options))
 
 
