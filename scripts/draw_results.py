@@ -9,7 +9,7 @@ import math
 import re
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -88,29 +88,47 @@ def answers(study: Path, agent: str, splits: Sequence[str] = SPLITS) -> str:
     return picture([chart], dots_box(rows), {name: c for name, (_, c) in measures.items()})
 
 
-def damaged_graph(table: Path) -> str:
-    """Draw right choices over the damaged share, of the robots and splits of a table."""
+KINDS = {each: (each, f"c-{c}") for each, c in
+         (("missing", "blue"), ("wrong", "orange"), ("adversarial", "purple"))}  # fmt: skip
+CONFIDENCE = {"": ("unknown", "c-orange"), "0.75": ("AUC .75", "c-blue"),
+              "0.9": ("AUC .9", "c-purple"), "1.0": ("known exactly", "c-teal")}  # fmt: skip
+
+
+def damaged_graph(
+    table: Path,
+    column: str = "kind",
+    lines: Mapping[str, tuple[str, str]] = KINDS,
+    kinds: Collection[str] = tuple(KINDS),
+) -> str:
+    """Draw right choices over the damaged share, of the robots and splits of a table.
+
+    Args:
+        table: the file.
+        column: a line per value of this column.
+        lines: name and colour of the line by value.
+        kinds: kinds of damage that count.
+    """
     values: dict[tuple[str, str, str], dict[float, list[float]]] = defaultdict(dict)
     with table.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            line = values[row["robot"], row["split"], row["kind"]]
-            line.setdefault(float(row["share"]), []).append(float(row["right"]))
-    colours = {"missing": "c-blue", "wrong": "c-orange", "adversarial": "c-purple"}
+            if row["kind"] in kinds:
+                line = values[row["robot"], row["split"], row[column]]
+                line.setdefault(float(row["share"]), []).append(float(row["right"]))
     share = percent_axis("damaged triples", whole=False)
     box, drawings = Box(width=330, height=230), []
     for robot, split in (("irb120", "S1"), ("irb120", "S4"), ("tiago", "S1"), ("tiago", "S4")):
         title = f"right choices, {robot}, {split}"
-        lines = [
+        drawn = [
             Series(
-                name=kind,
+                name=name,
                 colour=colour,
-                x=np.array(sorted(values[robot, split, kind])),
-                y=np.array([np.mean(v) for _, v in sorted(values[robot, split, kind].items())]),
+                x=np.array(sorted(values[robot, split, each])),
+                y=np.array([np.mean(v) for _, v in sorted(values[robot, split, each].items())]),
             )
-            for kind, colour in colours.items()
+            for each, (name, colour) in lines.items()
         ]
-        drawings.append(line_chart(lines, title, share, percent_axis(title), box=box))
-    return picture(drawings, box, colours, columns=2)
+        drawings.append(line_chart(drawn, title, share, percent_axis(title), box=box))
+    return picture(drawings, box, dict(lines.values()), columns=2)
 
 
 def table(page: Path, number: int) -> list[list[str]]:
@@ -252,6 +270,10 @@ FIGURES: dict[str, tuple[Sequence[str], Callable[..., str]]] = {
         partial(answers, agent="families-answers-distil", splits=FAMILIES),
     ),
     "damaged-graph.svg": (["damaged-graph.csv"], damaged_graph),
+    "damaged-graph-confidence.svg": (
+        ["damaged-graph-confidence.csv"],
+        partial(damaged_graph, column="confidence", lines=CONFIDENCE, kinds=["wrong"]),
+    ),
     "vision.svg": (["vision.md"], vision),
     "sim-to-sim.svg": (
         ["sim-to-sim.md"],

@@ -101,9 +101,12 @@ def test_given_names():
 
 
 def test_near_names_are_offered():
-    graph = graph_of([(E + "CoffeeMug", E + "usedFor", E + "drinking")])
+    others = [(E + "MugShot", E + "isA", E + "Picture"), (E + "Smugness", E + "isA", E + "Mood")]
+    graph = graph_of([(E + "CoffeeMug", E + "usedFor", E + "drinking"), *others])
     with pytest.raises(UserError, match=r"none of the 3 objects.*names='mug=CoffeeMug'"):
         answer(graph, FACETS, "usedFor drinking")
+    with pytest.raises(UserError, match="names='mug=MyMug'"):
+        answer(graph_of(others), FACETS, "usedFor drinking")
 
 
 THINGS = graph_of(

@@ -23,6 +23,19 @@ KITCHEN = """
     owl:someValuesFrom [ a owl:Class ; owl:intersectionOf ( :Bowl :Rigid ) ] ] ) ] .
 :Tool rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :price ; owl:hasValue 5 ] .
 """
+CARDINALITIES = """
+:Mug rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :hasPart ; owl:onClass :Handle ;
+    owl:qualifiedCardinality 1 ],
+  [ a owl:Restriction ; owl:onProperty :holds ; owl:onClass [ a owl:Class ; owl:intersectionOf
+    ( :Hot :Liquid ) ] ; owl:minQualifiedCardinality 2 ],
+  [ a owl:Restriction ; owl:onProperty :hasPart ; owl:onClass :Lid ; owl:qualifiedCardinality 0 ],
+  [ a owl:Restriction ; owl:onProperty :hasPart ; owl:onClass :Cap ;
+    owl:minQualifiedCardinality 0 ],
+  [ a owl:Restriction ; owl:onProperty :hasPart ; owl:onClass :Foot ;
+    owl:maxQualifiedCardinality 1 ],
+  [ a owl:Restriction ; owl:onProperty :price ; owl:onDataRange :Number ;
+    owl:qualifiedCardinality 1 ] .
+"""
 NO_FACTS = """
 :Pot rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :holds ; owl:allValuesFrom :Soup ],
   [ a owl:Restriction ; owl:onProperty [ owl:inverseOf :in ] ; owl:someValuesFrom :Soup ],
@@ -67,6 +80,16 @@ def test_axioms_that_state_no_fact_are_counted_by_kind(tmp_path):
     assert f"0 facts follow from class axioms of OWL and were added; {kinds}" in warning.replace(
         "class axioms that state none: ", ""
     )
+
+
+def test_cardinalities_from_one_on_state_facts(tmp_path):
+    _, local, warning = read(tmp_path, CARDINALITIES)
+    assert {(r, t) for h, r, t in local if h == "Mug" and r in ("hasPart", "holds", "price")} == {
+        ("hasPart", "Handle"),
+        ("holds", "Hot"),
+        ("holds", "Liquid"),
+    }
+    assert "3 facts follow" in warning
 
 
 def test_other_graphs_stay():

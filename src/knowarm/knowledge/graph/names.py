@@ -71,9 +71,9 @@ class Spellings:
         return None
 
     def near(self, name: str) -> list[str]:
-        """Return the last parts of names that contain a name, shortest first."""
+        """Return the last parts of names that end with a name ("CoffeeMug"), shortest first."""
         key = name_key(name)
-        ids = {i for each, found in self._by_key.items() if key in each for i in found}
+        ids = {i for each, found in self._by_key.items() if each.endswith(key) for i in found}
         return sorted((self.names.short(i) for i in ids), key=lambda n: (len(n), n))
 
     def alike(self, name: str) -> Iterator[list[int]]:

@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import RDF, RDF_TYPE, RDFS, local_name
+from knowarm.knowledge.graph.terms import RDF, RDF_TYPE, RDFS, local_name, parse_literal
 
 OWL = "http://www.w3.org/2002/07/owl#"
 _SUBCLASS, _EQUIVALENT = RDFS + "subClassOf", OWL + "equivalentClass"
 _DEEPEST = 50
 """Most classes inside each other."""
 _VALUES = (OWL + "someValuesFrom", OWL + "hasValue")
+_LEAST = (OWL + "qualifiedCardinality", OWL + "minQualifiedCardinality")
+"""Numbers of values of `onClass`: from 1 on, there is some."""
 
 
 def with_class_axioms(graph: KnowledgeGraph) -> tuple[KnowledgeGraph, int, dict[str, int]]:
@@ -69,6 +71,9 @@ class _Axioms:
                 yield from self.facts(member, trail)
         else:
             values = [value for key in _VALUES for value in about.get(key, ())]
+            least = (parse_literal(value) for key in _LEAST for value in about.get(key, ()))
+            if any(number and number.value not in ("", "0") for number in least):
+                values += about.get(OWL + "onClass", ())
             of = about.get(OWL + "onProperty", ["_:"])[0]
             within = (fact for value in values for fact in self.facts(value, trail))
             named = [value for relation, value in within if relation == _SUBCLASS]
