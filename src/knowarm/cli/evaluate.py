@@ -270,8 +270,8 @@ def _print(summary: "Summary") -> None:
             f"{_cell(gain, summary.numbers)} points, the {gain.about}.\n"
         )
     print(
-        f"accuracy: distance <= {summary.config.distance_m} m. success: as the task defines it, "
-        f"mostly with angle <= {summary.config.angle_deg} deg, too. [95 % interval over episodes]"
+        f"accuracy: within {summary.config.distance_m} m. success: also within "
+        f"{summary.config.angle_deg} deg, unless the task says otherwise. [95 % over episodes]"
     )
 
 

@@ -151,9 +151,8 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     for finding in findings:
         is_split = finding.outcome not in OUTCOMES
         name = finding.subject.name if finding.subject else "agents with knowledge"
-        outcome = "" if is_split else finding.outcome
-        splits = said[name][outcome][WORDS[finding.kind]][finding.task.title]
-        splits += [finding.outcome] * is_split
+        by_task = said[name]["" if is_split else finding.outcome][WORDS[finding.kind]]
+        by_task[finding.task.title] += [finding.outcome] * is_split
     parts = []
     for name, outcomes in said.items():
         if outcomes.get("success") == outcomes.get("speed"):
@@ -176,7 +175,7 @@ def _where(splits: Mapping[str, Sequence[str]], tasks: int) -> str:
         titles[tuple(each)].append(title)
     places = []
     for each, found in titles.items():
-        is_all = len(found) == tasks
-        named = ("both tasks" if tasks == 2 else f"all {tasks} tasks") if is_all else listed(found)
+        every = "both tasks" if tasks == 2 else f"all {tasks} tasks"
+        named = every if len(found) == tasks else listed(found)
         places.append(" of ".join([listed(each)] * bool(each) + [named] * (tasks > 1)))
     return f"on {listed(places)} " if any(places) else ""
