@@ -31,6 +31,18 @@ def reach_run(tmp_path_factory):
     return train(short(), tmp_path_factory.mktemp("reach"))
 
 
+@pytest.fixture
+def short_search(monkeypatch):
+    """Let checks of robots try a tenth of the fixed lists of actions."""
+    from knowarm.world.agents import OpenLoopAgent
+    from knowarm.world.agents.open_loop import BUDGET, search_open_loop
+
+    def searched_list(env, seed):
+        return OpenLoopAgent(search_open_loop(env.config, BUDGET // 10, seed))
+
+    monkeypatch.setattr("knowarm.world.own_robot.robot_check.searched_list", searched_list)
+
+
 @pytest.fixture(scope="session")
 def choose_run(tmp_path_factory):
     """A run of the choose task, like `reach_run`."""

@@ -36,7 +36,9 @@ def test_options_that_do_not_fit_are_refused(options: dict, words: str) -> None:
 
 
 @pytest.mark.slow
-def test_draft_is_written_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_draft_is_written_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], short_search: None
+) -> None:
     file, image = tmp_path / "scara.toml", tmp_path / "scara.png"
     doctor = Doctor(
         robot=str(EXAMPLES / "scara.xml"),

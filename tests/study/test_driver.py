@@ -200,7 +200,7 @@ def test_a_stop_request_ends_the_study(tmp_path, executors):
         (tmp_path / STOP).touch()
 
     assert [each.state for each in run_study(tiny(), tmp_path, on_status=stop)] == [
-        "stalled",
+        "stopped",
         "waiting",
     ]
     assert [each.state for each in run_study(tiny(), tmp_path)] == ["done", "done"]
@@ -245,7 +245,7 @@ def test_a_worker_that_is_stopped_saves_its_run(tmp_path):
         return trained or time.monotonic() - begin > 120
 
     (stopped,) = run_study(study, tmp_path, should_stop=trains)
-    assert stopped.state == "stalled"
+    assert stopped.state == "stopped"
     assert stopped.step > 0
     assert not (path / FAILURE).exists()
     assert RunFolder(path).checkpoint_fact("step", 0) > 0, "no checkpoint was saved"

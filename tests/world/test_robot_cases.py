@@ -212,7 +212,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
         "own floor",
     ],
 )
-def test_drafts_pass_all_checks(name: str, tmp_path: Path) -> None:
+def test_drafts_pass_all_checks(name: str, tmp_path: Path, short_search: None) -> None:
     (tmp_path / "arm.xml").write_text(CASES[name])
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
     found = shrink_distance(found, ["mug", "bottle"])
