@@ -30,7 +30,7 @@ from knowarm.world.scene.scene import Scene
 # Each axis varies by up to 1 cm and 1 degree, which are also the root mean squares over three axes.
 CAMERA = {"camera_shift_m": 0.01, "camera_turn_deg": 1.0}
 LIGHT = {"light": 0.3, "light_angle_deg": 20.0}
-KINDS: dict[str, tuple[bool, bool, dict[str, float]]] = {
+KINDS: dict[str, tuple[bool, bool, dict[str, Any]]] = {
     "ray caster": (False, False, {}),
     "ray caster, camera": (False, False, CAMERA),
     "OpenGL": (True, False, {}),
@@ -82,7 +82,7 @@ def success(run: Path, kind: str, episodes: int, seed: int) -> float:
     """Play a run's policy on images of a kind; return the share of successes."""
     trained = load_agent(run)
     opengl, lamp, varied = KINDS[kind]
-    config = replace(trained.config.env, randomization=VisualRandomization(**varied))  # type: ignore[arg-type]
+    config = replace(trained.config.env, randomization=VisualRandomization(**varied))
     env = ArmVectorEnv(config, min(episodes, 100), num_threads=1)
     if opengl:
         kind_of = LampRenderer if lamp else OpenGLRenderer

@@ -3,7 +3,6 @@
 MUJOCO_GL=egl python -m scripts.draw_renderers    # writes to docs/images
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ SEED = 4
 def first_image(robot: str, kind: str) -> np.ndarray:
     """Return the first image of an episode, (H, W, 3) uint8, of a kind of `sim_to_sim`."""
     opengl, lamp, varied = KINDS[kind]
-    config = replace(EnvConfig(robot=robot), randomization=VisualRandomization(**varied))  # type: ignore[arg-type]
+    config = EnvConfig(robot=robot, randomization=VisualRandomization(**varied))
     env = ArmVectorEnv(config, 1, num_threads=1)
     if opengl:
         env.renderer = (LampRenderer if lamp else OpenGLRenderer)(env.scene, config.image_size)
