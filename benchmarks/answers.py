@@ -32,7 +32,7 @@ from knowarm.config import override
 from knowarm.experiment.conditions import DamageTest, Subject
 from knowarm.experiment.knows import GraphAnswers
 from knowarm.experiment.load import TrainedAgent, load_agent
-from knowarm.experiment.other_graphs import splits_of, target_names, with_graph
+from knowarm.experiment.other_graphs import target_names, with_graph
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.damage import Damage
@@ -44,7 +44,7 @@ from knowarm.perception.grounding import FrameRecognition, GroundingNetwork
 from knowarm.perception.images import LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.statistics import wilson
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 
 BATCH = 250
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -66,9 +66,10 @@ def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Te
     return (distance.argmin(1) == 0).numpy()
 
 
-def edited(env: EnvConfig, split: str) -> KnowledgeGraph | None:
+def edited_graph(env: EnvConfig) -> KnowledgeGraph | None:
     """Return the edited graph of split S5."""
-    return splits_of(env).edited if split == "S5" else None
+    graph: KnowledgeGraph | None = env.task.edited_graph(facets_of(env))
+    return graph
 
 
 @torch.no_grad()
@@ -120,7 +121,7 @@ def tasks_of(
     tasks: dict[str, Task] = {}
     for split in splits:
         env = trained.config.env
-        env = replace(env, task=env.task.for_split(split, None))
+        env = replace(env, task=env.task.asking(split=split))
         stream = derive_seed(seed, "perception", list(SPLITS).index(split) + 1)
         tasks[split] = env, sample_images(env, network_of(trained).spec, images, stream)
     return tasks
@@ -172,9 +173,9 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
                 *damage.values(),
             )
             if key not in graphs:
-                known = Subject(env=env, config=config, graph=edited(env, split))
+                known = Subject(env=env, config=config, graph=edited_graph(env))
                 graphs[key] = override(DamageTest(), damage).prepare(known).graph
-            graph, true = graphs[key], edited(env, split) or config.knows.read_graph()
+            graph, true = graphs[key], edited_graph(env) or config.knows.read_graph()
             if auc is not None:
                 assert graph is not None
                 assert true is not None
@@ -216,7 +217,7 @@ def main() -> None:
     for trained, seed in product(runs, arguments.seeds):
         for split, task in tasks_of(trained, arguments.splits, arguments.images, seed).items():
             for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
-                found = measure(trained, task, reasoning, edited(task[0], split))
+                found = measure(trained, task, reasoning, edited_graph(task[0]))
                 run = (trained.config.name, trained.config.seed, f"episodes {seed}", split)
                 print(*run, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
 

@@ -10,19 +10,16 @@ wanted one of the objects shown. No reinforcement learning is involved, so a fus
 import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from knowarm.experiment.build import build
-from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.names import experiment_config
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.config import FUSIONS
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.choose.choose import Choose
 
 BATCH, LEARNING_RATE, TEST_IMAGES = 256, 1.5e-3, 2048
 FUSED = [name for name in FUSIONS if name not in ("none", "critic")]
@@ -106,9 +103,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     config = experiment_config(arguments.experiment)
-    task = cast(Choose, config.env.task)
-    queries = replace(cast(GraphQueries, task.queries), pairs=arguments.pairs)
-    task = replace(task, queries=queries)
+    task = config.env.task.asking(pairs=arguments.pairs)
     env_config = replace(config.env, image_size=arguments.size, task=task)
     found = []
     for seed in arguments.seeds:

@@ -21,12 +21,11 @@ import torch
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows.grounded import Grounded
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.other_graphs import splits_of
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.grounding import FrameRecognition
 from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
 from knowarm.seeding import derive_seed
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 
 AGENTS = ["subgraph", "query-words", "query-onehot", "subgraph-shuffled"]
 SETTINGS = {
@@ -41,7 +40,7 @@ SETTINGS = {
 
 def with_split(env: EnvConfig, split: str) -> EnvConfig:
     """Return the task that asks the questions of a split."""
-    return replace(env, task=env.task.for_split(split, None))
+    return replace(env, task=env.task.asking(split=split))
 
 
 def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> list[DescribedGraph]:
@@ -98,7 +97,7 @@ def main() -> None:
                 labels = sample_images(
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
-                graph = splits_of(env).edited if split == "S5" else None
+                graph = env.task.edited_graph(facets_of(env))
                 described = knows.embed(env, seed, graph=graph, trained=config.env)
                 known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")

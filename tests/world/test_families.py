@@ -193,7 +193,7 @@ def tables():
     config = experiment_config("irb120-families-answers-distil")
     splits = {"train": config.env}
     for split in SPLITS[1:]:
-        splits[split] = replace(config.env, task=config.env.task.for_split(split, None))
+        splits[split] = replace(config.env, task=config.env.task.asking(split=split))
     return {split: questions_of(env) for split, env in splits.items()}
 
 
@@ -229,7 +229,7 @@ def test_s2_holds_out_a_condition_of_all_instances_of_a_kind(tables):
 @pytest.mark.parametrize("split", ["S3a", "S3b"])
 def test_the_oracle_reaches_new_objects(split):
     env = EnvConfig(task=Families(), image_size=8, dynamics="kinematic")
-    env = replace(env, task=env.task.for_split(split, None))
+    env = replace(env, task=env.task.asking(split=split))
     world = ArmVectorEnv(env, 32)
     result = play(OracleAgent(world), world, evaluation_episodes(env, 32, 0))
     assert result.success.mean() > 0.9

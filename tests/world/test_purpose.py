@@ -185,7 +185,7 @@ def test_a_task_with_one_object_has_one_part_of_each():
 def test_every_split_asks_about_parts(split):
     env = experiment_config("irb120-purpose-bm-fast").env
     trained, tested = (
-        questions_of(replace(env, task=env.task.for_split(each, None))) for each in ("train", split)
+        questions_of(replace(env, task=env.task.asking(split=each))) for each in ("train", split)
     )
     asked = {(q, object_of(trained.facets[f][0])) for q, f in np.argwhere(tested.askable).tolist()}
     assert asked

@@ -14,7 +14,7 @@ from knowarm.errors import UserError, packages_of
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.other_graphs import check_graph, splits_of
+from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.integrations.runner import Runner
 from knowarm.learn.algorithms import privileged_uses
@@ -103,7 +103,7 @@ def _run(spec: str) -> Entrant:
             raise UserError(f"{spec} was trained for {own.robot} and {own.task.kind_of()}.")
         if facets_of(own) != facets_of(other):
             raise UserError(f"{spec} was trained with other objects or colours.")
-        graph = cell.graph or (splits_of(other).edited if cell.split == "S5" else None)
+        graph = cell.graph or other.task.edited_graph(facets_of(other))
         if graph is not None:
             check_graph(config, other)
         subject = Subject(env=other, config=config, graph=graph, reasoning=reasoning)

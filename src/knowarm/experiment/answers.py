@@ -19,16 +19,11 @@ def asked(env: EnvConfig) -> QuestionTable:
     """Return the questions of a task, which must have some."""
     table = questions_of(env)
     if table is None:
-        raise no_queries(env)
+        raise UserError(
+            f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a run "
+            "of the choose task."
+        )
     return table
-
-
-def no_queries(env: EnvConfig) -> UserError:
-    """Return the error for a task without questions that a graph answers."""
-    return UserError(
-        f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a run of "
-        "the choose task."
-    )
 
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from knowarm.config import at_least, fraction, override
+from knowarm.config import at_least, fraction
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning
@@ -15,7 +15,7 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.perception.config import LEVEL, Unclear
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,14 +109,14 @@ class SplitTest(BaseTest):
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the task ask the split's questions, and the agent know the edited graph."""
-        env = replace(subject.env, task=subject.env.task.for_split(self.split, self.edited))
-        graph = subject.graph
-        if self.split == "S5" and subject.config is not None:
-            from knowarm.experiment.other_graphs import check_graph, splits_of
+        edited = {} if self.edited is None else {"edited": self.edited}
+        env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
+        if self.split != "S5" or subject.config is None:
+            return replace(subject, env=env)
+        from knowarm.experiment.other_graphs import check_graph
 
-            check_graph(subject.config, env)
-            graph = splits_of(env).edited
-        return replace(subject, env=env, graph=graph)
+        check_graph(subject.config, env)
+        return replace(subject, env=env, graph=env.task.edited_graph(facets_of(env)))
 
     def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """On S5, return whether the chosen object answered before the edit."""
@@ -153,7 +153,7 @@ class GraphTest(BaseTest):
 
     def stored(self, env: EnvConfig) -> EnvConfig:
         """Return it with the given graph, not with the cached copy that has the names."""
-        return override(env, {"task": {"queries": {"graph": self.graph}}})
+        return replace(env, task=env.task.asking(graph=self.graph))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-from knowarm.config import override
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
@@ -43,9 +43,14 @@ class GraphQueries(QuerySource):
         files = (file for path in named for file in (path, *path.glob("*")) if file.exists())
         return tuple(sorted(file.stat().st_mtime_ns for file in files))
 
-    def for_split(self, split: str, edited: str | None) -> "GraphQueries":
-        """Return the source of the questions of a split's test."""
-        return override(self, {"split": split, "edited": edited or self.edited})
+    @property
+    def graph_path(self) -> str:
+        """Path of the graph, or the name of a shipped one."""
+        return self.graph
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> KnowledgeGraph | None:
+        """Return the graph of split S5 where its questions are asked."""
+        return self.splits(facets, objects).edited if self.split == "S5" else None
 
     def splits(self, facets: tuple[ObjectColour, ...], objects: int) -> QuerySplits:
         """Make the tables of training and of all tests; cached per `version`."""

@@ -10,7 +10,6 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
@@ -103,10 +102,9 @@ class ExperimentName:
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
         task, knows = override(task_type(self.task)(), agent.task), agent.knows
         policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
-        queries = task.query_source
-        if knows.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
+        if knows.scope in ("query", "perceived") and task.graph is not None:
             # described by the graph of the questions
-            knows = override(knows, {"graph": queries.graph, "aliases": QUERY.aliases})
+            knows = override(knows, {"graph": task.graph, "aliases": QUERY.aliases})
         config = ExperimentConfig(
             name=str(self),
             agent=self.agent,
@@ -200,12 +198,12 @@ def override_experiment(
         where: place of the overrides, for errors.
     """
     rest = {name: value for name, value in overrides.items() if name != "graph"}
-    graph = overrides.get("graph")
+    graph, task = overrides.get("graph"), config.env.task
     both: dict[str, Any] = {}
-    if graph is not None and hasattr(config.knows, "graph"):
+    if graph is not None and config.knows.scope != "nothing":
         both["knows"] = {"graph": graph}
-    if graph is not None and isinstance(config.env.task.query_source, GraphQueries):
-        both["env"] = {"task": {"queries": {"graph": graph}}}
+    if graph is not None and task.graph is not None:
+        both["env"] = replace(config.env, task=task.asking(graph=graph))
     if graph is not None and not both:
         raise UserError(
             Argument("graph", graph),
@@ -220,16 +218,16 @@ def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
 
     ``given`` are dotted names of the fields that the user has set.
     """
-    source, named = config.env.task.query_source, GRAPH_FIELDS & set(given)
+    asked, named = config.env.task.graph, GRAPH_FIELDS & set(given)
     if (
         len(named) == 1
         and "graph" not in given
-        and isinstance(source, GraphQueries)
-        and not config.knows.is_of_graph(source.graph)
+        and asked is not None
+        and not config.knows.is_of_graph(asked)
     ):
-        graph = source.graph if "env" in named.pop() else getattr(config.knows, "graph", None)
+        graph = asked if "env" in named.pop() else getattr(config.knows, "graph", None)
         raise UserError(
-            f"The questions are of the graph {source.graph}, and the knowledge is of another one. "
+            f"The questions are of the graph {asked}, and the knowledge is of another one. "
             "For both pass ",
             Argument("graph", graph),
             "; for two graphs name both: env.task.queries.graph and knows.graph.",

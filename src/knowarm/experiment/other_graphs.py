@@ -1,26 +1,25 @@
 """Other graphs of the questions than that of training."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import compress
 
 import numpy as np
 
 from knowarm.config import override
 from knowarm.errors import UserError
-from knowarm.experiment.answers import asked, described, no_queries
+from knowarm.experiment.answers import asked, described
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph, write_graph
-from knowarm.knowledge.queries.splits import QuerySplits
 from knowarm.world.cache import cache_file
 from knowarm.world.config import EnvConfig, facets_of
 
 
 def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
     """Refuse another graph of the questions for an agent whose knowledge is of a third one."""
-    questions = _source(env).graph
-    if not config.knows.is_of_graph(questions):
+    questions = env.task.graph
+    if questions is not None and not config.knows.is_of_graph(questions):
         raise UserError(
             f"This test changes the graph of the questions ({questions}); the policy was trained "
             "with knowledge from another one. Train with knows.graph set to that of the questions."
@@ -39,8 +38,8 @@ def with_graph(
         path: of the graph, or the name of a shipped one.
         names: its names for objects, where they differ by more than their spelling.
     """
-    asked(config.env)
     path = _with_names(path, names) if names else path
+    task = config.env.task.asking(graph=path, hold_out=())
     is_described = described(read_graph(path), target_names(config.env))
     targets = [*compress(config.env.targets, is_described)]
     if len(targets) < config.env.task.visible:
@@ -49,8 +48,7 @@ def with_graph(
             f"({', '.join(targets) or 'none'}), and an episode shows {config.env.task.visible}. "
             "Give a graph with triples about more of them."
         )
-    queries = {"graph": path, "hold_out": []}
-    env = {"targets": targets, "task": {"queries": queries}}
+    env = replace(config.env, task=task, targets=tuple(targets))
     return override(config, {"env": env, "knows": {"graph": path}})
 
 
@@ -76,7 +74,7 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
 
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
     """Return the objects that answered each query of S5 before the edit, in any colour, by name."""
-    before = splits_of(env).train
+    before = asked(replace(env, task=env.task.asking(split="train")))
     return {
         query.name: {before.facets[facet][0] for facet in np.flatnonzero(row)}
         for query, row in zip(before.queries, before.satisfies, strict=True)
@@ -86,15 +84,3 @@ def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
 def target_names(env: EnvConfig) -> list[str]:
     """Return the names of the targets, some of which may be given as files."""
     return list(dict.fromkeys(name for name, _ in facets_of(env)))
-
-
-def splits_of(env: EnvConfig) -> QuerySplits:
-    """Return the splits of the questions of a task."""
-    return _source(env).splits(facets_of(env), env.task.visible)
-
-
-def _source(env: EnvConfig) -> GraphQueries:
-    source = env.task.query_source
-    if not isinstance(source, GraphQueries):
-        raise no_queries(env)
-    return source

@@ -22,15 +22,14 @@ class QuerySource:
         """Return numbers that change where files that the questions follow from change."""
         return ()
 
-    def for_split(self, split: str, edited: str | None) -> "QuerySource":
-        """Return the source of the questions of a split's test, if it has splits.
+    @property
+    def graph_path(self) -> str | None:
+        """Path of the graph that answers, or the name of a shipped one; None without a graph."""
+        return None
 
-        ``edited`` is the path of the edited graph of split S5; None takes the source's own.
-        """
-        raise UserError(
-            f"split={split!r} selects questions that a graph answers, and this task has "
-            f"{type(self).__name__}. Evaluate a run with questions of a graph, or leave split out."
-        )
+    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> Any:
+        """Return the graph that answers instead of ``graph_path``, of split S5; else None."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

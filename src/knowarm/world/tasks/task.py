@@ -15,7 +15,6 @@ from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.guides import Guide, ShortestWay, StraightApproach
-from knowarm.world.tasks.query_source import QuerySource
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState
@@ -85,8 +84,8 @@ class Task:
         return 1
 
     @property
-    def query_source(self) -> QuerySource | None:
-        """Where the questions come from; None if episodes have none."""
+    def graph(self) -> str | None:
+        """Path of the graph that answers the questions, or the name of a shipped one, if any."""
         return None
 
     @property
@@ -156,17 +155,21 @@ class Task:
         """Name the rows of the knowledge table that ``knowledge_info`` refers to."""
         return ["/".join(facet) for facet in facets]
 
-    def for_split(self, split: str, edited: str | None) -> "Task":
-        """Return the task with the questions of a split's test.
+    def asking(self, **fields: Any) -> "Task":
+        """Return the task with other questions of a graph, by fields of ``GraphQueries``.
 
         Raises:
-            UserError: the task has no splits.
+            UserError: no graph answers questions of the task.
         """
+        name, value = next(iter(fields.items()))
         raise UserError(
-            f"split={split!r} selects questions that a graph answers, and the task "
-            f"{self.kind_of()!r} has none. Evaluate a run of a task with such questions, or leave "
-            "split out."
+            f"The task {self.kind_of()!r} has no queries that a graph could answer, got {name}="
+            f"{value!r}. Take a run of a task with such queries, or leave {name} out."
         )
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> Any:
+        """Return the graph that answers instead of ``graph``, of split S5; else None."""
+        return None
 
     def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
         """Return the arrays (n, ...) that the task remembers between steps, as an episode starts.

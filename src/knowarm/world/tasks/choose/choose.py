@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.config import check_values, registered, within
+from knowarm.config import check_values, override, registered, within
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
@@ -94,9 +94,9 @@ class Choose(Task):
         return self.objects
 
     @property
-    def query_source(self) -> QuerySource:
-        """Where the questions come from."""
-        return self.queries
+    def graph(self) -> str | None:
+        """Path of the graph that answers the questions, or the name of a shipped one, if any."""
+        return self.queries.graph_path
 
     @property
     def paints_goal(self) -> bool:
@@ -120,9 +120,15 @@ class Choose(Task):
         """Name the rows of the knowledge table: one per query."""
         return [query.name for query in self.questions(facets).queries]
 
-    def for_split(self, split: str, edited: str | None) -> "Choose":
-        """Return the task with the questions of a split's test."""
-        return replace(self, queries=self.queries.for_split(split, edited))
+    def asking(self, **fields: Any) -> Task:
+        """Return the task with other questions of a graph, by fields of ``GraphQueries``."""
+        if self.graph is None:
+            return super().asking(**fields)
+        return replace(self, queries=override(self.queries, fields))
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> Any:
+        """Return the graph that answers instead of ``graph``, of split S5; else None."""
+        return self.queries.edited_graph(facets, self.visible)
 
     def knowledge_input(self, state: EpisodeState) -> Integers:
         """Return the number of each episode's query, (n,) int64."""
