@@ -104,7 +104,7 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 
 def test_a_split_needs_queries_of_a_graph() -> None:
     env = EnvConfig(task=Choose(queries=NameQueries()))
-    with pytest.raises(UserError, match="this task has NameQueries"):
+    with pytest.raises(UserError, match="no queries that a graph could answer"):
         evaluate(OracleAgent, env, episodes=4, test=(SplitTest(split="S2"),))
 
 

@@ -48,7 +48,7 @@ from knowarm.perception.config import Unclear
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import find_task
 
 if TYPE_CHECKING:
     from knowarm.experiment.measures import Numbers
@@ -233,7 +233,7 @@ def parse_with_task(
     options: dict[str, Any] = {}
     if task is not None:
         make: Callable[..., Command] = command
-        options["default"] = make(**missing, env=EnvConfig(task=task_type(task)()))
+        options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
     parsed: Any = parse_options(command, prog, rest, **options)
     if any(word.startswith("--env.") for word in arguments) and not is_scripted(parsed.agent):
         raise UserError("A run has its own environment: leave out the --env options.")

@@ -20,7 +20,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import find_task
 from knowarm.world.tasks.task import Task
 from knowarm.world.viewing.record import (
     check_video,
@@ -74,7 +74,7 @@ class View:
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--task` takes the name of a task."""
         rest, task = take_option(arguments, "--task", "choose")
-        default = cls() if task is None else cls(task=task_type(task)())
+        default = cls() if task is None else cls(task=find_task(task))
         return parse_options(cls, prog, rest, default=default)
 
     def run(self) -> None:

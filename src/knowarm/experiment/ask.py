@@ -24,7 +24,6 @@ from knowarm.perception.images import first_facets
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.choose.choose import measure_object
 from knowarm.world.tasks.reward import is_success
 from knowarm.world.viewing.record import Frame, record_episode
 
@@ -247,7 +246,7 @@ class Asker:
         end = self._env.running
         infos = end.config.task.infos(end)
         nearest = np.argmax(infos["objects"] == infos["reached_object"][:, None], axis=1)
-        distance, angle = measure_object(end, nearest)
+        distance, angle = end.measure_object(nearest)
         with torch.inference_mode():
             image = torch.as_tensor(film[0].policy)[None]
             seen = agent.recognition.see(image, torch.from_numpy(answers.satisfies[None]))

@@ -14,11 +14,9 @@ from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS, unknown_robot
-from knowarm.world.tasks import task_names, task_type
+from knowarm.world.tasks import DEFAULT_TASK, find_task, task_names, task_type
 from knowarm.world.tasks.sampling import Colours
 
-DEFAULT_TASK = "reach"
-"""The task that names leave out."""
 RANDOMIZED = "-dr"
 """Suffix of the agent for randomized colours, in tasks that leave the colours open."""
 
@@ -100,7 +98,7 @@ class ExperimentName:
     def config(self, **overrides: Any) -> ExperimentConfig:
         """Return the config of the experiment; overrides as in `experiment_config`."""
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
-        task, knows = override(task_type(self.task)(), agent.task), agent.knows
+        task, knows = override(find_task(self.task), agent.task), agent.knows
         policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
         if knows.scope in ("query", "perceived") and task.graph is not None:
             # described by the graph of the questions

@@ -15,7 +15,6 @@ from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import (
-    DEFAULT_TASK,
     ExperimentName,
     check_graphs,
     colours_of,
@@ -26,7 +25,7 @@ from knowarm.experiment.names import (
 from knowarm.reading import read_json, read_toml, write_json
 from knowarm.study.executor import RunKey, Where
 from knowarm.world.description import check_trusted, trust
-from knowarm.world.tasks import task_names
+from knowarm.world.tasks import DEFAULT_TASK, task_names
 from knowarm.world.tasks.sampling import Colours
 
 FORMAT = 1  # of study.json

@@ -1,6 +1,7 @@
 """Configuration of an environment: robot, task, objects, thresholds and image."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 from knowarm.config import above_zero, at_least, check_values, registered, within
@@ -11,7 +12,7 @@ from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene, load_scene
-from knowarm.world.tasks import task_names, task_type
+from knowarm.world.tasks import DEFAULT_TASK, find_task, task_names, task_type
 from knowarm.world.tasks.held_out import HeldOut
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
 from knowarm.world.tasks.sampling import Colours, Setting
@@ -27,7 +28,7 @@ class EnvConfig:
     robot: str = DEFAULT_ROBOT
     """A robot that `knowarm list` names, or the TOML file of your own robot."""
     task: Task = field(
-        default_factory=lambda: task_type("reach")(),
+        default_factory=partial(find_task, DEFAULT_TASK),
         metadata=registered(lambda: map(task_type, task_names()), "task"),
     )
     """What an episode is, what counts as success, reward and infos: ``Reach``, ``Choose``, or a
@@ -65,13 +66,7 @@ class EnvConfig:
     """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
-        task: Any = self.task
-        if isinstance(task, str):
-            object.__setattr__(self, "task", task_type(task)())
-        elif not isinstance(task, Task):
-            raise UserError(
-                f"EnvConfig.task must be a task, such as Reach(), or its name, got {task!r}."
-            )
+        object.__setattr__(self, "task", find_task(self.task))
         given: Any = self.targets
         targets = (given,) if isinstance(given, str) else tuple(given)
         object.__setattr__(self, "targets", targets or self.task.targets)

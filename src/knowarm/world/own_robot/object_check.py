@@ -22,7 +22,7 @@ from knowarm.world.own_robot.robot_check import check_reach, check_visible
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, load_scene, target_places
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import find_task
 from knowarm.world.tasks.ik import InverseKinematics
 
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
@@ -42,7 +42,7 @@ def check_objects(
     scene cannot be built.
     """
     try:
-        config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets), **options)
+        config = EnvConfig(robot=robot, task=find_task(task), targets=tuple(targets), **options)
         scene = load_scene(config.robot, config.targets, area=config.task.area)
     except UserError as error:
         return [Check("scene", False, str(error), "Correct what that line names.")]

@@ -29,6 +29,9 @@ TASKS: dict[str, str] = {
 }
 """Tasks by their ``kind``, as ``package.module:Name``. To add one, add an entry."""
 
+DEFAULT_TASK = "reach"
+"""Task unless another one is given; names of experiments leave it out."""
+
 
 def task_names() -> list[str]:
     """List the names of all tasks: shipped, installed and registered."""
@@ -46,6 +49,16 @@ def task_type(name: str) -> "type[Task]":
     if name not in names:
         raise unknown_name("task", name, names)
     return _load((installed(GROUP) | TASKS)[name])
+
+
+def find_task(task: "Task | str") -> "Task":
+    """Return a task, also one that is given by its name or as ``package.module:Name``."""
+    from knowarm.world.tasks.task import Task
+
+    found = task_type(task)() if isinstance(task, str) else task
+    if not isinstance(found, Task):
+        raise UserError(f"task must be a task, such as Reach(), or its name, got {task!r}.")
+    return found
 
 
 def register_task(import_path: str) -> "type[Task]":

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.tasks.reward import measure
 
 ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
@@ -67,6 +68,17 @@ class EpisodeState(Generic[SimulatorT]):
     def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         raise NotImplementedError
+
+    def measure_object(self, which: Integers) -> tuple[Floats, Floats]:
+        """Measure distance (n,) [m] and angle (n,) [deg] to the grasps of visible objects (n,)."""
+        rows = np.arange(len(which))
+        return measure(
+            self.simulator.tcp_position,
+            self.simulator.tcp_matrix,
+            self.grasp_positions()[rows, which],
+            self.grasp_rotation[self.objects[rows, which]],
+            self.ignore_roll,
+        )
 
     def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""

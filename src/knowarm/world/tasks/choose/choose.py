@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Integers, Mask
 from knowarm.config import check_values, override, registered, within
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
@@ -24,7 +24,7 @@ from knowarm.world.tasks.query_source import (
     graph_queries,
     source_type,
 )
-from knowarm.world.tasks.reward import is_success, measure
+from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.task import Task
@@ -140,7 +140,7 @@ class Choose(Task):
         Its grasp frame has to be within the thresholds of the config, whatever the curriculum's.
         """
         nearest = self.nearest(state)
-        distance, angle = measure_object(state, nearest)
+        distance, angle = state.measure_object(nearest)
         reached = is_success(distance, angle, state.limits[0], state.limits[1])
         return np.asarray(reached & (nearest != 0))
 
@@ -203,15 +203,3 @@ class Families(Choose):
         metadata=ANY_SOURCE,
     )
     """Where the questions come from, and which objects answer them."""
-
-
-def measure_object(state: EpisodeState, which: Integers) -> tuple[Floats, Floats]:
-    """Measure distance (n,) [m] and angle (n,) [deg] to the grasps of visible objects (n,)."""
-    rows = np.arange(len(which))
-    return measure(
-        state.simulator.tcp_position,
-        state.simulator.tcp_matrix,
-        state.grasp_positions()[rows, which],
-        state.grasp_rotation[state.objects[rows, which]],
-        state.ignore_roll,
-    )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Integers
 from knowarm.measures import Measure
 from knowarm.questions import object_of
-from knowarm.world.tasks.choose.choose import ANY_SOURCE, Choose, measure_object
+from knowarm.world.tasks.choose.choose import ANY_SOURCE, Choose
 from knowarm.world.tasks.query_source import QuerySource, graph_queries
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
@@ -66,7 +66,7 @@ class Purpose(Choose):
         Parts are near each other, and may differ in the angle more than in the distance.
         """
         count = state.objects.shape[1]
-        every = [measure_object(state, np.full(len(state.steps), j)) for j in range(count)]
+        every = [state.measure_object(np.full(len(state.steps), j)) for j in range(count)]
         return np.argmin(np.tensordot(every, 1 / state.limits, axes=(1, 0)), axis=0)
 
     def columns(
