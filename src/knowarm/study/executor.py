@@ -5,11 +5,12 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import psutil
 
@@ -54,6 +55,26 @@ class Ended(NamedTuple):
     run: RunKey
     problem: str | None = None
     killed: bool = False
+
+
+def start_worker(
+    out: Path, run: RunKey, environment: Mapping[str, str], **options: Any
+) -> "subprocess.Popen[bytes]":
+    """Start the worker of a run; it saves and ends when this process ends, however it ends.
+
+    ``environment`` holds further variables, ``options`` are those of `subprocess.Popen`.
+    """
+    folder = out / run[0] / str(run[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOG).open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "knowarm.study.worker", str(out), run[0], str(run[1])],
+            stdin=subprocess.PIPE,  # closes when this process ends
+            stdout=log,
+            stderr=log,
+            env=os.environ | environment,
+            **options,
+        )
 
 
 class Executor(Protocol):
@@ -116,21 +137,12 @@ class LocalExecutor:
         """Start the worker of a run."""
         used = {slot for slot, _ in self._workers.values()}
         slot = next(number for number in range(self.slots) if number not in used)
-        environment = os.environ | limited_to(self._where.cores)
+        environment = limited_to(self._where.cores)
         if self._gpus:
             gpu = self._gpus[slot // self._per_gpu % len(self._gpus)]
             environment["CUDA_VISIBLE_DEVICES"] = gpu
-        folder = self._out / run[0] / str(run[1])
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / LOG).open("ab") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "knowarm.study.worker", str(self._out), run[0], str(run[1])],
-                stdin=subprocess.PIPE,  # closes when this process ends, however it ends
-                stdout=log,
-                stderr=log,
-                env=environment,
-                start_new_session=True,  # Ctrl-C is for this process, which then asks the workers
-            )
+        # Ctrl-C is for this process, which then asks the workers
+        process = start_worker(self._out, run, environment, start_new_session=True)
         self._workers[run] = slot, process
 
     def ended(self) -> list[Ended]:

@@ -4,8 +4,6 @@ Every node needs this Python environment, and the study's folder under the same 
 """
 
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,23 +11,13 @@ from typing import Any
 
 from knowarm.cores import LIMIT, limited_to
 from knowarm.errors import UserError
-from knowarm.study.executor import LOG, TIMEOUT_S, Ended, RunKey, Where
+from knowarm.study.executor import TIMEOUT_S, Ended, RunKey, Where, start_worker
 from knowarm.study.worker import STOP
 
 
 def work_on_node(out: str, run: RunKey, environment: Mapping[str, str]) -> int:
     """Start the worker of a run on this node, and return its exit code."""
-    folder = Path(out) / run[0] / str(run[1])
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOG).open("ab") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "knowarm.study.worker", out, run[0], str(run[1])],
-            stdin=subprocess.PIPE,  # closes when this process ends: the worker then saves and ends
-            stdout=log,
-            stderr=log,
-            env=os.environ | environment,
-        )
-    return process.wait()
+    return start_worker(Path(out), run, environment).wait()
 
 
 class RayExecutor:
