@@ -49,6 +49,17 @@ FORMAT = 1
 """Version of the run folder's layout."""
 
 
+PERCEPTION_FILE = "perception.safetensors"
+"""Name of the module's file in a run folder."""
+RUN_FILES = (
+    *("config.json", "provenance.json", "knowledge.safetensors"),
+    *("graphs/**/*", "descriptions/**/*", "evaluation/*/summary.json"),
+)
+"""Patterns of the files that describe a run and its evaluations."""
+POLICY_FILES = ("checkpoints/best/*", PERCEPTION_FILE)
+"""Patterns of the files of its best policy."""
+
+
 class RunExistsError(UserError):
     """A folder in which a new run is to start already holds one."""
 
@@ -238,10 +249,6 @@ class RunFolder:
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
-
-
-PERCEPTION_FILE = "perception.safetensors"
-"""Name of the module's file in a run folder."""
 
 
 def module_for_training(

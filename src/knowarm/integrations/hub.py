@@ -11,20 +11,8 @@ from typing import Any
 
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.load import TrainedAgent, load_agent
-from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.reading import one_line
-
-RUN_FILES = (
-    "config.json",
-    "provenance.json",
-    "knowledge.safetensors",
-    "perception.safetensors",
-    "graphs/**/*",
-    "descriptions/**/*",
-    "checkpoints/best/*",
-    "evaluation/*/summary.json",
-)
-"""Patterns of the files of a run that are shared; other checkpoints and curves stay."""
 
 FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a perception module, a packed study."""
@@ -46,7 +34,8 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
         text, files = f"`{path.name}` for KnowArm.", [path]
     else:
         text = _run_text(RunFolder.open(path))
-        files = [f for pattern in RUN_FILES for f in sorted(path.glob(pattern)) if f.is_file()]
+        found = (sorted(path.glob(pattern)) for pattern in (*RUN_FILES, *POLICY_FILES))
+        files = [file for each in found for file in each if file.is_file()]
         if not any(file.parent.name == "best" for file in files):
             raise UserError(f"{path} has no best policy to share: train it first.")
     base = path if path.is_dir() else path.parent
@@ -73,7 +62,7 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
     with _access(repo_id) as hub:
-        wanted = [*RUN_FILES, *(f"*{suffix}" for suffix in FILES), "README.md"]
+        wanted = [*RUN_FILES, *POLICY_FILES, *(f"*{suffix}" for suffix in FILES), "README.md"]
         options = {"revision": revision, "local_dir": to, "allow_patterns": wanted}
         if to is not None:  # without a connection any folder that exists would be returned
             hub.HfApi().repo_info(repo_id, revision=revision)

@@ -13,7 +13,7 @@ from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
-from knowarm.experiment.run_folder import PERCEPTION_FILE
+from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.reading import reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
@@ -26,22 +26,14 @@ SUFFIX = ".tar.xz"
 Part = Literal["policies", "episodes", "steps", "films"]
 """What a pack may leave out: the best policies; of evaluations the episodes, steps and images."""
 
-RUN_FILES = (
-    "config.json",
-    "provenance.json",
-    "knowledge.safetensors",
-    "graphs/**/*",
-    "descriptions/**/*",
-    "metrics.csv",
-    "evaluations.csv",
-    FAILURE,
+PACKED_FILES = (
+    *(*RUN_FILES, "metrics.csv", "evaluations.csv", FAILURE),
     "checkpoints/latest/meta.json",  # the step that training reached
-    "evaluation/*/summary.json",
 )
 """Patterns of the files of a run that every pack holds."""
 
 PART_FILES: dict[Part, tuple[str, ...]] = {
-    "policies": ("checkpoints/best/*", PERCEPTION_FILE),
+    "policies": POLICY_FILES,
     "episodes": ("evaluation/*/episodes.parquet",),
     "steps": ("evaluation/*/steps.parquet",),
     "films": ("evaluation/*/films/*",),
@@ -61,7 +53,7 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     study = open_study(out)
-    parts = [RUN_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
+    parts = [PACKED_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
         paths = [out / STUDY_FILE] + [
             path
