@@ -22,7 +22,7 @@ from knowarm.learn.checkpoint import (
     read_checkpoint,
 )
 from knowarm.reading import read_json, write_json
-from knowarm.world.config import questions_of
+from knowarm.world.config import facets_of, questions_of
 from knowarm.world.scene import scene
 from tests.tiny import CHOOSE_NAME, short
 
@@ -215,9 +215,9 @@ def test_every_agent_can_be_built(name, task):
     config = ExperimentName("irb120", task, name, "randomized", "ppo").config()
     parts = build(config)
     table = questions_of(config.env)
-    rows = len(parts.facets) if table is None else len(table.queries)
+    rows = len(facets_of(config.env)) if table is None else len(table.queries)
     if config.knows.scope == "perceived":  # a row per facet in all tasks
-        rows = len(parts.facets)
+        rows = len(facets_of(config.env))
     width = parts.embedding.dim if parts.embedding else 0
     assert parts.table.shape == (rows, width) or config.policy.wide
     width = parts.new_policy(0).knowledge_width

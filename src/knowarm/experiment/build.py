@@ -14,7 +14,7 @@ from knowarm.knowledge import Embedding
 from knowarm.learn import Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of, robot_of
+from knowarm.world.config import EnvConfig, robot_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS
@@ -78,8 +78,6 @@ class Parts:
     """(F, K) float32, the knowledge vector of each facet, or of each query."""
     policy_config: PolicyConfig
     policy_shape: PolicyShape
-    facets: tuple[tuple[str, str], ...]
-    """The F (object, colour) pairs of the environment."""
 
     def new_policy(self, seed: int) -> Policy:
         """Initialize a policy; the same seed gives the same weights."""
@@ -103,4 +101,4 @@ def build(config: ExperimentConfig) -> Parts:
     )
     is_read = knows.is_grounded or not (policy.wide or policy.fusion == "none")
     table = embedded.table if is_read else embedded.table[:, :0]
-    return Parts(embedded.embedding, table, policy, shape, facets_of(env))
+    return Parts(embedded.embedding, table, policy, shape)

@@ -23,6 +23,7 @@ from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.policy import Policy
 from knowarm.reading import write_json
+from knowarm.world.config import facets_of
 
 BEFORE_FIRST_STEP = -1
 """Resuming from it drops all rows of the curves."""
@@ -212,7 +213,7 @@ def _describe(
     about = provenance(
         parameter_counts=policy.parameter_counts(),
         policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
-        facets=parts.facets,
+        facets=facets_of(config.env),
         knowledge=parts.embedding and parts.embedding.describe(),
         perception=perception,
         algorithm=to_dict(config.algorithm),
