@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from knowarm.errors import printable
+from knowarm.errors import UserError, printable
 from knowarm.reading import write_json, writing
 
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
@@ -156,6 +156,13 @@ def check_output(path: Path | None, option: str = "--json") -> None:
             path.open("a", encoding="utf-8").close()  # a device, or an error of the system
         else:
             TemporaryFile(dir=path.parent).close()
+
+
+def check_out(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
+    """Refuse an output file of another type before the work whose result it will hold."""
+    if path is not None and path.suffix not in suffixes:
+        raise UserError(f"--out {path}: {what} are written as {', '.join(suffixes)}.")
+    check_output(path, "--out")
 
 
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from knowarm.cli.arguments import (
     take_option,
     take_source,
 )
-from knowarm.cli.tables import FilePath, TableCommand, check_output, print_table
+from knowarm.cli.tables import FilePath, TableCommand, check_out, print_table
 from knowarm.config import flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
@@ -201,9 +201,7 @@ class TrainPerception(TableCommand):
         """Train, print and write."""
         from knowarm.perception.training import train_classifier
 
-        if self.out.suffix != ".safetensors":
-            raise UserError(f"--out {self.out}: perception modules are written as .safetensors.")
-        check_output(self.out, "--out")
+        check_out(self.out, "perception modules", (".safetensors",))
         report = partial(print, file=sys.stderr, flush=True)
         classifier = train_classifier(self.env, self.training, report=report)
         accuracy = classifier.spec.accuracy

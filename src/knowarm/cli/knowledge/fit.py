@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from knowarm.cli.knowledge.options import GraphOptions, check_out
-from knowarm.cli.tables import TableCommand, is_terminal, print_table
+from knowarm.cli.knowledge.options import GraphOptions
+from knowarm.cli.tables import TableCommand, check_out, is_terminal, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
 from knowarm.knowledge.formats.splits import is_split, read_split

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 import tyro
 
 from knowarm.cli.arguments import parse_options, take_source
-from knowarm.cli.tables import TableCommand, check_output
+from knowarm.cli.tables import TableCommand
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.slots import graph_facets
@@ -109,10 +109,3 @@ class SceneOptions(TableCommand):
                 pairs = [(name, colour) for _, colour in found]
             facets += pairs[:1] if self.colours == "fixed" else pairs
         return facets
-
-
-def check_out(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
-    """Refuse an output file of another type before the work whose result it will hold."""
-    if path is not None and path.suffix not in suffixes:
-        raise UserError(f"--out {path}: {what} are written as {', '.join(suffixes)}.")
-    check_output(path, "--out")

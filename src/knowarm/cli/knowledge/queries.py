@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_out
-from knowarm.cli.tables import TableCommand, print_table
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions
+from knowarm.cli.tables import TableCommand, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import save_file
 
-from knowarm.cli.knowledge.options import SceneOptions, check_out
-from knowarm.cli.tables import print_table
+from knowarm.cli.knowledge.options import SceneOptions
+from knowarm.cli.tables import check_out, print_table
 from knowarm.config import to_dict
 from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
 from knowarm.knowledge.graph.terms import local_name
