@@ -170,11 +170,6 @@ def _user_policy(spec: str) -> Any:
     return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
 
 
-def _informed(policy: AgentProtocol, cell: Cell) -> AgentProtocol:
-    """Return the policy with the graph that a cell gives it."""
-    return InformedAgent(policy, partial(replace, graph=cell.graph))
-
-
 def _entrant(spec: str, policy: Any) -> Entrant:
     for method in ("reset", "act"):
         if not callable(getattr(policy, method, None)):
@@ -184,7 +179,7 @@ def _entrant(spec: str, policy: Any) -> Entrant:
         raise UserError(f"{spec}.inputs names {', '.join(unknown)}; allowed: {', '.join(INPUTS)}.")
     return Entrant(
         spec=spec,
-        make=lambda cell, env: _informed(policy, cell),
+        make=lambda cell, env: InformedAgent(policy, partial(replace, graph=cell.graph)),
         inputs=inputs,
         training=str(getattr(policy, "training", "")),
         digest=getattr(policy, "digest", ""),

@@ -86,7 +86,10 @@ def _figure(tasks: list[TaskData]) -> Figure:
         dots = []
         for group in task.groups:
             if published := published_result(task, group.agent):
-                rows.append(_row(task, group, published))
+                row: Row = {"task": task.title, "best_step": _best_steps(group)}
+                row |= row_of(task, group, "accuracy")
+                row["paper_accuracy"] = published["accuracy"]
+                rows.append(row | {"paper_step": published["best_step"]})
                 dots.append(group_dot(group, "accuracy", task.colours, published["accuracy"]))
         name = f"Accuracy on {task.title}, measured and published"
         panels.append(Panel(svg=dot_chart(dots, name, ACCURACY_AXIS), title=task.title))
@@ -105,15 +108,6 @@ def _figure(tasks: list[TaskData]) -> Figure:
         panels=panels,
         open_table=True,
     )
-
-
-def _row(task: TaskData, group: Group, published: Mapping[str, float]) -> Row:
-    row: Row = {"task": task.title, "best_step": _best_steps(group)}
-    row |= row_of(task, group, "accuracy")
-    return row | {
-        "paper_accuracy": published["accuracy"],
-        "paper_step": published["best_step"],
-    }
 
 
 def _best_steps(group: Group) -> Interval | None:
