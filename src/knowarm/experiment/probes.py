@@ -172,17 +172,7 @@ def other_questions(env: "ArmVectorEnv", episodes: "Episodes", seed: int) -> np.
 
     table = questions_of(env.config)
     assert table is not None
-    numbers = {facet: number for number, facet in enumerate(table.facets)}
-    scene = env.scene
-    shown = np.array(
-        [
-            [
-                numbers[scene.targets[o].name, scene.colour_names[o][c]]
-                for o, c in zip(*both, strict=True)
-            ]
-            for both in zip(episodes.objects, episodes.colours, strict=True)
-        ]
-    )
+    shown = env.running.first_facet[episodes.objects] + episodes.colours
     answers = table.satisfies[:, shown]  # (Q, n, m)
     asked = np.asarray(table.askable.any(axis=1))
     fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]

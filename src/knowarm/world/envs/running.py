@@ -94,7 +94,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._source = EpisodeSource(config)
         self._appearance = AppearanceSource(scene, config.randomization, task.paints_goal)
         first = [[name for name, _ in self.facets].index(target.name) for target in scene.targets]
-        self._first_facet = np.array(first, dtype=np.int64)
+        self.first_facet = np.array(first, dtype=np.int64)
         self.increments = joint_increments(scene.robot, config)
         self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
         self.streams = np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)

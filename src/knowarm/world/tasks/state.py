@@ -53,7 +53,7 @@ class EpisodeState(Generic[SimulatorT]):
     success: Mask  #: Whether the task is solved, (n,)
     memory: dict[str, NDArray[Any]]  #: Further arrays of the task, (n, ...) each; see `Task.memory`
     grasp_rotation: Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
-    _first_facet: Integers
+    first_facet: Integers  #: Number in ``facets`` of each target in its first colour, (K,)
 
     @property
     def target(self) -> Integers:
@@ -63,7 +63,7 @@ class EpisodeState(Generic[SimulatorT]):
     @property
     def facet(self) -> Integers:
         """Index of that object and its colour in ``facets``, (n,) int64."""
-        return self._first_facet[self.objects[:, 0]] + self.colours[:, 0]
+        return self.first_facet[self.objects[:, 0]] + self.colours[:, 0]
 
     def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
