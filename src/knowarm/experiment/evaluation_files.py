@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ MAX_FRAMES = 10_000
 
 
 def episode_types(
-    episodes: Mapping[str, np.ndarray], meanings: Mapping[str, str] = MappingProxyType({})
+    episodes: Mapping[str, np.ndarray], meanings: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
     """Return type and meaning of the columns of ``episodes.parquet``.
 
