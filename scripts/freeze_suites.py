@@ -29,6 +29,7 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
+from knowarm.world.config import questions_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
@@ -84,7 +85,7 @@ def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
     scores = {
         "oracle": float(play(OracleAgent(env), env, episodes).success.mean()),
         "open-loop": float(play(OpenLoopAgent(listed), env, episodes).success.mean()),
-        "chance": config.task.chance,
+        "chance": 1 / config.task.visible if questions_of(config) else None,
     }
     print(name, scores, flush=True)
     return Cell(name, config, how.split, episodes, np.asarray(listed), scores)

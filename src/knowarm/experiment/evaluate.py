@@ -28,11 +28,10 @@ from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.calibration import covered
 from knowarm.policy import PolicyAgent
-from knowarm.questions import AND
 from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
@@ -302,13 +301,6 @@ def episode_columns(
         "success_wide": _ever_within(result, config.distance_m, wide),
     }
     columns |= env.config.task.columns(env.running.setting, result.infos)
-    if (chance := env.config.task.chance) is not None:
-        columns["chance"] = np.full(count, chance)
-    if (table := questions_of(env.config)) is not None:
-        kinds = {
-            query.name: AND.join(c.relation for c in query.conditions) for query in table.queries
-        }
-        columns["query_type"] = np.array([kinds[name] for name in columns["query"]])
     for condition in config.test:
         columns |= condition.columns(env.config, columns)
     if isinstance(agent, AnsweringAgent) and agent.seen is not None:

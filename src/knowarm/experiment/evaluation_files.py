@@ -28,8 +28,6 @@ EPISODE_COLUMNS = {
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
 
 FURTHER_COLUMNS = {
-    "query_type": ("string", "relations that the query names"),
-    "chance": ("float64", "share of right objects of an agent that picks one at random"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
     "covered": ("bool", "whether the right object is among those that may answer"),

@@ -93,11 +93,6 @@ class Task:
         """Whether the image shows the object to reach in magenta and the others in grey."""
         return False
 
-    @property
-    def chance(self) -> float | None:
-        """Share of right objects of an agent that picks one at random; None with one object."""
-        return None
-
     def area_of(self, robot: Robot) -> str:
         """Return the name of the robot's area in which episodes take place.
 

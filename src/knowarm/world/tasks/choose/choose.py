@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Integers, Mask
 from knowarm.config import check_values, override, registered, within
 from knowarm.measures import Measure
-from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.questions import AND, ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.arrangements import SeveralObjects, question_table
 from knowarm.world.tasks.query_source import (
@@ -61,6 +61,8 @@ class Choose(Task):
         "query": "query of the episode",
         "chosen": "object whose grasp point was nearest to the gripper at the end",
         "choice_correct": "whether that object answers the query",
+        "chance": "share of right objects of an agent that picks one at random",
+        "query_type": "relations that the query names",
     }
     measures: ClassVar[tuple[Measure, ...]] = (
         Measure("choice", "right choices", "choice_correct"),
@@ -102,11 +104,6 @@ class Choose(Task):
     def paints_goal(self) -> bool:
         """Whether the image shows which object answers the question."""
         return self.marked
-
-    @property
-    def chance(self) -> float:
-        """Share of right objects of an agent that picks one at random."""
-        return 1 / self.visible
 
     def sampler(self, setting: Setting) -> ObjectSampler:
         """Return what draws objects, places and questions."""
@@ -170,12 +167,16 @@ class Choose(Task):
     def columns(
         self, setting: Setting, infos: Mapping[str, NDArray[Any]]
     ) -> dict[str, NDArray[Any]]:
-        """Return the query, the object reached, and whether it answers the query."""
+        """Return the query, its relations, the object reached, and whether it answers the query."""
         names = np.array([target.name for target in setting.scene.targets])
+        queries = self.questions(setting.facets).queries
+        kinds = {query.name: AND.join(c.relation for c in query.conditions) for query in queries}
         return {
             "query": infos["query"],
             "chosen": names[infos["reached_object"]],
             "choice_correct": infos["is_right_object"],
+            "chance": np.full(len(infos["query"]), 1 / self.visible),
+            "query_type": np.array([kinds[name] for name in infos["query"]]),
         }
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
