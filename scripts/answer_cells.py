@@ -55,7 +55,7 @@ def agent(group: Group) -> Agent:
     scores = [run.evaluations[group.label].summary["success"] for run in runs]
     return Agent(
         group.name,
-        tuple(run.seed for run in runs),
+        tuple(run.config.seed for run in runs),
         np.array([min(step, until) for step, _ in found]),
         np.array([reached and step <= until for step, reached in found]),
         np.array(scores, np.float64),

@@ -69,7 +69,7 @@ def fusions_section(
     """Return the blocks of the section from two unpacked studies and two CSV files of shares."""
     known = found_on(collect([choose]).tasks[0], SPLIT)
     grounded, chance = known["subgraph"], known["subgraph"].chance
-    tasks = {task.runs[0].algorithm: task for task in collect([study]).tasks}
+    tasks = {task.runs[0].config.learner: task for task in collect([study]).tasks}
     columns = ["fusion"]
     rows = [[code(fusion)] for fusion in FUSIONS]
     others = {"`bm` (no query)": known["bm"], "grounding network": grounded}
@@ -94,7 +94,7 @@ def fusions_section(
         right = {name: each.scores("choice") for name, each in by_fusion.items() if each}
         conclusions.append(conclusion(how, right, chance))
     lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, *last)]
-    seeds = sorted({run.seed for task in tasks.values() for run in task.runs})
+    seeds = sorted({run.config.seed for task in tasks.values() for run in task.runs})
     text = TEXT.format(
         seeds=", ".join(map(str, seeds)),
         split=SPLIT,

@@ -69,7 +69,7 @@ def _task(
     runs = _comparable(runs, label, problems)
     by_agent: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
-        by_agent[run.agent].append(run)
+        by_agent[run.config.agent].append(run)
     groups: list[Group] = []
     for agent, same_agent in by_agent.items():
         settings = [_agent_settings(run) for run in same_agent]
@@ -91,14 +91,14 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     references: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        ranked = rank(run.config.role, run.agent)
-        return ranked[0], -run.detail, ranked, run.seed
+        ranked = rank(run.config.role, run.config.agent)
+        return ranked[0], -run.config.knows.rank, ranked, run.config.seed
 
     for run in sorted(runs, key=order):
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {run.agent}", [evaluation])
-                references.setdefault((_task_key(run), run.agent), reference)
+                reference = Reference(f"untrained {run.config.agent}", [evaluation])
+                references.setdefault((_task_key(run), run.config.agent), reference)
     return list(references.values())
 
 
@@ -181,10 +181,11 @@ def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> tup
     """Keep, of several runs of one seed, the one with the most steps, then the last by path."""
     chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
-        if (other := chosen.get(run.seed)) is not None:
-            what = f"same agent, task and seed {run.seed} as {run.path}, which has no fewer steps"
+        seed = run.config.seed
+        if (other := chosen.get(seed)) is not None:
+            what = f"same agent, task and seed {seed} as {run.path}, which has no fewer steps"
             problems.append(FolderProblem(other.path, what, "left out"))
-        chosen[run.seed] = run
+        chosen[seed] = run
     return tuple(chosen[seed] for seed in sorted(chosen))
 
 
@@ -194,7 +195,7 @@ def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
     for runs in tasks:
         env = runs[0].config.env
         title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
-        rest = [*filter(None, [env.task.title]), f"{env.colours} colours", runs[0].algorithm]
+        rest = [*filter(None, [env.task.title]), f"{env.colours} colours", runs[0].config.learner]
         short.append((" · ".join([env.robot, *rest]), " · ".join([title, *rest])))
     titles = []
     for both, runs in zip(short, tasks, strict=True):
@@ -223,7 +224,7 @@ def _most_common(values: Any) -> Any:
 
 def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
-    return json.dumps([_task_env(run.settings["env"]), run.algorithm], sort_keys=True)
+    return json.dumps([_task_env(run.settings["env"]), run.config.learner], sort_keys=True)
 
 
 def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:

@@ -125,26 +125,6 @@ class RunData:
     ended_early: bool = False  # whether its ``stop_when`` ended the training
 
     @property
-    def agent(self) -> str:
-        """Name of the agent."""
-        return self.config.agent
-
-    @property
-    def seed(self) -> int:
-        """Training seed."""
-        return self.config.seed
-
-    @property
-    def algorithm(self) -> str:
-        """Name of the learning algorithm in the registry."""
-        return self.config.learner
-
-    @property
-    def detail(self) -> int:
-        """How much of the objects the knowledge vector describes."""
-        return self.config.knows.rank
-
-    @property
     def steps_done(self) -> float:
         """Environment steps of the run's last log row."""
         return float(max((c["step"][-1] for c in (self.interim, self.metrics) if c), default=0))
@@ -183,7 +163,7 @@ class Group(Evaluated):
     def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
         evaluations = [run.evaluations[label] for run in runs if label in run.evaluations]
-        return cls(name, evaluations, runs[0].agent, runs[0].config.role, tuple(runs), label)
+        return cls(name, evaluations, runs[0].config.agent, runs[0].config.role, tuple(runs), label)
 
     @property
     def scope(self) -> str:
@@ -260,7 +240,7 @@ class TaskData:
         roles = ("knowledge", "privileged")
         groups = [g for role in roles for g in self.groups if g.role == role and g.has_content]
         first: dict[tuple[str | None, str], Group] = {}
-        for group in sorted(groups, key=lambda group: -group.runs[0].detail):
+        for group in sorted(groups, key=lambda group: -group.runs[0].config.knows.rank):
             first.setdefault((group.role, group.scope), group)
         return tuple(group for group in groups if group in first.values())
 

@@ -37,7 +37,7 @@ def run_blocks(study: StudyData) -> list[Block]:
         title="Runs",
         columns=shared("task", "agent", "seed", FOLDER, "commit", *VERSIONS, "machine"),
         rows=[
-            {"task": task.title, "agent": group.name, "seed": run.seed, "folder": run.path}
+            {"task": task.title, "agent": group.name, "seed": run.config.seed, "folder": run.path}
             | _origin(run)
             for task in study.tasks
             for group in task.groups

@@ -196,8 +196,8 @@ def _speed(task: TaskData) -> DataTable:
     for group in task.groups:
         for run in group.runs:
             seconds, speed = (_finite(run, key) for key in ("wall_time_s", "steps_per_s"))
-            row: Row = {"agent": group.name, "seed": run.seed, "_colour": task.colours[group.name]}
-            row |= {"steps": run.steps_done, "best_step": run.best_step}
+            row: Row = {"agent": group.name, "_colour": task.colours[group.name]}
+            row |= {"seed": run.config.seed, "steps": run.steps_done, "best_step": run.best_step}
             row["hours"] = training_seconds(seconds) / 3600 if seconds.size else None
             row["steps_per_s"] = float(np.median(speed)) if speed.size else None
             rows.append(row | {"parameters": run.provenance.parameter_counts.get("total")})
