@@ -126,12 +126,7 @@ class LocalExecutor:
         self._per_gpu = max(1, int(1 / where.gpus)) if where.gpus else 1
         if where.gpus:
             slots = min(slots, self._per_gpu * len(self._gpus))
-        self._slots = where.at_once or max(1, slots)
-
-    @property
-    def slots(self) -> int:
-        """Workers that this machine holds at once."""
-        return self._slots
+        self.slots = where.at_once or max(1, slots)
 
     def start(self, run: RunKey) -> None:
         """Start the worker of a run."""
