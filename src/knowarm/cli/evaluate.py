@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import tyro
 from rich.text import Text
@@ -20,6 +20,7 @@ from knowarm.cli.arguments import (
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.answers import meeting
 from knowarm.experiment.conditions import (
     AnyCondition,
     BaseTest,
@@ -32,6 +33,8 @@ from knowarm.experiment.conditions import (
 )
 from knowarm.experiment.config import Which
 from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.measures import Numbers, measure
+from knowarm.experiment.other_graphs import target_names
 from knowarm.experiment.probes import (
     AnyProbe,
     BaseProbe,
@@ -41,6 +44,8 @@ from knowarm.experiment.probes import (
     StepsProbe,
 )
 from knowarm.experiment.run_lock import is_locked
+from knowarm.experiment.summary import Summary
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Measure
@@ -49,10 +54,6 @@ from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import find_task
-
-if TYPE_CHECKING:
-    from knowarm.experiment.measures import Numbers
-    from knowarm.experiment.summary import Summary
 
 ABOUT = """AGENT is a run folder, or a scripted agent of `knowarm list`, which plays in --env:
   knowarm evaluate runs/irb120-full-fast/0
@@ -177,11 +178,8 @@ class Evaluate(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
-        from knowarm.experiment.answers import meeting
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
-        from knowarm.experiment.other_graphs import target_names
-        from knowarm.knowledge.formats import read_graph
 
         chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
@@ -249,10 +247,8 @@ def is_scripted(agent: str) -> bool:
     return False
 
 
-def _print(summary: "Summary") -> None:
+def _print(summary: Summary) -> None:
     """Print the results by target and, where they vary and are few, by target and colour."""
-    from knowarm.experiment.measures import measure
-
     targets, facets = (summary.groups[name] for name in ("target", "facet"))
     _print_groups(
         f"{summary.agent}: {summary.label}", "target", {"all": summary.numbers, **targets}
@@ -275,18 +271,15 @@ def _print(summary: "Summary") -> None:
     )
 
 
-def _print_groups(title: str, what: str, groups: "Mapping[str, Numbers]") -> None:
+def _print_groups(title: str, what: str, groups: Mapping[str, Numbers]) -> None:
     """Print one row per group of episodes, and one column per measure that any of them has."""
-    from knowarm.experiment.measures import measure
-    # imports the simulator
-
     names = dict.fromkeys(name for group in groups.values() for name in group)
     shown = [each for each in map(measure, names) if not each.detail]
     rows = [[name, *(_cell(each, group) for each in shown)] for name, group in groups.items()]
     print_table(title, [what, *(each.title for each in shown)], rows)
 
 
-def _cell(of: Measure, numbers: "Numbers") -> Text:
+def _cell(of: Measure, numbers: Numbers) -> Text:
     from knowarm.report.format import FORMATS, NARROW_SPACE
 
     number = numbers.get(of.name)

@@ -4,13 +4,11 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 
 import numpy as np
-import torch
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.perception.images import QueryAnswers, query_answers
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.world.config import EnvConfig, questions_of
 
@@ -82,13 +80,3 @@ def answers_by(
     shown = [facet for facet, is_known in zip(facets, known, strict=True) if is_known]
     answers[:, known] = QueryGraph(graph, shown).degrees(queries)
     return answers
-
-
-def answers_in_training(
-    graph: KnowledgeGraph, env: EnvConfig, facets: tuple[ObjectColour, ...]
-) -> QueryAnswers:
-    """Return the answers of a graph for training; what is held out is not askable."""
-    answers = torch.from_numpy(QueryGraph(graph, facets).answers(asked(env).queries))
-    own = query_answers(env, facets)
-    assert own is not None
-    return own._replace(satisfies=answers, askable=answers & (own.askable | ~own.satisfies))

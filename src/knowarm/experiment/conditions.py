@@ -11,6 +11,12 @@ from knowarm.config import at_least, fraction
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning
+from knowarm.experiment.other_graphs import (
+    answers_before_edit,
+    check_graph,
+    target_names,
+    with_graph,
+)
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
@@ -113,8 +119,6 @@ class SplitTest(BaseTest):
         env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
         if self.split != "S5" or subject.config is None:
             return replace(subject, env=env)
-        from knowarm.experiment.other_graphs import check_graph
-
         check_graph(subject.config, env)
         return replace(subject, env=env, graph=env.task.edited_graph(facets_of(env)))
 
@@ -122,8 +126,6 @@ class SplitTest(BaseTest):
         """On S5, return whether the chosen object answered before the edit."""
         if self.split != "S5":
             return {}
-        from knowarm.experiment.other_graphs import answers_before_edit
-
         before = answers_before_edit(env)
         asked = zip(episodes["query"], episodes["chosen"], strict=True)
         return {"chose_old_answer": np.array([name in before.get(q, ()) for q, name in asked])}
@@ -146,8 +148,6 @@ class GraphTest(BaseTest):
 
     def prepare(self, subject: Subject) -> Subject:
         """Let task and agent take the other graph."""
-        from knowarm.experiment.other_graphs import with_graph
-
         config = with_graph(subject.trained, self.graph, self.names)
         return replace(subject, env=config.env, config=config)
 
@@ -182,8 +182,6 @@ class DamageTest(BaseTest):
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent know the damaged and repaired graph."""
-        from knowarm.experiment.other_graphs import target_names
-
         trained, names = subject.trained, target_names(subject.env)
         graph = trained.knows.read_graph() if subject.graph is None else subject.graph
         if graph is None:

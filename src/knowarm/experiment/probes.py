@@ -3,29 +3,31 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from knowarm.config import at_least
 from knowarm.errors import UserError
-
-if TYPE_CHECKING:  # Configs are read where nothing else needs the simulator.
-    from knowarm.experiment.measures import Number, Numbers
-    from knowarm.world.agents import AgentProtocol, Batch
-    from knowarm.world.agents.play import EpisodeResults
-    from knowarm.world.envs.vector_env import ArmVectorEnv
-    from knowarm.world.tasks.sampling import Episodes
+from knowarm.experiment.measures import EXCLUDED, NOT_REACHED, Number, Numbers
+from knowarm.statistics import bootstrap, share_difference, wilson
+from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
+from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.agents.scripted import InformedAgent
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.lift.probe import build_trial_scene, lift
+from knowarm.world.tasks.sampling import Episodes
 
 
 @dataclass(frozen=True)
 class Played:
     """An agent, the episodes that it played, and their outcome."""
 
-    agent: "AgentProtocol"
-    env: "ArmVectorEnv"
-    episodes: "Episodes"
-    result: "EpisodeResults"
+    agent: AgentProtocol
+    env: ArmVectorEnv
+    episodes: Episodes
+    result: EpisodeResults
     seed: int
     is_trained: bool
     """Whether it is a trained agent, and not that of its initial weights."""
@@ -39,8 +41,8 @@ class Findings:
 
     columns: dict[str, np.ndarray]
     steps: dict[str, np.ndarray] | None = None
-    numbers: "dict[str, Number]" = field(default_factory=dict)
-    groups: "dict[str, Mapping[str, Numbers]]" = field(default_factory=dict)
+    numbers: dict[str, Number] = field(default_factory=dict)
+    groups: dict[str, Mapping[str, Numbers]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +53,7 @@ class BaseProbe:
     """Its part of the name of the evaluation's folder."""
     kind: str = ""
 
-    def check(self, env: "ArmVectorEnv") -> None:
+    def check(self, env: ArmVectorEnv) -> None:
         """Refuse, before anything is played, an environment that it cannot measure in."""
 
     def measure(self, played: Played, findings: Findings) -> None:
@@ -103,8 +105,6 @@ class BlindProbe(BaseProbe):
 
     def count_further(self, episodes: int) -> int:
         """Count the episodes of all blind agents."""
-        from knowarm.world.agents import BLIND_AGENTS
-
         return len(BLIND_AGENTS) * min(self.episodes, episodes)
 
     def measure(self, played: Played, findings: Findings) -> None:
@@ -116,10 +116,6 @@ class BlindProbe(BaseProbe):
         the episodes again, told a question whose answer is another visible object, and the share of
         right choices falls by this much.
         """
-        from knowarm.statistics import share_difference, wilson
-        from knowarm.world.agents import BLIND_AGENTS
-        from knowarm.world.agents.play import play
-
         if not played.is_trained:
             return
         success = played.result.success
@@ -142,16 +138,12 @@ class BlindProbe(BaseProbe):
 
     def _measure_binding(self, played: Played, findings: Findings) -> None:
         """Play the episodes with the questions of other visible objects."""
-        from knowarm.statistics import bootstrap
-        from knowarm.world.agents.play import play
-        from knowarm.world.agents.scripted import InformedAgent
-
         chosen = played.episodes[: self.episodes]
         questions = other_questions(played.env, chosen, played.seed)
         asked = np.flatnonzero(questions != "")
         told = iter(questions[asked])
 
-        def misinform(batch: "Batch") -> "Batch":
+        def misinform(batch: Batch) -> Batch:
             left = [str(each) for each in islice(told, batch.size)]
             filled = [*left, *batch.names[len(left) :]]  # the last batch repeats its last episode
             return replace(batch, names=np.array(filled))
@@ -163,13 +155,11 @@ class BlindProbe(BaseProbe):
             findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
 
 
-def other_questions(env: "ArmVectorEnv", episodes: "Episodes", seed: int) -> np.ndarray:
+def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndarray:
     """Draw a question that exactly one visible object answers, another than the right one, (n,).
 
     It is one that the task asks; empty where the visible objects allow none.
     """
-    from knowarm.world.config import questions_of
-
     table = questions_of(env.config)
     assert table is not None
     shown = env.running.first_facet[episodes.objects] + episodes.colours
@@ -192,10 +182,8 @@ class LiftProbe(BaseProbe):
     label: ClassVar[str] = "lift"
     kind: Literal["lift"] = "lift"
 
-    def check(self, env: "ArmVectorEnv") -> None:
+    def check(self, env: ArmVectorEnv) -> None:
         """Refuse tasks whose actions move fingers, and robots without fingers."""
-        from knowarm.world.tasks.lift.probe import build_trial_scene
-
         robot = env.scene.robot
         if env.scene.joint_names != robot.joints:
             raise UserError(
@@ -209,9 +197,6 @@ class LiftProbe(BaseProbe):
 
         Every episode ends at its first state within the thresholds, so each is lifted at most once.
         """
-        from knowarm.experiment.measures import EXCLUDED, NOT_REACHED
-        from knowarm.world.tasks.lift.probe import lift
-
         scene, episodes, result = played.env.scene, played.episodes, played.result
         count = len(episodes)
         names = np.array([target.name for target in scene.targets])[episodes.target]

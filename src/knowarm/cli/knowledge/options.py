@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
+from typing import Annotated, Literal, Self, cast
 
 import tyro
 
 from knowarm.cli.arguments import parse_options, take_source
 from knowarm.cli.tables import TableCommand
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.slots import graph_facets
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.objects import TARGETS
-
-if TYPE_CHECKING:
-    from knowarm.experiment.config import ExperimentConfig
 
 OBJECTS = EnvConfig().targets  # the default task's objects
 
@@ -66,8 +65,6 @@ class SceneOptions(TableCommand):
         """Return the settings of the agent, or the given ones."""
         if self.agent is None:
             return self.knowledge
-        from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
-
         run = self._run()
         if self.agent not in AGENTS and run is None:
             raise unknown_name("agent (a name or a run folder)", self.agent, AGENTS)
@@ -86,7 +83,7 @@ class SceneOptions(TableCommand):
         run = self._run()
         return run.seed if run else 0
 
-    def _run(self) -> "ExperimentConfig | None":
+    def _run(self) -> ExperimentConfig | None:
         """Return the settings of the run, if the agent is a run folder."""
         folder = Path(self.agent or "")
         if not (folder / "config.json").exists():

@@ -11,6 +11,7 @@ from knowarm.cli.knowledge.options import OBJECTS, GraphOptions
 from knowarm.cli.tables import TableCommand, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.agents import AGENTS
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.draw import draw_svg
@@ -91,8 +92,6 @@ class Queries(GraphOptions, TableCommand):
         return _print_overview(asked, splits)
 
     def _print_agreement(self, agent: str, asked: QueryGraph) -> dict[str, Any]:
-        from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
-
         known = [name for name, each in AGENTS.items() if each.knows.scope == "query"]
         if agent not in known:
             raise unknown_name("agent with knowledge of queries", agent, known)

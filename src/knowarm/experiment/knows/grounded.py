@@ -6,8 +6,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.experiment.answers import answers_by, asked
 from knowarm.experiment.knows.member import Control, Known, Reasoning
 from knowarm.experiment.knows.vectors import AboutQueries
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.builder import shuffle_tails
+from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.questions import ObjectColour
 from knowarm.seeding import derive_seed
@@ -15,7 +19,6 @@ from knowarm.world.config import EnvConfig
 
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.experiment.inputs import KnowledgeInput
-    from knowarm.knowledge import KnowledgeGraph
     from knowarm.perception.grounding import GroundingNetwork
     from knowarm.perception.images import DescribedGraph
 
@@ -56,19 +59,23 @@ class Grounded(AboutQueries):
         return train_grounding(env, embedded.table, slots, self.grounding, **options, **how)
 
     def described_by(
-        self, graph: "KnowledgeGraph", env: EnvConfig, run_seed: int
+        self, graph: KnowledgeGraph, env: EnvConfig, run_seed: int
     ) -> "DescribedGraph":
         """Describe and answer the queries of training by a graph; what is held out stays so."""
-        from knowarm.experiment.answers import answers_in_training
+        import torch
+
+        from knowarm.perception.images import query_answers
 
         facets = ModuleSpec.of(env, self.grounding).facets
-        embedded = self.embed(env, run_seed, graph=graph)
-        return embedded.table, answers_in_training(graph, env, facets)
+        own = query_answers(env, facets)
+        assert own is not None
+        answers = torch.from_numpy(QueryGraph(graph, facets).answers(asked(env).queries))
+        askable = answers & (own.askable | ~own.satisfies)
+        table = self.embed(env, run_seed, graph=graph).table
+        return table, own._replace(satisfies=answers, askable=askable)
 
     def varied_graphs(self, env: EnvConfig, run_seed: int) -> "list[DescribedGraph]":
         """Return what `GroundingConfig.graphs` counts: the own graph, and others; or nothing."""
-        from knowarm.knowledge.graph.builder import shuffle_tails
-
         count, graph = self.grounding.graphs, self.read_graph()
         seeds = (derive_seed(run_seed, "placebos", number) for number in range(count))
         graphs = [graph, *(shuffle_tails(graph, seed) for seed in seeds)] if count else []
@@ -124,13 +131,10 @@ class GraphAnswers(Grounded):
         run_seed: int,
         facets: tuple[ObjectColour, ...],
         *,
-        graph: "KnowledgeGraph | None" = None,
+        graph: KnowledgeGraph | None = None,
         control: Control | None = None,
     ) -> np.ndarray:
         """Return how probably F facets answer each query by the graph, (Q, F); see `input`."""
-        from knowarm.experiment.answers import answers_by
-        from knowarm.knowledge.graph.builder import shuffle_tails
-
         graph = self.read_graph() if graph is None else graph
         graph = self.source.change_graph(graph, self.source.draw_seed(self.seed, run_seed))
         if control == "graph-shuffled":

@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 
 from knowarm.errors import Argument, UserError
+from knowarm.experiment.answers import asked
 from knowarm.experiment.knows.member import Known, Member
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.config import Detail, KnowledgeConfig, Scope
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig, facets_of
 
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.experiment.inputs import KnowledgeInput
-    from knowarm.knowledge import KnowledgeGraph
     from knowarm.perception.classifier import FacetClassifier
     from knowarm.perception.module import PerceptionModule
 
@@ -53,10 +55,8 @@ class FromGraph(Member, KnowledgeConfig):
         """As `Member.has_content`."""
         return not isinstance(self.source, Zeros)
 
-    def read_graph(self) -> "KnowledgeGraph":
+    def read_graph(self) -> KnowledgeGraph:
         """As `Member.read_graph`."""
-        from knowarm.knowledge.formats import read_graph
-
         return read_graph(self.graph)
 
     def is_of_graph(self, graph: str) -> bool:
@@ -148,11 +148,10 @@ class AboutQueries(FromGraph):
         env: EnvConfig,
         run_seed: int,
         *,
-        graph: "KnowledgeGraph | None" = None,
+        graph: KnowledgeGraph | None = None,
         trained: EnvConfig | None = None,
     ) -> Known:
         """As `Member.embed`."""
-        from knowarm.experiment.answers import asked
         from knowarm.knowledge import query_embedding
 
         trained_on, queries = asked(trained or env).queries, asked(env).queries
