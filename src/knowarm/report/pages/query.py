@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import scipy
 
 from knowarm.errors import UserError
 from knowarm.knowledge.queries.splits import SPLITS
@@ -196,7 +197,5 @@ def _counts(asked: SplitGroup) -> tuple[list[str], list[str], np.ndarray]:
     """Count the episodes of every wanted and chosen object: names, names, (R, C) int64."""
     tables = [evaluation.episodes("chosen") for evaluation in asked.evaluations]
     names = [[str(name) for t in tables for name in t[key]] for key in ("target", "chosen")]
-    (rows, first), (columns, second) = (np.unique(each, return_inverse=True) for each in names)
-    counts = np.zeros((len(rows), len(columns)), np.int64)
-    np.add.at(counts, (first, second), 1)
+    (rows, columns), counts = scipy.stats.contingency.crosstab(*names)
     return rows.tolist(), columns.tolist(), counts
