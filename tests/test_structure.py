@@ -182,8 +182,16 @@ def task_uses(path, tree):
             target = node.value
         elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "hasattr"):
             target = node.args[0]
+        elif isinstance(node, ast.Dict):  # overrides of fields that only some tasks have
+            pairs = zip(node.keys, node.values, strict=True)
+            yield from (ast.unparse(v) for k, v in pairs if k and is_overridden(k, v))
         if target is not None and is_task(target):
             yield f"{node.lineno}: {ast.unparse(node)}"
+
+
+def is_overridden(key, value):
+    """Return whether an item of a mapping overrides fields of a task."""
+    return ast.unparse(key) == "'task'" and isinstance(value, ast.Dict)
 
 
 def is_task(node):
@@ -209,9 +217,10 @@ def test_every_use_of_one_task_is_found():
         "env.task.height_m + task.objects",
         "getattr(config.env.task, 'solid', None)",
         "config.task.visible + setting.objects",
+        "override(env, {'task': {'queries': {'graph': path}}})",
     ]
     found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]
-    assert found == [1, 1, 2, 1, 0]
+    assert found == [1, 1, 2, 1, 0, 1]
 
 
 def test_mutation_testing_names_files_that_exist():
