@@ -37,11 +37,11 @@ class Scale:
         return [round(i * step, 12) for i in range(first, last + 1)]
 
 
-def fit(values: Iterable[float], start: float, end: float, *, pad: float = 0.06) -> Scale:
+def fit(values: Iterable[float], start: float, end: float) -> Scale:
     """Return a scale that covers all finite values with some margin."""
     finite = [value for value in values if math.isfinite(value)] or [0.0, 1.0]
     low, high = min(finite), max(finite)
-    margin = (high - low) * pad or abs(high) * 0.1 or 1.0
+    margin = (high - low) * 0.06 or abs(high) * 0.1 or 1.0
     return Scale(low - margin, high + margin, start, end)
 
 
