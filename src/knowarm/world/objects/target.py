@@ -27,8 +27,6 @@ class Part:
 
     site: str
     """Site of the grasp frame."""
-    width_m: float
-    """Width that the fingers must be apart between the tool centre point and their tips [m]."""
     geoms: tuple[str, ...]
     """Geoms that are the part."""
 
@@ -56,9 +54,6 @@ class Target:
     fingers."""
     parts: Mapping[str, Part] = field(default_factory=dict)
     """Parts at which it can be grasped."""
-    left_out: Mapping[str, str] = field(default_factory=dict)
-    """Parts that no gripper here lifts, or only one of the two shipped robots, with the reason.
-    The fingers of the IRB120 are 64 mm apart and 22 mm wide, those of TIAGo 78 and 44 mm."""
     part_geoms: tuple[str, ...] = ()
     """Geoms of the part that is grasped, drawn with it where other parts of the same object are
     targets too; the first part draws what belongs to none."""
