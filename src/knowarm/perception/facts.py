@@ -17,23 +17,22 @@ class FactEncoder(nn.Module):
     ``(h_0, m)`` with one hidden layer. With words of 50 numbers it has 110,000 parameters.
 
     Args:
-        knowledge: numbers of all slots.
-        width: numbers of the result, in equal parts of the slots.
-        slots: number of slots.
+        knowledge: numbers of a slot.
+        width: numbers of the result.
     """
 
     hidden, heads = 128, 4
 
-    def __init__(self, knowledge: int, width: int, slots: int = 1) -> None:
+    def __init__(self, knowledge: int, width: int) -> None:
         super().__init__()
-        size, self.slots = self.hidden, slots
-        self.fact = nn.Linear(knowledge // slots // FACTS, size)
+        size = self.hidden
+        self.fact = nn.Linear(knowledge // FACTS, size)
         self.query, self.key, self.value = (nn.Linear(size, size) for _ in range(3))
-        self.joint, self.result = nn.Linear(2 * size, size), nn.Linear(size, width // slots)
+        self.joint, self.result = nn.Linear(2 * size, size), nn.Linear(size, width)
 
     def forward(self, knowledge: Tensor) -> Tensor:
-        """Encode each slot: (..., slots * FACTS * 3 D) -> (..., width)."""
-        rows = knowledge.unflatten(-1, (self.slots, FACTS, -1))
+        """Encode slots: (..., FACTS * 3 D) -> (..., width)."""
+        rows = knowledge.unflatten(-1, (FACTS, -1))
         facts = torch.relu(self.fact(rows))
         asked = facts[..., 0, :]
         query = self.query(asked).unflatten(-1, (self.heads, -1))  # (..., heads, d)
@@ -44,4 +43,4 @@ class FactEncoder(nn.Module):
         gate = scores.sigmoid() * (rows != 0).any(-1, keepdim=True)  # (..., FACTS, heads)
         found = (gate[..., 1:, :, None] * value[..., 1:, :, :]).sum(-3).flatten(-2)
         result: Tensor = self.result(torch.relu(self.joint(torch.cat((asked, found), -1))))
-        return result.flatten(-2)
+        return result
