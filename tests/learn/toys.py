@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from knowarm.learn import Hooks, NumpyToTorch
-from knowarm.learn.learner import make_learner
+from knowarm.learn.learner import Learner
 from knowarm.learn.network import TrainingNetwork
 from knowarm.learn.ppo import minibatch_loss
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
@@ -141,7 +141,7 @@ def noisy_learner(config, *, auxiliary=0, device="cpu"):
     known = rng.standard_normal((3, 4)).astype(np.float32)
     policy = informed_toy_policy(4)
     table = ((config.rollout_steps, config.num_envs), torch.float32)
-    learner = make_learner(
+    learner = Learner(
         TrainingNetwork(policy, auxiliary, seed=3),
         config,
         partial(minibatch_loss, config),

@@ -7,7 +7,7 @@ each compute the entire network for a part of the environments avoid this (docs/
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import NamedTuple
@@ -46,7 +46,7 @@ def add_gradient(
     rollout: Rollout,
     targets: Targets,
     env_ids: Tensor,
-    weight: float = 1.0,
+    weight: float,
 ) -> Terms:
     """Add the gradient of the loss over the environments ``env_ids`` (b,) to those of the network.
 
@@ -65,57 +65,6 @@ def _buffers(tensors: Mapping[str, Tensor]) -> tuple[Rollout, dict[str, Tensor]]
     prefix = "target/"
     targets = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
     return rollout, targets
-
-
-class Learner:
-    """Computes inference and minibatch gradients in one process.
-
-    The collector and `infer` write ``rollout``, the trainer ``targets``; `compute_gradient` reads
-    both and writes ``gradient``, (P,) float32, of all parameters of ``network``.
-
-    Attributes:
-        processes: number of processes that share the work.
-    """
-
-    processes = 1
-    rollout: Rollout
-    targets: Targets
-    gradient: Tensor
-
-    def __init__(
-        self,
-        network: TrainingNetwork,
-        config: MinibatchConfig,
-        loss: Loss,
-        targets: TensorSpecs,
-        device: torch.device,
-    ) -> None:
-        self.network = network
-        self.policy = network.policy
-        self._loss = loss
-        named = {f"target/{name}": spec for name, spec in targets.items()}
-        if network.auxiliary_targets:
-            shape = (config.rollout_steps, config.num_envs, network.auxiliary_targets)
-            named["target/auxiliary"] = (shape, torch.float32)
-        specs = rollout_specs(config.rollout_steps, config.num_envs, network.policy)
-        self._allocate({**specs, **named}, config.num_envs, device)
-
-    def _allocate(self, specs: TensorSpecs, num_envs: int, device: torch.device) -> None:
-        self.rollout, self.targets = _buffers(zeros(specs, device))
-        self.gradient = FlatParameters(self.network).gradient
-
-    def running(self) -> AbstractContextManager[None]:
-        """Use one PyTorch thread until the context ends."""
-        return torch_threads(1)
-
-    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
-        """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
-        return infer_step(self.policy, rollout, t, image, state)
-
-    def compute_gradient(self, env_ids: Tensor) -> Terms:
-        """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
-        self.gradient.zero_()
-        return add_gradient(self.network, self._loss, self.rollout, self.targets, env_ids)
 
 
 class InferCommand(NamedTuple):
@@ -174,13 +123,24 @@ def run_learner_worker(
         connection.send(True)
 
 
-class DataParallelLearner(Learner):
-    """Learner in several processes that share parameters, rollout and targets.
+class Learner:
+    """Computes inference and minibatch gradients, in one process or on the CPU in several.
 
-    Workers keep no state between two commands, so one that dies is restarted without loss. Sums
-    are taken in another order than in one process, always the same for a number of processes. The
-    calling process counts among ``processes``, of which there are at least 2.
+    The collector and `infer` write ``rollout``, the trainer ``targets``; `compute_gradient` reads
+    both and writes ``gradient``, (P,) float32, of all parameters of ``network``, which is moved to
+    the device.
+
+    Worker processes share parameters, rollout and targets. They keep no state between two commands,
+    so one that dies is restarted without loss. Sums are taken in another order than in one process,
+    always the same for a number of processes.
+
+    Attributes:
+        processes: number of processes that share the work, the calling one among them.
     """
+
+    rollout: Rollout
+    targets: Targets
+    gradient: Tensor
 
     def __init__(
         self,
@@ -189,15 +149,27 @@ class DataParallelLearner(Learner):
         loss: Loss,
         targets: TensorSpecs,
         precision: MatmulPrecision,
-        processes: int,
+        device: torch.device,
     ) -> None:
-        self.processes = processes
-        self._context = process_context()
-        self._precision = precision
+        self.network = network.to(device)
+        self.policy = network.policy
+        torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
+        self.processes = count_processes(config) if device.type == "cpu" else 1
+        self._loss, self._precision = loss, precision
         self._workers: list[SupervisedProcess] = []
-        super().__init__(network, config, loss, targets, torch.device("cpu"))
+        named = {f"target/{name}": spec for name, spec in targets.items()}
+        if network.auxiliary_targets:
+            shape = (config.rollout_steps, config.num_envs, network.auxiliary_targets)
+            named["target/auxiliary"] = (shape, torch.float32)
+        specs = {**rollout_specs(config.rollout_steps, config.num_envs, network.policy), **named}
+        if self.processes > 1:
+            self._share(specs, config.num_envs)
+        else:
+            self.rollout, self.targets = _buffers(zeros(specs, device))
+            self.gradient = FlatParameters(network).gradient
 
-    def _allocate(self, specs: TensorSpecs, num_envs: int, device: torch.device) -> None:
+    def _share(self, specs: TensorSpecs, num_envs: int) -> None:
+        """Allocate what all processes read and write."""
         policy, shape = self.policy, self.policy.shape
         parameters = sum(p.numel() for p in self.network.parameters())
         shared: TensorSpecs = {
@@ -209,6 +181,7 @@ class DataParallelLearner(Learner):
             "c": ((num_envs, policy.hidden_size), torch.float32),
             "logits": ((num_envs, shape.joints, shape.levels), torch.float32),
         }
+        self._context = process_context()
         self._shared = SharedTensors(self._context, {**specs, **shared})
         self.rollout, self.targets = _buffers(self._shared.tensors)
         self.gradient = self._shared["gradients"][0]
@@ -218,7 +191,7 @@ class DataParallelLearner(Learner):
     @contextmanager
     def running(self) -> Iterator[None]:
         """Run the workers, and use one PyTorch thread per process, until the context ends."""
-        with super().running():
+        with torch_threads(1):
             try:
                 for index in range(1, self.processes):
                     self._workers.append(SupervisedProcess(partial(self._start, index)))
@@ -228,7 +201,9 @@ class DataParallelLearner(Learner):
                 self._workers = []
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
-        """As `Learner.infer`."""
+        """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
+        if self.processes == 1:
+            return infer_step(self.policy, rollout, t, image, state)
         shared = self._shared
         bounds = [len(image) * i // self.processes for i in range(self.processes + 1)]
         own, *others = map(slice, bounds, bounds[1:])
@@ -243,7 +218,7 @@ class DataParallelLearner(Learner):
         return shared["logits"].clone(), (shared["h"], shared["c"])
 
     def compute_gradient(self, env_ids: Tensor) -> Terms:
-        """As `Learner.compute_gradient`."""
+        """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         count = len(env_ids)
         own, *others = env_ids.chunk(self.processes)
         commands = [GradientCommand(part.numpy(), len(part) / count) for part in others]
@@ -277,20 +252,10 @@ class DataParallelLearner(Learner):
                 worker.child.send(command)
 
 
-def make_learner(
-    network: TrainingNetwork,
-    config: MinibatchConfig,
-    loss: Loss,
-    targets: TensorSpecs,
-    precision: MatmulPrecision,
-    device: torch.device,
-) -> Learner:
-    """Move the network to the device and create its learner, with `count_processes` on the CPU."""
-    network.to(device)
-    torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
-    if device.type != "cpu":
-        return Learner(network, config, loss, targets, device)
-    processes = count_processes(config)
+def count_processes(config: MinibatchConfig) -> int:
+    """Return the number of processes: as configured, limited by the size of a minibatch."""
+    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
+    processes = max(1, min(config.processes or available_cores(), most))
     if config.processes is not None and processes < config.processes:
         log.warning(
             "processes=%d is reduced to %d: minibatches have %d environments, and each process "
@@ -300,12 +265,4 @@ def make_learner(
             config.num_envs // config.minibatches,
             MIN_ENVS_PER_PROCESS,
         )
-    if processes > 1:
-        return DataParallelLearner(network, config, loss, targets, precision, processes)
-    return Learner(network, config, loss, targets, device)
-
-
-def count_processes(config: MinibatchConfig) -> int:
-    """Return the number of processes: as configured, limited by the size of a minibatch."""
-    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
-    return max(1, min(config.processes or available_cores(), most))
+    return processes

@@ -14,7 +14,7 @@ from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import FiniteGuard
-from knowarm.learn.learner import make_learner
+from knowarm.learn.learner import Learner
 from knowarm.learn.losses import Terms
 from knowarm.learn.network import Loss, TrainingNetwork
 from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
@@ -89,9 +89,7 @@ class MinibatchTrainer(SynchronousTrainer):
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
         network = TrainingNetwork(policy.to(self._device), auxiliary_targets, seed)
         self._head = network.head
-        self._learner = make_learner(
-            network, config, loss, targets, self.matmul_precision, self._device
-        )
+        self._learner = Learner(network, config, loss, targets, self.matmul_precision, self._device)
         self._collector = Collector(
             env, policy, seed=seed, final_values=final_values, greedy=greedy, curriculum=curriculum
         )
