@@ -26,11 +26,12 @@ from rosgraph_msgs.msg import Clock
 from examples.ros_robot import TICK_S, RobotNode
 from knowarm.experiment.load import load_agent
 from knowarm.integrations import ros
+from knowarm.integrations.client import Client
 from knowarm.integrations.contract import Deployment, deployment, export, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.ros import DriverNode
 from knowarm.integrations.runner import Runner
-from knowarm.integrations.serve import Client, PolicyServer
+from knowarm.integrations.serve import PolicyServer
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig

@@ -32,10 +32,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
+from knowarm.integrations.client import Client
 from knowarm.integrations.serve import (
     MOST_CONNECTIONS,
     MOST_SOCKETS,
-    Client,
     PolicyServer,
     pack,
     unpack,
@@ -241,7 +241,7 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
         (partial(packed, OBJECTS | {b"dtype": "|u1", b"shape": [-1]}), "shape"),
     ],
 )
-def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words):
+def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words, caplog):
     message = change() if callable(change) else change
     message = observation(parts, **message) if isinstance(message, dict) else message
     with client(server) as connection:
@@ -252,6 +252,7 @@ def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change
         assert "\n" not in answer
         with pytest.raises(ConnectionClosed):
             connection.recv()
+    assert re.search(r"127.0.0.1:\d+ refused: ", caplog.text)
     assert_serves(parts, server)
 
 
@@ -281,18 +282,20 @@ def test_a_client_may_vanish_in_a_step(parts, server):
 
 
 @pytest.mark.slow(10)
-def test_ctrl_c_ends_the_connections_too():
+def test_the_command_says_who_connects_and_ctrl_c_ends_the_connections_too():
     # A shell that starts the tests in the background ignores Ctrl-C for all that they start.
     program = (
         "import signal as s; s.signal(s.SIGINT, s.default_int_handler); import knowarm.cli.main"
     )
     program += " as m, sys; sys.exit(m.main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "serve", str(ZOO / "irb120-full-fast"), "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
         try:
             address = re.search(r"ws://[\d.]+:\d+", process.stdout.readline())[0]
             with connect(address, compression=None) as connection:
                 connection.recv()
+                assert re.search(r"127.0.0.1:\d+ connected", process.stderr.readline())
                 process.send_signal(signal.SIGINT)
                 with pytest.raises(ConnectionClosed):
                     connection.recv(timeout=60)
@@ -433,8 +436,8 @@ def test_a_long_dtype_is_refused_before_it_is_parsed():
 
 @pytest.mark.parametrize("answers", [0, 1])
 def test_a_client_does_not_wait_for_a_silent_server(answers, monkeypatch):
-    monkeypatch.setattr("knowarm.integrations.serve.METADATA_S", 0.2)
-    monkeypatch.setattr("knowarm.integrations.serve.ANSWER_S", 0.2)
+    monkeypatch.setattr("knowarm.integrations.client.METADATA_S", 0.2)
+    monkeypatch.setattr("knowarm.integrations.client.ANSWER_S", 0.2)
 
     def reply(connection):
         if answers:

@@ -35,7 +35,8 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("onnxscript")
 pytest.importorskip("websockets")
 
-from knowarm.integrations.serve import Client, Episode, PolicyServer
+from knowarm.integrations.client import Client
+from knowarm.integrations.serve import Episode, PolicyServer
 
 Forms = Mapping[str, Callable[[], object]]
 Random = np.random.Generator

@@ -65,7 +65,7 @@ def entrant(spec: str) -> Entrant:
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
     if spec.startswith(("ws://", "wss://")):
-        from knowarm.integrations.serve import Client
+        from knowarm.integrations.client import Client
 
         return _entrant(spec, Client(spec))
     if ":" in spec:

@@ -1,5 +1,6 @@
 """``knowarm export``, ``serve``, ``ros``, ``record``, ``hub``: outside of the simulator."""
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -68,8 +69,10 @@ class Serve(OfRun):
 
     def run(self) -> None:
         """Serve and print the address."""
-        from knowarm.integrations.serve import PolicyServer
+        from knowarm.integrations.serve import PolicyServer, log
 
+        logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+        log.setLevel(logging.INFO)
         parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
         key = os.environ.get("KNOWARM_SERVE_KEY") or None
         address = partial(PolicyServer, host=self.host, port=self.port)
