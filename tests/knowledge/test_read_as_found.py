@@ -3,7 +3,9 @@
 import csv
 import io
 import json
+import re
 import warnings
+from pathlib import Path
 
 import hypothesis.strategies as st
 import networkx
@@ -121,6 +123,20 @@ def test_what_is_left_out_or_doubtful_is_said_in_one_line(
         graph = read_graph(write(tmp_path / name, content))
     assert set(graph) == triples
     assert [str(each.message).count("\n") for each in caught] == [0]
+
+
+def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(tmp_path, monkeypatch):
+    pandas = pytest.importorskip("pandas")
+    monkeypatch.chdir(tmp_path)
+    write(Path("a.csv"), "thing,a,b,c,d,e,f\nmug,1,,tea,0,x,y\ncan,0,oil,,1,x,z\n")
+    with pytest.raises(UserError, match="a line per property") as refused:
+        read_graph(Path("a.csv"))
+    code = re.search(r"(pandas.*\))\.$", str(refused.value))[1]
+    eval(code, {"pandas": pandas})
+    assert set(read_graph(Path("triples.csv"))) == {
+        *(("mug", r, t) for r, t in zip("acdef", ["1", "tea", "0", "x", "y"], strict=True)),
+        *(("can", r, t) for r, t in zip("abdef", ["0", "oil", "1", "x", "z"], strict=True)),
+    }
 
 
 @pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")

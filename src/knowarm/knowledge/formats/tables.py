@@ -100,10 +100,19 @@ def _triple(
 ) -> list[str]:
     """Return the names of head, relation and tail of a row."""
     if len(row) < len(names) or any(row[len(names) :]):
+        remedy = (
+            "Correct the line, or name all columns in the first line, such as "
+            "head,relation,tail,weight."
+        )
+        if number == 1 and len(row) > 2 * len(ROLES):
+            remedy = (
+                "If a line describes one thing and each column one of its properties, write a line "
+                f"per property: pandas.read_csv({path.name!r}).melt({row[0]!r}).dropna()"
+                ".to_csv('triples.csv', index=False, header=False)."
+            )
         raise UserError(
             f"{path}, line {number}: has {len(row)} column{'s' * (len(row) != 1)}, but a row has "
-            f"{len(names)} ({listed(names)}). Correct the line, or name all columns in the "
-            "first line, such as head,relation,tail,weight."
+            f"{len(names)} ({listed(names)}). {remedy}"
         )
     triple = [name_of_cell(row[i]) for i in columns]
     if not all(triple):
