@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,10 +92,24 @@ def family_graph(size=24):
     return graph_of(triples)
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_every_model_learns(name):
+def test_drawn_entities_that_are_all_change_nothing():
+    split = split_graph(family_graph())
+    parts = split.train, split.entities, split.relations
+    config = KgeConfig(model="complex", dim=8, epochs=3)
+    every = train(config, *parts).model
+    drawn = train(replace(config, negatives=50 * split.entities), *parts).model
+    few = train(replace(config, negatives=2), *parts).model
+    for name, value in every.state_dict().items():
+        assert torch.allclose(value, drawn.state_dict()[name], atol=1e-6)
+        assert not torch.allclose(value, few.state_dict()[name], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "negatives"), [*((name, None) for name in MODELS), ("complex", 4)]
+)
+def test_every_model_learns(name, negatives):
     split = split_graph(family_graph(), valid=0.05, test=0.15)
-    config = KgeConfig(model=name, dim=20, epochs=150, learning_rate=0.02)
+    config = KgeConfig(model=name, dim=20, epochs=150, learning_rate=0.02, negatives=negatives)
     untrained = rank(
         new_model(config, split.entities, split.relations), split.test, split.everything
     )

@@ -17,6 +17,9 @@ class KgeConfig:
     """Largest number of passes over the training triples."""
     batch_size: int = 128
     """Queries (h, r, ?) per gradient step, each with all its answers."""
+    negatives: int | None = None
+    """Compare the queries of a step with so many entities, drawn at random, and their answers; None
+    compares them with all, which takes long on graphs of many thousand entities."""
     learning_rate: float | None = None
     """Adam's step size; None takes the model's own."""
     n3: float | None = None
@@ -32,6 +35,7 @@ class KgeConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "dim", "epochs", "batch_size", "evaluate_every", "patience", "threads")
+        at_least(self, 1, "dim", "epochs", "batch_size", "negatives")
+        at_least(self, 1, "evaluate_every", "patience", "threads")
         above_zero(self, "learning_rate")
         at_least(self, 0, "n3")

@@ -39,9 +39,10 @@ class KgeModel(nn.Module, ABC):
         """Return the absolute values whose cubes N3 sums, of real numbers or complex pairs."""
         return vectors.abs()
 
-    def forward(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Score every tail: ids (B,), (B,) -> scores (B, E)."""
-        return self.compare(self.query(self.entity[head], self.relation[relation]), self.entity)
+    def forward(self, head: Tensor, relation: Tensor, tails: Tensor | None = None) -> Tensor:
+        """Score tails, by default every entity: ids (B,), (B,), (T,) -> scores (B, T)."""
+        compared = self.entity if tails is None else self.entity[tails]
+        return self.compare(self.query(self.entity[head], self.relation[relation]), compared)
 
     def penalty(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
         """N3: mean over the batch of sum |h|^3 + |r|^3 + |t|^3 (Lacroix et al. 2018, eq. 3)."""

@@ -148,6 +148,7 @@ def train(
         weights = list(model.parameters())
         optimizer = torch.optim.Adam(weights, lr=rate)
         order = torch.Generator().manual_seed(config.seed + 1)
+        negatives = torch.Generator().manual_seed(config.seed + 2)
         asked = np.concatenate([triples, reciprocal(triples, model.relations)])
         # All answers of a query in one step: one row of scores serves them all.
         pairs, group = np.unique(asked[:, :2], axis=0, return_inverse=True)
@@ -165,8 +166,13 @@ def train(
                 within = torch.arange(len(row)) - (counts[rows].cumsum(0) - counts[rows])[row]
                 tail = answers[starts[rows][row] + within]
                 head, relation = queries[rows].T
-                scores = model(head, relation)
-                loss = (scores.logsumexp(dim=1)[row] - scores[row, tail]).mean()
+                compared, column = None, tail
+                if config.negatives is not None:
+                    drawn = torch.randint(entities, (config.negatives,), generator=negatives)
+                    compared = torch.cat([tail, drawn]).unique()  # sorted
+                    column = torch.searchsorted(compared, tail)
+                scores = model(head, relation, compared)
+                loss = (scores.logsumexp(dim=1)[row] - scores[row, column]).mean()
                 if n3:
                     loss = loss + n3 * model.penalty(head[row], relation[row], tail)
                 optimizer.zero_grad()
