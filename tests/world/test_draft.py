@@ -103,6 +103,18 @@ def test_last_joint_without_these_signs_is_the_arms() -> None:
     assert find_gripper(hand(fingers=pitch)).joints[-1] == "pitch"
 
 
+@pytest.mark.parametrize("before", range(8))
+def test_of_two_equal_arms_the_one_not_taken_is_offered(before: int) -> None:
+    link = '<body pos="0 0 .3"><joint name="{}{}"/><geom size=".03" pos="0 0 .15"/>{}</body>'
+    arms = ["", ""]
+    for number in reversed(range(6)):
+        arms = [link.format(side, number, arm) for side, arm in zip("rl", arms, strict=True)]
+    text = f"<mujoco><worldbody>{'<body/>' * before}{arms[0]}{arms[1]}</worldbody></mujoco>"
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.joints == ("r0", "r1", "r2", "r3", "r4", "r5")
+    assert 'another arm: joints = ["l0", "l1", "l2", "l3", "l4", "l5"]' in gripper.how
+
+
 def test_tcp_lies_between_a_jaw_and_the_fixed_one() -> None:
     gripper = find_gripper(hand(FIXED_JAW, JAW))
     np.testing.assert_allclose(gripper.fields["tcp_position_m"][:2], 0, atol=1e-3)

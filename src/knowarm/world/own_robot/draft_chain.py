@@ -40,23 +40,23 @@ def find_chain(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[C
         named = [
             b for b in branches if any(GRIPPER_WORDS.search(model.joint(j).name) for j in moved[b])
         ]
-        arms = [b for b in branches if b not in named and amount[b] >= ARM_JOINTS]
+        free = sorted((b for b in branches if b not in named), key=lambda b: -amount[b])
+        arms = [b for b in free if amount[b] >= ARM_JOINTS]
         longest = max((_length(model, data, b) for b in arms), default=0.0)
         if len(branches) > 1 and longest > ARM_SHARE * _carried(data, joints, body):
             joints = []  # of a base, lift or waist that carries several parts
-            others += sorted(arms, key=lambda b: -amount[b])[1:]
+            others += arms[1:]
         # Several branches at the end are fingers; below, the one with the most joints is the arm.
         elif len(branches) > 1 and len(joints) >= FIRST_FINGER:
             end = f"{len(branches)} moving parts begin"
             break
-        if len(branches) == len(named):
+        if not free:
             end = "a joint is named as a gripper's" if branches else "the chain ends"
             break
-        following = max(set(branches) - set(named), key=lambda b: amount[b])
-        if len(joints) >= FIRST_FINGER and (finger := _finger(model, data, following)):
+        if len(joints) >= FIRST_FINGER and (finger := _finger(model, data, free[0])):
             end = finger
             break
-        body = following
+        body = free[0]
         own = _own_joints(model, moved[body])
         joints += own
         hand = body if own else hand
