@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from knowarm.learn import CheckpointStore, PPOConfig, PPOTrainer, read_checkpoint
-from knowarm.learn.evaluation import MAX_PENDING, BackgroundEvaluations, InlineEvaluations
+from knowarm.learn.evaluation import MAX_PENDING, Evaluations
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from tests.learn.toys import toy_env, toy_policy
 
@@ -47,10 +47,8 @@ def take_all(evaluations):
 @pytest.mark.slow
 def test_background_evaluations_equal_inline_ones():
     results = []
-    for evaluations in (
-        InlineEvaluations(toy_policy(), squared_norm),
-        BackgroundEvaluations(toy_policy(), make_squared_norm),
-    ):
+    for in_background in (False, True):
+        evaluations = Evaluations(toy_policy(), make_squared_norm, in_background=in_background)
         for step in range(MAX_PENDING + 3):
             evaluations.submit(step, flatten_parameters(toy_policy(seed=step)))
         results.append(take_all(evaluations))
@@ -88,7 +86,7 @@ def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_pat
     ],
 )
 def test_an_evaluator_that_always_fails_stops_training(make, message):
-    evaluations = BackgroundEvaluations(toy_policy(), make)
+    evaluations = Evaluations(toy_policy(), make, in_background=True)
     evaluations.submit(0, flatten_parameters(toy_policy()))
     with pytest.raises(RuntimeError, match=message):
         take_all(evaluations)

@@ -37,21 +37,51 @@ class CompletedEvaluation(NamedTuple):
     results: Metrics
 
 
-class InlineEvaluations:
-    """Runs each evaluation, if there are any, when it is submitted, while training waits."""
+class Evaluations:
+    """Runs interim evaluations, in the training process or in a child process.
 
-    def __init__(self, policy: Policy, evaluate: Evaluate | None) -> None:
-        self._evaluate = evaluate
-        if evaluate is not None:
-            self._policy = policy.maker()()
-            self._parameters = FlatParameters(self._policy)
+    Args:
+        policy: has the structure of the policies that are evaluated.
+        make_evaluate: creates the function that evaluates; None evaluates nothing.
+        in_background: evaluate in a child process while training continues; otherwise training
+            waits where an evaluation is submitted.
+        context: start method of the child process.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        make_evaluate: MakeEvaluate | None,
+        *,
+        in_background: bool = False,
+        context: BaseContext | None = None,
+    ) -> None:
+        self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._completed: list[CompletedEvaluation] = []
+        self._evaluate: Evaluate | None = None
+        self.process: SupervisedProcess | None = None
+        if make_evaluate is not None and in_background:
+            context = context or process_context()
+            # Parameters do not fit into a pipe: sending them would block while the child starts.
+            parameters = sum(p.numel() for p in policy.parameters())
+            self._shared = SharedTensors(context, {"values": ((parameters,), torch.float32)})
+            arguments = policy.maker(), make_evaluate, self._shared
+            self.process = SupervisedProcess(
+                lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
+            )
+        elif make_evaluate is not None:
+            self._evaluate, self._policy = make_evaluate(), policy.maker()()
+            self._parameters = FlatParameters(self._policy)
 
     def submit(self, step: int, values: np.ndarray) -> None:
         """Evaluate the policy with the parameters ``values`` (P,)."""
         if self._evaluate is not None:
             self._parameters.values.copy_(torch.from_numpy(values))
             self._completed.append(CompletedEvaluation(step, values, self._evaluate(self._policy)))
+        elif self.process is not None:
+            self._pending.append((step, values))
+            if len(self._pending) == 1:
+                self._send(self.process)
 
     def completed(self, *, timeout_s: float) -> list[CompletedEvaluation]:
         """Return the evaluations that completed since the last call, in order of submission.
@@ -59,65 +89,28 @@ class InlineEvaluations:
         If one is pending, wait at most ``timeout_s`` for the next result.
         """
         completed, self._completed = self._completed, []
-        return completed
-
-    def pending(self) -> list[tuple[int, np.ndarray]]:
-        """Return step and parameters of the submitted evaluations without a result."""
-        return []
-
-    def close(self) -> None:
-        """Release resources: none."""
-
-
-class BackgroundEvaluations:
-    """Runs evaluations in a child process while training continues."""
-
-    def __init__(
-        self, policy: Policy, make_evaluate: MakeEvaluate, context: BaseContext | None = None
-    ) -> None:
-        context = context or process_context()
-        # Parameters do not fit into a pipe: sending them would block while the child starts.
-        parameters = sum(p.numel() for p in policy.parameters())
-        specs = {"values": ((parameters,), torch.float32)}
-        self._shared = SharedTensors(context, specs)
-        self._pending: deque[tuple[int, np.ndarray]] = deque()
-        arguments = policy.maker(), make_evaluate, self._shared
-        self.process = SupervisedProcess(
-            lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
-        )
-
-    def submit(self, step: int, values: np.ndarray) -> None:
-        """As `InlineEvaluations.submit`, without waiting."""
-        self._pending.append((step, values))
-        if len(self._pending) == 1:
-            self._send()
-
-    def completed(self, *, timeout_s: float) -> list[CompletedEvaluation]:
-        """As `InlineEvaluations.completed`."""
-        completed = []
-        while self._pending and (answer := self.process.receive(timeout_s)) is not None:
+        process = self.process
+        while process and self._pending and (answer := process.receive(timeout_s)) is not None:
             timeout_s = 0.0
             if not isinstance(answer, Restarted):
                 completed.append(CompletedEvaluation(*self._pending.popleft(), answer))
             if self._pending:
-                self._send()
+                self._send(process)
         return completed
 
     def pending(self) -> list[tuple[int, np.ndarray]]:
-        """As `InlineEvaluations.pending`."""
+        """Return step and parameters of the submitted evaluations without a result."""
         return list(self._pending)
 
     def close(self) -> None:
         """Kill the child process; what it evaluates now is lost."""
-        self.process.child.stop(0.0)
+        if self.process is not None:
+            self.process.child.stop(0.0)
 
-    def _send(self) -> None:
+    def _send(self, process: SupervisedProcess) -> None:
         """Ask for the first pending evaluation."""
         self._shared["values"].copy_(torch.from_numpy(self._pending[0][1]))
-        self.process.child.send("evaluate")
-
-
-Evaluations = InlineEvaluations | BackgroundEvaluations
+        process.child.send("evaluate")
 
 
 def run_evaluator(

@@ -14,9 +14,7 @@ import torch
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
 from knowarm.learn.evaluation import (
     MAX_PENDING,
-    BackgroundEvaluations,
     Evaluations,
-    InlineEvaluations,
     MakeEvaluate,
     Metrics,
 )
@@ -124,7 +122,7 @@ class Trainer(ABC):
         self.evaluate_every = evaluate_every
         self.failure_folder = failure_folder
         self._make_evaluate = make_evaluate
-        self._evaluations: Evaluations = InlineEvaluations(policy, None)
+        self._evaluations = Evaluations(policy, None)
         self._context: BaseContext | None = None
         self._stopping = False
 
@@ -145,11 +143,11 @@ class Trainer(ABC):
             RuntimeError: a child process exits or fails repeatedly.
         """
         self._stopping = False
-        make = self._make_evaluate
-        self._evaluations = (
-            BackgroundEvaluations(self.policy, make, self._context)
-            if make is not None and self.evaluates_in_background
-            else InlineEvaluations(self.policy, make and make())
+        self._evaluations = Evaluations(
+            self.policy,
+            self._make_evaluate,
+            in_background=self.evaluates_in_background,
+            context=self._context,
         )
         try:
             for step, values in sorted(self.pending_evaluations.items()):
