@@ -16,7 +16,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.episodes import draw_episodes
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.ik import InverseKinematics
@@ -64,9 +64,10 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     In a task without kinematic dynamics, where contacts matter, the candidates are the lists by
     which the oracle solves ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
+    others = seed, "open-loop episodes"  # that no evaluation of any seed has
     if "kinematic" not in config.task.dynamics:
-        return _best_replayed(config, _episodes(config, REPLAYED_EPISODES, seed))
-    score = OpenLoopScore(config, _episodes(config, SEARCH_EPISODES, seed))
+        return _best_replayed(config, evaluation_episodes(config, REPLAYED_EPISODES, *others))
+    score = OpenLoopScore(config, evaluation_episodes(config, SEARCH_EPISODES, *others))
     goal = _anchor_goals(score)
     file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
     if (stored := read_arrays(file)) is not None:
@@ -74,12 +75,6 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     found = _search(score, _waypoints(score, goal, seed), budget, seed)
     write_arrays(file, {"actions": found})
     return found
-
-
-def _episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
-    """Draw episodes that no evaluation of any seed has."""
-    streams = np.full(count, derive(seed, "open-loop episodes"), dtype=np.uint64)
-    return draw_episodes(config, streams, np.arange(count, dtype=np.uint64))
 
 
 def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:

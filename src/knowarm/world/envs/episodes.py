@@ -47,13 +47,16 @@ def draw_episodes(
     return EpisodeSource(config)(streams, indices)
 
 
-def evaluation_episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
+def evaluation_episodes(
+    config: EnvConfig, count: int, seed: int, purpose: str = "evaluation"
+) -> Episodes:
     """Draw a fixed list of episodes, none of which is part of a training stream.
 
     Args:
         config: robot and task.
         count: number of episodes.
         seed: seed of the list; a shorter list is the beginning of a longer one.
+        purpose: what it is played for; lists for others have other episodes.
     """
-    streams = np.full(count, derive(seed, "evaluation"), dtype=np.uint64)
+    streams = np.full(count, derive(seed, purpose), dtype=np.uint64)
     return draw_episodes(config, streams, np.arange(count, dtype=np.uint64))
