@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -188,10 +187,7 @@ def play_once(player: Runner) -> None:
 
 def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the gripper's position (3,) [m], world, at joint angles (J,) [rad]."""
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.qpos_index] = joints
-    mujoco.mj_kinematics(scene.model, data)
-    return data.site_xpos[scene.tcp_site].copy()
+    return scene.at(joints).site_xpos[scene.tcp_site].copy()
 
 
 def start_spread(scene: Scene) -> NDArray[np.float64]:

@@ -183,9 +183,7 @@ def _joint_chain(scene: Scene, varied: int) -> Chain:
     """Split the arm into constant transforms with a turn about z, or a slide along z, between."""
     model = scene.model
     joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = 0.0
-    mujoco.mj_kinematics(model, data)
+    data = scene.at(np.zeros(scene.num_joints))
     tcp = np.eye(4)
     tcp[:3, :3] = data.site_xmat[scene.tcp_site].reshape(3, 3)
     tcp[:3, 3] = data.site_xpos[scene.tcp_site]

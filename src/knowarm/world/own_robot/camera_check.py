@@ -39,9 +39,7 @@ def check_camera(config: EnvConfig, photo: Path, points: Path | None, overlay: P
     with reading(photo, "Give a photograph as PNG or JPEG."):
         image = ImageOps.exif_transpose(Image.open(photo)).convert("RGB")
     scene = scene_of(config)
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.qpos_index] = scene.home
-    mujoco.mj_kinematics(scene.model, data)
+    data = scene.at(scene.home)
     renderer = make_renderer(scene, replace(config, mesh_detail="full"), SIDE, 1)
     poses = data.geom_xpos[None], data.geom_xmat[None]
     view = Image.fromarray(renderer.draw(*poses, resting_colours(scene, 1))[0])

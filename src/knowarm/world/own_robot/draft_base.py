@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
@@ -34,9 +33,7 @@ def place_base(scene: Scene, free: bool) -> dict[str, Any]:
     joints = samples(scene, 1000)
     simulation = MujocoSimulator(scene, len(joints))
     simulation.set_joints(joints)
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = scene.home
-    mujoco.mj_kinematics(model, data)
+    data = scene.at(scene.home)
     first = data.joint(ROBOT_PREFIX + scene.joint_names[0]).xanchor.copy()
     ahead = simulation.tcp_position - first
     reach = float(np.percentile(np.linalg.norm(ahead, axis=1), 95))
@@ -66,8 +63,6 @@ def place_base(scene: Scene, free: bool) -> dict[str, Any]:
 
 def lowest_fixed_m(scene: Scene) -> float:
     """Return the least height of the parts of a robot that no joint moves, at most; inf if none."""
-    model = scene.model
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = scene.model, scene.at(scene.home)
     fixed = robot_parts(scene) & (model.body_weldid[model.geom_bodyid] == 0)
     return float((data.geom_xpos[:, 2] - model.geom_rbound)[fixed].min(initial=np.inf))

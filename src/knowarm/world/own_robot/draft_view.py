@@ -17,7 +17,7 @@ from knowarm.world.own_robot.draft_reach import NODES
 from knowarm.world.own_robot.pixels import different_pixels, robot_parts
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
-from knowarm.world.scene.compose import CAMERA
+from knowarm.world.scene.compose import CAMERA, level_axes
 from knowarm.world.scene.scene import Scene, target_places
 
 FOVY_DEG = 40.0
@@ -70,9 +70,7 @@ def choose_view(
 def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict[str, Any]:
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     robot, model = scene.robot, scene.model
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = home.joints
-    mujoco.mj_kinematics(model, data)
+    data = scene.at(home.joints)
     heights = np.array([0.0, float(scene.grasp_position[:, 2].max()) * 1.2])
     corners = np.array(robot.rectangle_centre_m) + NODES[1:] * robot.rectangle_half_size_m
     places = np.repeat(target_places(scene, corners), 2, axis=0)
@@ -85,7 +83,7 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
     points = np.concatenate([places, ends, data.site_xpos[[scene.tcp_site]]])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
-    axes = _axes(direction)
+    axes = level_axes(direction)
     local = (points - look_at) @ axes
     slope = math.tan(math.radians(fovy_deg) / 2) * MARGIN
     distance = float((np.abs(local[:, :2]).max(axis=1) / slope + local[:, 2]).max())
@@ -96,20 +94,13 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict
     }
 
 
-def _axes(backward: Floats) -> Floats:
-    """Return right, up and backward of a level camera as columns, (3, 3)."""
-    right = np.cross([0.0, 0.0, 1.0], backward)
-    axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-    return np.asarray(axes / np.linalg.norm(axes, axis=0))
-
-
 def _shown(scene: Scene, home: Home, view: Mapping[str, Any]) -> tuple[float, float]:
     """Return the least pixels of a target at a place, and the share of the image with the robot."""
     model = copy.copy(scene.model)
     position, look_at = np.array(view["camera_position_m"]), np.array(view["camera_look_at_m"])
     camera = model.camera(CAMERA)
     camera.pos, camera.fovy = position, view["camera_fovy_deg"]
-    mujoco.mju_mat2Quat(model.cam_quat[scene.camera], _axes(position - look_at).ravel())
+    mujoco.mju_mat2Quat(model.cam_quat[scene.camera], level_axes(position - look_at).ravel())
     count, size = len(NODES), EnvConfig.image_size
     simulation = MujocoSimulator(scene, count, 1, "kinematic")
     places = np.array(scene.robot.rectangle_centre_m) + NODES * scene.robot.rectangle_half_size_m

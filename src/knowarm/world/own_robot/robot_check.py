@@ -158,9 +158,7 @@ def _check_body(env: ArmVectorEnv) -> Iterator[Check]:
         f"Below {100 * MIN_ROBOT_SHARE:.0f} %: draw its geoms in group 0, 1 or 2, give them "
         "colours that differ from the floor's, or change camera_position_m and camera_look_at_m.",
     )
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = scene.home
-    mujoco.mj_kinematics(model, data)
+    data = scene.at(scene.home)
     joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.joint_names]
     points = np.concatenate([data.xanchor[joints], data.site_xpos[[scene.tcp_site]]])
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

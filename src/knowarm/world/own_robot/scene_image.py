@@ -21,8 +21,7 @@ APPROACH_M = 0.1  # Length of the line that shows the gripper's approach [m]
 def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
     robot, model = scene.robot, scene.model
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = scene.home
+    data = scene.at(scene.home)
     centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
     corners = target_places(scene, centre + half * [(-1, -1), (-1, 1), (1, 1), (1, -1)])
     for k, mocap in enumerate(scene.target_mocap):

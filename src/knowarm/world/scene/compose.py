@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.questions import object_of
 from knowarm.world.objects.target import Target
@@ -214,17 +215,21 @@ def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
     )
     position, look_at = np.array(robot.camera_position_m), np.array(robot.camera_look_at_m)
     backward = position - look_at
-    right = np.cross([0.0, 0.0, 1.0], backward)
-    if np.linalg.norm(right) < 1e-6:
+    if np.linalg.norm(backward[:2]) < 1e-6:
         raise UserError(
             f"Robot {robot.name!r}: camera_position_m {robot.camera_position_m} must not lie "
             f"straight above or below camera_look_at_m {robot.camera_look_at_m}; shift one of them."
         )
-    up = np.cross(backward, right)
-    axes = np.stack([right, up, backward], axis=1)
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, (axes / np.linalg.norm(axes, axis=0)).ravel())
+    mujoco.mju_mat2Quat(quaternion, level_axes(backward).ravel())
     world.add_camera(name=CAMERA, pos=position, quat=quaternion, fovy=robot.camera_fovy_deg)
+
+
+def level_axes(backward: Floats) -> Floats:
+    """Return right, up and backward of a level camera as columns, (3, 3)."""
+    right = np.cross([0.0, 0.0, 1.0], backward)
+    axes = np.stack([right, np.cross(backward, right), backward], axis=1)
+    return np.asarray(axes / np.linalg.norm(axes, axis=0))
 
 
 def _add_table(world: mujoco.MjsBody, table: Table) -> None:

@@ -65,6 +65,13 @@ class Scene:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
 
+    def at(self, joints: NDArray[np.float64]) -> mujoco.MjData:
+        """Compute the poses of everything with the arm at joint angles (J,) [rad]."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.qpos_index] = joints
+        mujoco.mj_kinematics(self.model, data)
+        return data
+
 
 def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
     """Compose and compile the scene of an arm whose targets have no physics."""

@@ -137,9 +137,7 @@ def support(scene: Scene, directions: Floats) -> Floats:
     A part of an object extends as far as the object. The distances (K, D) [m] are exact for
     primitive shapes, and of the bounding box for meshes.
     """
-    model = scene.model
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = scene.model, scene.at(scene.home)
     extent = np.full((len(scene.targets), len(directions)), -np.inf)
     for g in np.flatnonzero(scene.geom_target >= 0):
         body = model.body_rootid[model.geom_bodyid[g]]
