@@ -90,13 +90,13 @@ class MujocoSimulator:
             self._mocap[(*at, slice(2))] = distractor_position
         self.batch.forward(ids=ids, stage=self._stage)
 
-    def step(self, joint_targets: Floats, substeps: int = SUBSTEPS) -> None:
-        """Advance by physics steps (default: a control period) to joint targets (n, J) [rad]."""
+    def step(self, joint_targets: Floats) -> None:
+        """Advance by a control period to joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
             self._set_servos(slice(None), joint_targets)
-            self.batch.step(nstep=substeps, stage=self._stage)
+            self.batch.step(nstep=SUBSTEPS, stage=self._stage)
 
     def set_joints(self, joint_positions: Floats) -> None:
         """Set the joint angles (n, J) [rad] and compute poses without advancing time."""

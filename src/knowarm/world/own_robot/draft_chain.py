@@ -80,7 +80,7 @@ def _without_base(model: mujoco.MjModel, data: mujoco.MjData, joints: list[int])
     return joints[first:] if len(hinges) > ARM_JOINTS else joints
 
 
-def follow_joints(model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str]) -> Chain:
+def follow_joints(model: mujoco.MjModel, names: Sequence[str]) -> Chain:
     """Return the chain of joints that are given by name."""
     known = {model.joint(j).name: j for j in range(model.njnt)}
     for name in names:

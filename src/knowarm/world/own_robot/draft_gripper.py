@@ -43,11 +43,9 @@ def find_gripper(model: mujoco.MjModel, given: Sequence[str] = ()) -> Gripper:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     if given:
-        chain = follow_joints(model, data, given)
-        others: list[int] = []
+        (joints, hand, end), others = follow_joints(model, given), list[int]()
     else:
-        chain, others = find_chain(model, data, 0)
-    joints, hand, end = chain
+        (joints, hand, end), others = find_chain(model, data, 0)
     if len(joints) < 2:
         raise UserError(
             "The file has no chain of at least two named hinge or slide joints; an arm needs them. "

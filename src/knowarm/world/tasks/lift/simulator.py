@@ -82,7 +82,7 @@ class LiftSimulator(MujocoSimulator):
         """Set the servos' targets; that of the second finger follows the first one's."""
         self._ctrl[ids] = joint_targets[:, self._servo_joint]
 
-    def step(self, joint_targets: Floats, substeps: int | None = None) -> None:
+    def step(self, joint_targets: Floats) -> None:
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self._objects.bodies]
