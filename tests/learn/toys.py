@@ -78,9 +78,6 @@ class ToyEnv:
         self._draws, self._seed = np.array(state["draws"]), int(state["seed"])
         self.knowledge_input = state["facets"].copy()
 
-    def close(self):
-        pass
-
     def _draw(self):
         self._draws = self._draws + 1
         random = np.random.default_rng((self._seed, int(self._draws)))

@@ -107,7 +107,6 @@ def test_labels_are_the_grasp_frames_of_the_simulator(config, network, labels):
 def test_every_draw_shows_new_episodes(config, network):
     source = ImageSampler(config.env, network.spec, 3, at_once=32)
     first, second = source.sample(64), source.sample(40)
-    source.close()
     assert len(second.images) == 40
     shown = torch.cat((first.images, second.images)).flatten(1)
     assert len(shown.unique(dim=0)) == 104

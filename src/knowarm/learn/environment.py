@@ -62,9 +62,6 @@ class TorchVectorEnv(Protocol):
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue from the result of `get_state`."""
 
-    def close(self) -> None:
-        """Release the resources of the environment."""
-
 
 class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
     """A vector environment whose simulator's state can be used in training.
@@ -180,10 +177,6 @@ class NumpyToTorch:
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """As `TorchVectorEnv.set_state`."""
         self.env.set_state(state)
-
-    def close(self) -> None:
-        """As `TorchVectorEnv.close`."""
-        self.env.close()
 
 
 class ThresholdCurriculum:

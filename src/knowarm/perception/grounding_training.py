@@ -1,7 +1,6 @@
 """Training of grounding networks on images of the simulator, with a cache of the results."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -153,7 +152,8 @@ def train_grounding(
             f"training the grounding network ({stage.name}) on {stage.rounds} x "
             f"{config.images:,} images"
         )
-        with torch_threads(1), closing(ImageSampler(env, network.spec, stream)) as sampler:
+        with torch_threads(1):
+            sampler = ImageSampler(env, network.spec, stream)
             steps = partial(_steps, network, sampler, stage, config)
             name = "grounding, round"
             progress = _progress(file, sampler, generator)

@@ -1,6 +1,5 @@
 """First images of episodes, labelled by the simulator, and the answers to a task's queries."""
 
-from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
@@ -80,10 +79,6 @@ class ImageSampler:
         self._seed = None
         self._world.set_state(state)
 
-    def close(self) -> None:
-        """Close the environments."""
-        self._world.close()
-
     def _sample(self) -> LabelledImages:
         scene = self._world.scene
         images, _ = self._world.reset(seed=self._seed)
@@ -110,8 +105,7 @@ def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
 
 def sample_images(env: EnvConfig, spec: ModuleSpec, count: int, seed: int) -> LabelledImages:
     """Sample the first images of N episodes; arguments as `ImageSampler`."""
-    with closing(ImageSampler(env, spec, seed, min(ENVS, count))) as sampler:
-        return sampler.sample(count)
+    return ImageSampler(env, spec, seed, min(ENVS, count)).sample(count)
 
 
 def first_facets(scene: Scene, spec: ModuleSpec) -> np.ndarray:
