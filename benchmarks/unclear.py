@@ -9,12 +9,11 @@ intervals over training seeds, and the values of the seeds.
 
 import argparse
 from pathlib import Path
-from typing import cast
 
 from knowarm.experiment.conditions import AnyCondition, DamageTest, ReasoningTest, SplitTest
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.statistics import Interval, mean_of_runs
+from knowarm.statistics import mean_of_runs
 
 TESTS: dict[str, AnyCondition] = {
     **{split: SplitTest(split=split) for split in ("S1", "S2", "S3", "S4", "S5")},
@@ -38,7 +37,7 @@ def main() -> None:
         played = [evaluate(agent, write=False, **options) for agent in agents]
         cells = []
         for number in NUMBERS:
-            values = [cast(Interval, run.summary.numbers[number]) for run in played]
+            values = [run.summary.interval(number) for run in played]
             found = mean_of_runs(values)
             low, high = 100 * found.low, 100 * found.high
             seeds = ", ".join(f"{100 * each.estimate:.1f}" for each in values)
