@@ -295,11 +295,11 @@ def test_the_command_says_who_connects_and_ctrl_c_ends_the_connections_too():
             address = re.search(r"ws://[\d.]+:\d+", process.stdout.readline())[0]
             with connect(address, compression=None) as connection:
                 connection.recv()
-                assert re.search(r"127.0.0.1:\d+ connected", process.stderr.readline())
                 process.send_signal(signal.SIGINT)
                 with pytest.raises(ConnectionClosed):
                     connection.recv(timeout=60)
             assert process.wait(60) == 130
+            assert re.search(r"127.0.0.1:\d+ connected", process.stderr.read())
         finally:
             process.kill()
 
