@@ -191,6 +191,15 @@ AGENTS: dict[str, Agent] = {
         policy=PolicyConfig(wide=True),
         colour="c-brown",
     ),
+    **{
+        f"lstm-{size}": _agent(
+            "capacity_control",
+            f"control: no knowledge, an LSTM of {size}",
+            NoKnowledge(),
+            policy=PolicyConfig(hidden=size),
+        )
+        for size in (192, 278, 428)
+    },
     "full-fixed": _subject("full with the baseline's LSTM size", _FULL, policy=_FIXED),
     **_fused("full", _FULL, **_HOW, critic="for the critic only"),
     "mask": _privileged(
