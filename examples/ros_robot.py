@@ -46,13 +46,14 @@ class Arm(MujocoSimulator):
 
     def __init__(self, scene: Scene, on_tick: Callable[[], None]) -> None:
         super().__init__(scene, 1, 1)
+        self.substeps = 1
         self.command: np.ndarray | None = None
         self._on_tick = on_tick
 
-    def step(self, joint_targets: np.ndarray, substeps: int = SUBSTEPS) -> None:
-        for _ in range(substeps):
+    def step(self, joint_targets: np.ndarray) -> None:
+        for _ in range(SUBSTEPS):
             self._on_tick()
-            super().step(joint_targets if self.command is None else self.command[None], 1)
+            super().step(joint_targets if self.command is None else self.command[None])
 
 
 class RobotNode(Node):

@@ -27,6 +27,9 @@ class MujocoSimulator:
     ``step`` and ``set_state``; array attributes are live views. 0 threads are one per core.
     """
 
+    substeps = SUBSTEPS
+    """Physics steps per action. `examples/ros_robot.py` takes single ones."""
+
     def __init__(
         self, scene: Scene, num_envs: int, num_threads: int = 0, dynamics: Dynamics = "dynamic"
     ) -> None:
@@ -91,12 +94,12 @@ class MujocoSimulator:
         self.batch.forward(ids=ids, stage=self._stage)
 
     def step(self, joint_targets: Floats) -> None:
-        """Advance by a control period to joint targets (n, J) [rad]."""
+        """Advance by ``substeps`` to joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
             self._set_servos(slice(None), joint_targets)
-            self.batch.step(nstep=SUBSTEPS, stage=self._stage)
+            self.batch.step(nstep=self.substeps, stage=self._stage)
 
     def set_joints(self, joint_positions: Floats) -> None:
         """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
