@@ -20,10 +20,9 @@ from knowarm.cores import torch_threads
 from knowarm.experiment.knows.grounded import Grounded
 from knowarm.experiment.load import load_agent
 from knowarm.perception.config import GroundingConfig
-from knowarm.perception.grounding import GroundingNetwork, place_of
+from knowarm.perception.grounding import BATCH, GroundingNetwork, place_of
 from knowarm.perception.grounding_training import train_frame_head
 from knowarm.perception.images import LabelledImages, sample_images
-from knowarm.perception.module import BATCH
 from knowarm.seeding import derive_seed
 
 STREAM = 10

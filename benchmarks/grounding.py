@@ -22,7 +22,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows.grounded import Grounded
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.graph.damage import Damage, damaged
-from knowarm.perception.grounding import FrameRecognition
+from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of
@@ -56,7 +56,7 @@ def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> l
 @torch.no_grad()
 def measure(known: FrameRecognition, labels: LabelledImages) -> str:
     """Describe the share of right objects, and the errors of their grasp frames."""
-    network, frame = known.module, known(labels.images, labels.queries)
+    network, frame = known.network, known(labels.images, labels.queries)
     position = frame[:, :3] * network.position_std + network.position_mean
     distance = (labels.grasp_position - position[:, None]).norm(dim=2)
     right = distance.argmin(1) == 0
@@ -87,7 +87,7 @@ def main() -> None:
             config = experiment_config(name, seed=seed, knows={"grounding": given})
             knows, begin = cast(Grounded, config.knows), time.process_time()
             graphs = damaged_graphs(config, arguments)
-            network = knows.train_module(config.env, seed, graphs=graphs)
+            network = knows.train_network(config.env, seed, graphs=graphs)
             assert network is not None
             if arguments.out is not None:
                 network.write(arguments.out)

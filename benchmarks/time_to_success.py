@@ -75,7 +75,7 @@ def refuse_module(experiment: ExperimentConfig) -> None:
     Raises:
         UserError: the agent has a perception module or a grounding network.
     """
-    if experiment.knows.has_module:
+    if experiment.knows.is_grounded:
         raise UserError(
             f"{experiment.name} has a perception module or a grounding network beside its policy, "
             "which benchmarks do not train: choose an agent without one, such as bm or full."

@@ -361,12 +361,8 @@ def test_what_varies_and_what_is_held_out():
     assert (env.reset(seed=0)[1]["colour"] == 0).all()
 
 
-@example("train_classifier", "FacetClassifier", "PerceptionConfig", "GroundingConfig")
+@example("GroundingConfig")
 def test_perception():
-    config = knowarm.PerceptionConfig(images=64, epochs=1, test_images=32, batch=32)
-    classifier = knowarm.train_classifier(knowarm.EnvConfig(), config)
-    assert isinstance(classifier, knowarm.FacetClassifier)
-    assert set(classifier.spec.accuracy) == {"new images", "visual randomization"}
     grounding = knowarm.experiment_config(CHOOSE).knows.grounding
     assert isinstance(grounding, knowarm.GroundingConfig)
 
@@ -430,7 +426,7 @@ def test_agents(monkeypatch):
 
 
 @example(
-    *("NoKnowledge", "SceneVector", "TargetVector", "PerceivedVector", "QueryVector"),
+    *("NoKnowledge", "SceneVector", "TargetVector", "QueryVector"),
     *("GroundedVector", "GraphAnswers"),
 )
 def test_what_an_agent_knows():
@@ -438,7 +434,6 @@ def test_what_an_agent_knows():
     assert isinstance(known["bm"], knowarm.NoKnowledge)
     assert isinstance(known["full"], knowarm.SceneVector)
     assert isinstance(known["target"], knowarm.TargetVector)
-    assert isinstance(known["target-perceived"], knowarm.PerceivedVector)
     assert isinstance(known["subgraph-film"], knowarm.QueryVector)
     assert isinstance(known["subgraph"], knowarm.GroundedVector)
     assert isinstance(known["answers"], knowarm.GraphAnswers)

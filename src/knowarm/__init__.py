@@ -69,16 +69,14 @@ Knowledge
     read_graph          read a graph from a file
     KnowledgeGraph      triples, entities and relations
     KnowledgeConfig     from a graph to the knowledge vector
-    NoKnowledge, SceneVector, TargetVector, PerceivedVector, QueryVector, GroundedVector,
+    NoKnowledge, SceneVector, TargetVector, QueryVector, GroundedVector,
     GraphAnswers        what an agent knows: `ExperimentConfig.knows`
     scene_embedding     compute the knowledge vector of a scene
     query_embedding     compute the knowledge vectors of queries
     SceneEmbedding      vectors with their slots, coverage and sentences
     parse_query         read a query such as "usedFor drinking and hasColor blue"
 Perception
-    train_classifier    train a network that names objects and colours in an image
-    FacetClassifier     that network
-    PerceptionConfig, GroundingConfig    training of networks that name, or locate, objects
+    GroundingConfig     training of networks that name and locate objects in an image
 Policy and learning
     Policy              the recurrent network
     PolicyConfig        choices of the network: fusion, sizes, preprocessing

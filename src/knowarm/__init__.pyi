@@ -15,7 +15,6 @@ from .experiment.graph_queries import GraphQueries as GraphQueries
 from .experiment.knows import GraphAnswers as GraphAnswers
 from .experiment.knows import GroundedVector as GroundedVector
 from .experiment.knows import NoKnowledge as NoKnowledge
-from .experiment.knows import PerceivedVector as PerceivedVector
 from .experiment.knows import QueryVector as QueryVector
 from .experiment.knows import SceneVector as SceneVector
 from .experiment.knows import TargetVector as TargetVector
@@ -39,10 +38,7 @@ from .learn.algorithms import DistilConfig as DistilConfig
 from .learn.algorithms import PPOConfig as PPOConfig
 from .learn.environment import NumpyToTorch as NumpyToTorch
 from .learn.sb3_vec_env import SB3VecEnv as SB3VecEnv
-from .perception.classifier import FacetClassifier as FacetClassifier
 from .perception.config import GroundingConfig as GroundingConfig
-from .perception.config import PerceptionConfig as PerceptionConfig
-from .perception.training import train_classifier as train_classifier
 from .policy import Policy as Policy
 from .policy import PolicyAgent as PolicyAgent
 from .policy import PolicyConfig as PolicyConfig

@@ -1,5 +1,6 @@
 """Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
+import hashlib
 import json
 import os
 import secrets
@@ -17,6 +18,11 @@ from knowarm.errors import UserError
 
 class UnreadableFileError(UserError):
     """A stored file is missing, incomplete, damaged, or of another format."""
+
+
+def digest(data: bytes) -> str:
+    """Return the SHA-256 of a file's content, hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
 
 
 @contextmanager

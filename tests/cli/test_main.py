@@ -75,7 +75,6 @@ MISTYPED = [
     ["view", "irb120", "--episods", "3"],
     ["doctor", "--robt", "x"],
     ["knowledge", "fit", "--vald", "3"],
-    ["perception", "train", "irb120-target-perceived-dr-fast", "--ouut", "x"],
 ]
 
 

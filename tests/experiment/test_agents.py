@@ -102,11 +102,6 @@ def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
     ("subject", "capacity", "content"),
     [
         ("answers", [], ["answers-shuffled"]),
-        (
-            "target-perceived",
-            ["target-perceived-zeros"],
-            ["target-perceived-onehot", "target-perceived-random"],
-        ),
         ("subgraph-similarity", [], []),
         ("mine", [], []),
     ],
@@ -118,7 +113,7 @@ def test_controls_of_agents_with_a_network_or_of_the_user(subject, capacity, con
 
 def test_facts_need_a_network_that_reads_them():
     whole = {"relation_words": True, "colour_share": None, "slot_norm": None}
-    for name in ("subgraph-film", "target-perceived", "full"):
+    for name in ("subgraph-film", "full"):
         with pytest.raises(UserError, match="pooling 'facts' needs a grounding network"):
             replace(AGENTS[name].knows, pooling="facts", **whole)
     config = experiment_config("irb120-choose-reasoner-fast")

@@ -216,8 +216,6 @@ def test_every_agent_can_be_built(name, task):
     parts = build(config)
     table = questions_of(config.env)
     rows = len(facets_of(config.env)) if table is None else len(table.queries)
-    if config.knows.scope == "perceived":  # a row per facet in all tasks
-        rows = len(facets_of(config.env))
     width = parts.embedding.dim if parts.embedding else 0
     assert parts.table.shape == (rows, width) or config.policy.wide
     width = parts.new_policy(0).knowledge_width

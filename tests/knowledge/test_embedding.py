@@ -3,7 +3,6 @@ import os
 import subprocess
 import sys
 from contextlib import redirect_stdout
-from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -18,7 +17,6 @@ from knowarm.knowledge import (
     scene_embedding,
     scene_sentences,
     scene_subgraph,
-    write_graph,
 )
 from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
 from knowarm.knowledge.vectors.words import WordVectors
@@ -184,20 +182,6 @@ def test_an_object_may_have_the_name_of_its_colour():
     cosine = found @ found.T
     assert 0.5 < cosine[0, 2] < 0.99  # the orange and the mug, both in orange
     assert cosine[1, 2] < cosine[0, 2]
-
-
-def test_colours_that_are_seen_use_the_relation_of_the_graph(tmp_path):
-    x = "http://x/"
-    stated = (f"{x}mug", f"{x}hasColor", f"{x}red")
-    graph = graph_of([stated, *((f"{x}{n}", f"{x}isA", f"{x}cup") for n in ("mug", "bottle"))])
-    write_graph(graph, tmp_path / "g.ttl")
-    config = replace(KNOWLEDGE["target-perceived"], graph=str(tmp_path / "g.ttl"))
-    facets = [("mug", "red"), ("bottle", "blue")]
-    embedding = scene_embedding(config, facets)
-    assert tuple(scene_sentences(config, facets).values()) == embedding.sentences
-    shown = scene_subgraph(config, facets)
-    assert stated in shown
-    assert (f"{x}bottle", f"{x}hasColor", "blue") in shown
 
 
 @pytest.mark.parametrize("kind", [ShuffledGraph, WrongObject])

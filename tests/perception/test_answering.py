@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.config import GroundingConfig, ModuleSpec
-from knowarm.perception.grounding import FrameRecognition, GroundingNetwork, place_of
+from knowarm.perception.grounding import GroundingNetwork, place_of
 from knowarm.perception.images import query_answers, sample_images
 from knowarm.questions import object_of
 from knowarm.world.agents.play import play

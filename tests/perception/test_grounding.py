@@ -1,6 +1,8 @@
 """Grounding network: what it is trained on, what it selects, its file, and runs that have one."""
 
+import copy
 import dataclasses
+import pickle
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,14 +15,14 @@ from knowarm.experiment.build import build
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import PERCEPTION_FILE, module_for_training
+from knowarm.experiment.run_folder import PERCEPTION_FILE, network_for_training
 from knowarm.perception import grounding_training
+from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import (
     FRAME,
     STRIDE,
     WIDTH,
-    FrameRecognition,
     GroundingNetwork,
     centres,
     place_of,
@@ -345,6 +347,13 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
     for _ in range(3):
         env.step(torch.zeros(6, env.scene.num_joints, dtype=torch.int64))
     assert torch.equal(env.knowledge, first)
+    other = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
+    other.reset(seed=1)
+    state = env.get_state()
+    other.set_state(state)
+    assert torch.equal(other.knowledge, first)
+    with pytest.raises(UserError, match="what was recognized"):
+        other.set_state({name: value for name, value in state.items() if name != "perceived"})
     parts = build(config)
     assert parts.table.shape[0] == 49
     policy = parts.new_policy(0)
@@ -385,8 +394,8 @@ def test_a_network_knows_one_of_the_objects_that_look_alike(tmp_path):
     config = experiment_config("irb120-families-answers-distil")
     spec = ModuleSpec.of(config.env, config.knows.grounding)
     GroundingNetwork(spec, np.zeros((1, 4), np.float32), 1).write(tmp_path / PERCEPTION_FILE)
-    module = module_for_training(config, None, tmp_path / PERCEPTION_FILE)
-    assert len(module.spec.facets) < len(facets_of(config.env))
+    given = network_for_training(config, None, tmp_path / PERCEPTION_FILE)
+    assert len(given.spec.facets) < len(facets_of(config.env))
 
 
 def test_the_file_holds_the_network_and_its_table(network, labels):
@@ -395,9 +404,44 @@ def test_the_file_holds_the_network_and_its_table(network, labels):
     assert torch.equal(again.knowledge, network.knowledge)
     known = network.knowledge[labels.queries[:8]]
     assert torch.equal(again(labels.images[:8], known), network(labels.images[:8], known))
-    for damaged in (network.to_bytes()[:-40], b"no file"):
-        with pytest.raises(UnreadableFileError, match=PERCEPTION_FILE):
-            GroundingNetwork.from_bytes(damaged, Path(PERCEPTION_FILE))
+    for sent in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
+        assert sent.to_bytes() == network.to_bytes()
+        assert not sent.training
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda data: data[:-40], "damaged or of another format"),
+        (lambda data: b"", "damaged or of another format"),
+        (lambda data: data.replace(b"grounding-2", b"grounding-9"), "expected .*-2"),
+        (lambda data: data.replace(b"mug", b"mag", 1), "do not fit the facets"),
+        (lambda data: data[:-4] + b"\xff\xff\xff\x7f", "non-finite"),
+    ],
+)
+def test_a_damaged_file_is_one_kind_of_error(network, tmp_path, damage, message):
+    path = tmp_path / PERCEPTION_FILE
+    path.write_bytes(damage(network.to_bytes()))
+    with pytest.raises(UnreadableFileError, match=message):
+        GroundingNetwork.read(path)
+
+
+def test_a_network_is_given_only_where_it_is_used_and_exists(tmp_path):
+    for name, message in (("irb120-bm-ppo", "leave perception out"), (CHOOSE_NAME, "Cannot read")):
+        with pytest.raises(UserError, match=message):
+            train(name, tmp_path, perception=tmp_path / "none.safetensors", total_steps=8)
+    assert not list(tmp_path.glob("irb120*"))
+
+
+def test_a_run_refuses_a_network_that_is_not_its_own(tmp_path, network, copy_of, choose_run):
+    run, other = copy_of(choose_run), tmp_path / "other.safetensors"
+    network.write(other)
+    config = run.experiment()
+    with pytest.raises(UserError, match="trained with another grounding network"):
+        network_for_training(config, run, other)
+    (run.path / PERCEPTION_FILE).write_bytes(other.read_bytes())
+    with pytest.raises(UnreadableFileError, match="not the network that this run was trained with"):
+        load_agent(run.path)
 
 
 def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, config):
@@ -424,7 +468,7 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("rounds", 0),
+        *((name, 0) for name in ("images", "batch", "learning_rate", "rounds")),
         ("naming_coef", -1.0),
         ("shared_rounds", -1),
         ("seed", -1),

@@ -5,6 +5,7 @@ import gzip
 import io
 import json
 import lzma
+import shutil
 import signal
 import traceback
 import zipfile
@@ -24,7 +25,6 @@ from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
 from knowarm.knowledge import household, read_graph
@@ -36,14 +36,12 @@ from knowarm.knowledge.queries.sparql import EXAMPLE, sparql
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup
 from knowarm.knowledge.vectors.words import read_word_vectors
 from knowarm.learn.checkpoint import read_checkpoint
-from knowarm.perception.classifier import FacetClassifier
-from knowarm.perception.config import PerceptionConfig
-from knowarm.perception.training import train_classifier
+from knowarm.perception.grounding import GroundingNetwork
 from knowarm.report import write_report
 from knowarm.report.collect import collect
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
-from tests.tiny import TINY, short
+from tests.tiny import CHOOSE, CHOOSE_NAME, short
 
 STALL_S = 60
 """Time after which reading one file counts as a failure; only where the system has timers [s]."""
@@ -253,13 +251,10 @@ def _run(folder: Path) -> list[Format]:
 
 
 def _perception(folder: Path) -> list[Format]:
-    config = experiment_config("irb120-target-perceived-fast", env={"image_size": 20})
-    path = folder / "module.safetensors"
-    training = PerceptionConfig(images=8, epochs=1, test_images=2)
-    train_classifier(config.env, training).write(path)
-    run = train(config, folder, perception=path, **TINY).folder
+    run = train(CHOOSE_NAME, folder, **CHOOSE).folder
+    path = Path(shutil.copy(run.path / PERCEPTION_FILE, folder / "network.safetensors"))
     return [
-        Format("perception module", path, FacetClassifier.read),
+        Format("grounding network", path, GroundingNetwork.read),
         Format(
             "perception.safetensors of a run",
             run.path / PERCEPTION_FILE,

@@ -36,7 +36,6 @@ SHORT = [
     (r"^knowarm evaluate (?!.*--episodes)", "--episodes 10"),
     (r"^knowarm evaluate ", "--blind-episodes 4"),
     (r"^knowarm record ", "--episodes 2"),
-    (r"^knowarm perception train", "--images 300 --test-images 100 --epochs 1"),
     (r"^knowarm study run paper --dry-run", "--seeds 0"),
     (r"^knowarm demo", "--steps 1600"),
     (r"^knowarm view (?!.*(--strip|--video|--rrd))", "--episodes 1 --strip shown.png"),

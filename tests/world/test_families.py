@@ -14,8 +14,8 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
+from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.grounding import convolutions_of
-from knowarm.perception.module import PlaceEncoder
 from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent

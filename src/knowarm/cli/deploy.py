@@ -151,10 +151,10 @@ RepoId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER/NAME"
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
-    """Upload a run, a perception module or a packed study, with a model card."""
+    """Upload a run, a grounding network or a packed study, with a model card."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")]
-    """Run folder, .safetensors module or .tar.xz pack."""
+    """Run folder, .safetensors network or .tar.xz pack."""
     repo_id: RepoId
     """Repository; it is made if there is none."""
     private: bool = False

@@ -164,7 +164,7 @@ class Evaluate(TableCommand):
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
     perception: FilePath = None
-    """Another perception module than the one that the run was trained with."""
+    """Another grounding network than the one that the run was trained with."""
     env: EnvConfig = field(default_factory=EnvConfig)
     """Environment of a scripted agent; a run is evaluated in its own."""
     save: bool = True

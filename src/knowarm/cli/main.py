@@ -26,7 +26,6 @@ COMMANDS = {
     "ask": ("ask:Ask", "ask a trained agent a question that a graph answers"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("study:Report", "write one HTML report from run folders"),
-    "perception": ("train:PERCEPTION", "train a module that names objects and colours"),
     "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),

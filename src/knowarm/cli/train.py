@@ -1,15 +1,13 @@
-"""``knowarm train``, ``demo`` and ``perception train``: training.
+"""``knowarm train`` and ``demo``: training.
 
 What imports torch, which takes seconds, is imported after the options are read.
 """
 
 import shlex
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import tyro
 
@@ -21,7 +19,7 @@ from knowarm.cli.arguments import (
     take_option,
     take_source,
 )
-from knowarm.cli.tables import FilePath, TableCommand, check_out, print_table
+from knowarm.cli.tables import FilePath
 from knowarm.config import flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
@@ -30,14 +28,11 @@ from knowarm.experiment.names import (
     DEFAULT_EXPERIMENT,
     ExperimentName,
     check_graphs,
-    experiment_config,
     override_experiment,
 )
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.own import named_by
-from knowarm.perception.config import PerceptionConfig
 from knowarm.reading import read_json, read_toml
-from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
@@ -71,8 +66,7 @@ class Train:
     graph: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
     perception: FilePath = None
-    """Perception module of `knowarm perception train`, for agents with perceived knowledge; or
-    perception.safetensors of another run, for agents that would train such a network first."""
+    """perception.safetensors of another run, for agents that would train such a network first."""
     again: tyro.conf.Suppress[str] = ""
     """The command that resumes this run."""
     own: tyro.conf.Suppress[str] = ""
@@ -167,55 +161,3 @@ class Demo:
         path = write_report(runs, self.out / "report.html")
         print(f"Wrote {path}: open it in a browser.")
         return 0
-
-
-PERCEPTION_USAGE = """usage: knowarm perception train EXPERIMENT --out FILE [OPTIONS]
-
-Train a module that names the visible objects and their colours in the images of an experiment.
-`knowarm train EXPERIMENT --perception FILE` trains an agent that knows what is perceived with it.
-
-  knowarm perception train irb120-target-perceived-dr-fast --help"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainPerception(TableCommand):
-    """Train a module that names the visible objects and their colours, and print its accuracy."""
-
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """File of the module, FILE.safetensors."""
-    training: Annotated[PerceptionConfig, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=PerceptionConfig
-    )
-    """Images, epochs and seed."""
-    env: EnvConfig = field(default_factory=EnvConfig)
-    """The task; its defaults are the experiment's."""
-
-    @classmethod
-    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
-        """Parse the options over the environment of the experiment."""
-        name, rest = take_experiment(arguments, PERCEPTION_USAGE)
-        default = cls(out=tyro.MISSING, env=experiment_config(name).env)
-        return parse_options(cls, f"{prog} {name}", rest, default=default)
-
-    def result(self) -> dict[str, Any]:
-        """Train, print and write."""
-        from knowarm.perception.training import train_classifier
-
-        check_out(self.out, "perception modules", (".safetensors",))
-        report = partial(print, file=sys.stderr, flush=True)
-        classifier = train_classifier(self.env, self.training, report=report)
-        accuracy = classifier.spec.accuracy
-        columns = ("objects", "colours", "both")
-        rows = [[name, *(100 * test[key] for key in columns)] for name, test in accuracy.items()]
-        title = f"Named correctly in {self.training.test_images:,} images"
-        print_table(title, ["test", "objects %", "their colours %", "both %"], rows)
-        for name, test in accuracy.items():
-            if "answer" in test:
-                print(f"Queries answered correctly, {name}: {100 * test['answer']:.1f} %")
-        classifier.write(self.out)
-        print(f"Wrote {self.out}")
-        return to_dict(classifier.spec)
-
-
-PERCEPTION = {"train": TrainPerception}
-"""Commands of the group `knowarm perception`, by name."""

@@ -10,7 +10,6 @@ from knowarm.experiment.knows import (
     GroundedVector,
     Knows,
     NoKnowledge,
-    PerceivedVector,
     QueryVector,
     SceneVector,
     TargetVector,
@@ -98,7 +97,6 @@ def _with(kind: type[T], knowledge: KnowledgeConfig, **fields: Any) -> T:
 
 _FULL, _FULL_PLUS = _with(SceneVector, FULL), _with(SceneVector, FULL_PLUS)
 _TARGET, _TARGET_PLUS = _with(TargetVector, FULL), _with(TargetVector, FULL_PLUS)
-_PERCEIVED = _with(PerceivedVector, FULL_PLUS)
 _QUERY = _with(QueryVector, QUERY)
 _GROUNDED = _with(GroundedVector, QUERY)
 _WORDS = replace(_GROUNDED, hops=0, colour_share=None)
@@ -153,19 +151,6 @@ AGENTS: dict[str, Agent] = {
     "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
     "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
     "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
-    "target-perceived": _subject(
-        "the slot of the object and colour that a perception module names in the image", _PERCEIVED
-    ),
-    "target-perceived-zeros": _zeros("target-perceived: its shape", _PERCEIVED),
-    "target-perceived-onehot": _control(
-        "target-perceived: the index of what was named, no meaning",
-        _PERCEIVED,
-        OneHot(),
-        tasks=("reach",),  # fewer numbers than the choose task has facets
-    ),
-    "target-perceived-random": _control(
-        "target-perceived: one random vector per facet", _PERCEIVED, RandomVectors()
-    ),
     "zeros": _zeros("full and full+: their shape", _FULL, colour="c-grey"),
     "random": _control(
         "full: its shape and norm, random", _FULL, RandomVectors(), colour="c-purple"

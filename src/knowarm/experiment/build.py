@@ -87,7 +87,7 @@ class Parts:
 def build(config: ExperimentConfig) -> Parts:
     """Compute the knowledge table of an experiment and the shape of its policy; nothing simulates.
 
-    It has a row per query in a task with queries, unless knowledge is perceived, else per facet.
+    It has a row per query in a task with queries, else per facet.
     """
     knows, env = config.knows, config.env
     embedded, policy = knows.embed(env, config.seed), knows.policy(config.policy)

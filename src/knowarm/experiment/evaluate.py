@@ -253,7 +253,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
         env,
         config.seed,
         table,
-        trained.module,
+        trained.network,
         graph=graph,
         control=by if by in ("graph-shuffled", "colours") else None,
     )

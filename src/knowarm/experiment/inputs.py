@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from knowarm.perception.agent import Recognition
+from knowarm.perception.agent import FrameRecognition
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -31,5 +31,5 @@ class KnowledgeTable:
         return PolicyAgent(policy, self.table, **options)
 
 
-KnowledgeInput = KnowledgeTable | Recognition
+KnowledgeInput = KnowledgeTable | FrameRecognition
 """Where a policy's knowledge comes from."""

@@ -13,12 +13,11 @@ from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
 from knowarm.experiment.inputs import KnowledgeInput
-from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
+from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.calibration import calibrated_threshold
 from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
@@ -35,7 +34,7 @@ class TrainedAgent:
     agent: PolicyAgent  #: Chooses actions by the policy, with its memory and knowledge.
     policy: Policy  #: The network, in evaluation mode.
     table: np.ndarray  #: (rows, K) float32, the knowledge table of its training.
-    module: PerceptionModule | None  #: Its trained perception module or grounding network.
+    network: GroundingNetwork | None  #: Its trained grounding network, if it has one.
     config: ExperimentConfig  #: What it was trained with.
     folder: RunFolder  #: The run.
     step: int  #: Environment steps it was trained for.
@@ -97,11 +96,6 @@ class TrainedAgent:
         actions = self.agent.act({"image": images})
         return actions.reshape(*np.shape(seen)[:-3], -1)
 
-    @property
-    def network(self) -> GroundingNetwork | None:
-        """The grounding network of an agent that has one."""
-        return cast(GroundingNetwork, self.module) if self.config.knows.is_grounded else None
-
     def threshold(self, level: float) -> float:
         """Return the likelihood from which its network takes an object for a possible answer."""
         assert self.network is not None
@@ -136,7 +130,7 @@ def load_agent(
         which: the policy of the best interim evaluation, the latest, or the initial weights.
         greedy: take the most probable action instead of sampling one.
         seed: seed of the sampled actions.
-        perception: file of another perception module than the one that the run folder keeps.
+        perception: file of another grounding network than the one that the run folder keeps.
 
     Raises:
         UserError: the folder holds no run, no such checkpoint, or a damaged one.
@@ -168,11 +162,11 @@ def load_agent(
             *(folder.path, f"{latest:,}"),
         )
     policy.eval()
-    module: PerceptionModule | None = None
-    if perception is not None or config.knows.has_module:
-        given = perception and given_module(config, perception)
-        module = given or stored_module(config, folder)
-    known = config.knows.input(config.env, config.seed, table, module)
+    network: GroundingNetwork | None = None
+    if perception is not None or config.knows.is_grounded:
+        given = perception and given_network(config, perception)
+        network = given or stored_network(config, folder)
+    known = config.knows.input(config.env, config.seed, table, network)
     generator = torch.Generator().manual_seed(seed)
     agent = known.make_agent(policy, greedy=greedy, generator=generator)
-    return TrainedAgent(agent, policy, table, module, config, folder, step, which)
+    return TrainedAgent(agent, policy, table, network, config, folder, step, which)

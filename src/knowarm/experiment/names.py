@@ -100,7 +100,7 @@ class ExperimentName:
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
         task, knows = override(find_task(self.task), agent.task), agent.knows
         policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
-        if knows.scope in ("query", "perceived") and task.graph is not None:
+        if knows.scope == "query" and task.graph is not None:
             # described by the graph of the questions
             knows = override(knows, {"graph": task.graph, "aliases": QUERY.aliases})
         config = ExperimentConfig(

@@ -39,7 +39,7 @@ class Provenance:
     knowledge: EmbeddingFacts | None = None
     """The knowledge vector."""
     perception: Mapping[str, Any] | None = None
-    """Digest and specification of the perception module, for agents that have one."""
+    """Digest and specification of the grounding network, for agents that have one."""
     algorithm: Mapping[str, Any] = field(default_factory=dict)
     """Options of the learning algorithm."""
     resumed: tuple[Mapping[str, Any], ...] = ()

@@ -15,14 +15,14 @@ from knowarm.experiment.provenance import provenance
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
     RunFolder,
-    module_for_training,
+    network_for_training,
 )
 from knowarm.experiment.run_inputs import with_inputs
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
-from knowarm.perception.module import PerceptionModule, digest
+from knowarm.perception.grounding import GroundingNetwork
 from knowarm.policy import Policy
-from knowarm.reading import write_json
+from knowarm.reading import digest, write_json
 from knowarm.world.config import facets_of
 
 BEFORE_FIRST_STEP = -1
@@ -59,7 +59,7 @@ def train(
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
-        perception: file of the perception module, for knowledge of what is perceived, or of a
+        perception: file of the grounding network, for knowledge of what is perceived, or of a
             grounding network to use instead of training one; the run folder keeps a copy, with
             which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
@@ -86,17 +86,17 @@ def train(
                 f"{'; '.join(different.values())}. Resume without these overrides, or pass another "
                 "runs folder or seed to start a new run."
             )
-    module = module_for_training(config, RunFolder(path) if resume else None, perception)
+    network = network_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
-    config.knows.check_module(module, None if resume else parts.table, config.agent)
+    config.knows.check_network(network, None if resume else parts.table, config.agent)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, module, path, resume, should_stop)
+        return _train_locked(config, parts, network, path, resume, should_stop)
 
 
 def _train_locked(
     config: ExperimentConfig,
     parts: Parts,
-    module: PerceptionModule | None,
+    network: GroundingNetwork | None,
     path: Path,
     resume: bool,
     should_stop: Callable[[], bool],
@@ -116,19 +116,19 @@ def _train_locked(
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts, policy):
             progress.line(line)
-        if config.knows.is_grounded and module is None:
+        if config.knows.is_grounded and network is None:
             folder.write_experiment(config)  # can resume
-            module = config.knows.train_module(
+            network = config.knows.train_network(
                 config.env, config.seed, report=progress.line, should_stop=should_stop
             )
-            if module is None:
+            if network is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
                 return Run(folder, stopped)
         logs = RunLogs(folder, progress)
         trainer = make_trainer(
             config,
             policy,
-            config.knows.input(config.env, config.seed, parts.table, module),
+            config.knows.input(config.env, config.seed, parts.table, network),
             evaluate_every=config.evaluate_every,
             hooks=Hooks(
                 on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
@@ -150,7 +150,7 @@ def _train_locked(
         else:
             # Written after the trainer is built: a config that this machine cannot train leaves
             # no run behind.
-            _describe(folder, config, parts, policy, module)
+            _describe(folder, config, parts, policy, network)
             if resume:
                 progress.line("no checkpoint yet: starting from the beginning")
                 keep_to_step = BEFORE_FIRST_STEP
@@ -203,13 +203,13 @@ def _describe(
     config: ExperimentConfig,
     parts: Parts,
     policy: Policy,
-    module: PerceptionModule | None,
+    network: GroundingNetwork | None,
 ) -> None:
-    """Write provenance, knowledge table, perception module and config before the first step."""
+    """Write provenance, knowledge table, grounding network and config before the first step."""
     perception = None
-    if module is not None:
-        perception = {"digest": digest(module.to_bytes()), **to_dict(module.spec)}
-        module.write(folder.path / PERCEPTION_FILE)
+    if network is not None:
+        perception = {"digest": digest(network.to_bytes()), **to_dict(network.spec)}
+        network.write(folder.path / PERCEPTION_FILE)
     about = provenance(
         parameter_counts=policy.parameter_counts(),
         policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},

@@ -7,7 +7,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     knowledge.safetensors  the knowledge table (F, K), one row per facet or query
     graphs/                copies of the user's graphs; the originals are not read again
     descriptions/          likewise of robots and objects, with their MJCF files and meshes
-    perception.safetensors the perception module or grounding network, for agents that have one
+    perception.safetensors the grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
     tensorboard/           the same curves for TensorBoard
@@ -34,8 +34,9 @@ from knowarm.experiment.provenance import CHANGING, Provenance, provenance
 from knowarm.experiment.run_inputs import copy_input, is_copy_of, with_inputs
 from knowarm.experiment.summary import Summary
 from knowarm.perception.config import ModuleSpec
-from knowarm.perception.module import PerceptionModule, digest
+from knowarm.perception.grounding import GroundingNetwork
 from knowarm.reading import (
+    digest,
     read_arrays,
     read_json,
     reading,
@@ -251,36 +252,40 @@ class RunFolder:
             return table
 
 
-def module_for_training(
+def network_for_training(
     config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
-) -> PerceptionModule | None:
-    """Return the perception module of a run, given as a file or in a folder to resume, or None."""
-    module: PerceptionModule | None = None if given is None else given_module(config, given)
+) -> GroundingNetwork | None:
+    """Return the grounding network of a run, given as a file or in a folder to resume, or None."""
+    network: GroundingNetwork | None = None if given is None else given_network(config, given)
     if resumed is not None and (resumed.path / PERCEPTION_FILE).exists():
-        stored = stored_module(config, resumed)
-        if module is not None and module.to_bytes() != stored.to_bytes():
+        stored = stored_network(config, resumed)
+        if network is not None and network.to_bytes() != stored.to_bytes():
             raise UserError(
-                f"{resumed.path} was trained with another perception module than {given}. Resume "
+                f"{resumed.path} was trained with another grounding network than {given}. Resume "
                 "without perception, or pass another runs folder or seed to start a new run."
             )
-        module = stored
-    if module is not None:
-        needed = ModuleSpec.of(config.env, module.spec.config)
-        module.spec.check_fits(config.env, needed.facets)
-    return module
+        network = stored
+    if network is not None:
+        needed = ModuleSpec.of(config.env, network.spec.config)
+        network.spec.check_fits(config.env, needed.facets)
+    return network
 
 
-def given_module(config: ExperimentConfig, path: Path | str) -> PerceptionModule:
-    """Read the module or grounding network that is given for an experiment, which must use one."""
-    return config.knows.module_type(config.agent).read(Path(path))
+def given_network(config: ExperimentConfig, path: Path | str) -> GroundingNetwork:
+    """Read the network that is given for an experiment, which must use one."""
+    if not config.knows.is_grounded:
+        raise UserError(
+            f"Agent {config.agent!r} has no grounding network: leave perception out, or take an "
+            "agent that has one, such as answers."
+        )
+    return GroundingNetwork.read(Path(path))
 
 
-def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModule:
-    """Read the perception module that a run folder keeps, and check that it is the run's."""
-    kind = config.knows.module_type(config.agent)
+def stored_network(config: ExperimentConfig, folder: RunFolder) -> GroundingNetwork:
+    """Read the network that a run folder keeps, and check that it is the run's."""
     path = folder.path / PERCEPTION_FILE
     with reading(path, "Restore the file, or train again."):
         data = path.read_bytes()
         if digest(data) != (folder.provenance().perception or {})["digest"]:
-            raise ValueError("it is not the module that this run was trained with")
-        return kind.from_bytes(data, path)
+            raise ValueError("it is not the network that this run was trained with")
+        return GroundingNetwork.from_bytes(data, path)

@@ -8,8 +8,7 @@ from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
-from knowarm.perception.module import digest
-from knowarm.reading import writing
+from knowarm.reading import digest, writing
 from knowarm.world.description import SUFFIX, description_files, trust
 
 GRAPHS = ("graph", "edited")

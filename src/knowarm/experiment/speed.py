@@ -77,15 +77,15 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
 
 
 def _measurable(config: ExperimentConfig) -> ExperimentConfig:
-    """Replace an agent with a module by the baseline agent of the same task."""
-    return replace(config, knows=NoKnowledge()) if config.knows.has_module else config
+    """Replace an agent with a grounding network by the baseline agent of the same task."""
+    return replace(config, knows=NoKnowledge()) if config.knows.is_grounded else config
 
 
 def measure_training(config: ExperimentConfig, seconds: float) -> float:
     """Return the steps per second by the clock of a training without evaluations, after warm-up.
 
-    Instead of an agent with a perception module or a grounding network, which would have to be
-    trained first, the baseline agent is measured on the same task.
+    Instead of an agent with a grounding network, which would have to be trained first, the baseline
+    agent is measured on the same task.
     """
     config = _measurable(config)
     if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows

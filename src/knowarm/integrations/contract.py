@@ -24,9 +24,9 @@ from knowarm.integrations.onnx_export import (
     torch_model,
 )
 from knowarm.integrations.runner import FORMAT, Runner, Start, fingerprint
-from knowarm.perception.agent import Recognition
-from knowarm.perception.module import digest
-from knowarm.reading import replacing, write_json, writing
+from knowarm.perception import grounding
+from knowarm.perception.agent import FrameRecognition
+from knowarm.reading import digest, replacing, write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -37,9 +37,9 @@ WORKSPACE_MARGIN_M = 0.15
 
 
 class RecognitionStep(nn.Module):
-    """`Recognition.locate`: first images and what is known of their queries, to knowledge."""
+    """`FrameRecognition.locate`: first images and what is known of their queries, to knowledge."""
 
-    def __init__(self, recognition: Recognition) -> None:
+    def __init__(self, recognition: FrameRecognition) -> None:
         super().__init__()
         self.recognition = recognition
 
@@ -105,11 +105,11 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     table = np.ascontiguousarray(table, dtype=np.float32)
     recognized: dict[str, Any] | None = None
     if recognition is not None:
-        module = recognition.module
+        network = recognition.network
         recognized = {
             "file": "recognition.onnx",
-            "format": module.FORMAT,
-            "digest": digest(module.to_bytes()),
+            "format": grounding.FORMAT,
+            "digest": digest(network.to_bytes()),
             "when": "in the first image of an episode",
         }
     contract = {

@@ -15,14 +15,14 @@ from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.reading import one_line
 
 FILES = (".safetensors", ".xz")
-"""Kinds of single files that can be shared: a perception module, a packed study."""
+"""Kinds of single files that can be shared: a grounding network, a packed study."""
 
 
 def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str:
     """Upload a run, or a single file, to a repository of the Hub; return its address.
 
     Args:
-        path: a run folder, a ``.safetensors`` module or a packed study (``.tar.xz``).
+        path: a run folder, a ``.safetensors`` network or a packed study (``.tar.xz``).
         repo_id: ``owner/name``; the repository is made if there is none.
         private: whether a new repository is visible to its owner only.
 

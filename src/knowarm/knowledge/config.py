@@ -13,9 +13,9 @@ from knowarm.knowledge.vectors.words import WordVectors
 from knowarm.questions import FACTS
 
 Detail = Literal["partial", "full"]
-Scope = Literal["nothing", "scene", "target", "query", "perceived"]
+Scope = Literal["nothing", "scene", "target", "query"]
 """What a row of the knowledge table describes: nothing, all slots (the same in every episode), the
-slot of the episode's own object and colour, its query, or the slot of what is perceived."""
+slot of the episode's own object and colour, or its query."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ import numpy as np
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
 from knowarm.knowledge.formats import read_graph
-from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.vectors.source import Facet, SentencePart
@@ -35,20 +34,6 @@ class FacetSlots:
     def __len__(self) -> int:
         return len(self.facets)
 
-    def _complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
-        """Add the colours in which objects are seen, for objects of which the graph states none."""
-        if config.scope != "perceived":
-            return graph
-        number = graph.find_relation(config.colour_relation)
-        relation = config.colour_relation if number is None else graph.relation_names[number]
-        stated = {graph.names[head] for head in graph.heads[graph.relations == number]}
-        seen = []
-        for facet in self.facets:
-            name = graph.names[graph.entity_id(config.graph_name(facet.object))]
-            if facet.colour is not None and name not in stated:
-                seen.append((name, relation, config.graph_name(facet.colour)))
-        return with_facts(graph, seen) if seen else graph
-
     def subgraphs(
         self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
     ) -> tuple[KnowledgeGraph, list[tuple[KnowledgeGraph, str | None]]]:
@@ -56,7 +41,7 @@ class FacetSlots:
 
         Placebos change the graph, or the facets.
         """
-        graph = config.source.change_graph(self._complete(graph, config), seed)
+        graph = config.source.change_graph(graph, seed)
         named = [
             Facet(config.graph_name(each.object), each.colour and config.graph_name(each.colour))
             for each in self.facets

@@ -5,7 +5,7 @@ queries, the query; no labels.
 """
 
 import copy
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -13,44 +13,51 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.perception.module import BATCH, PerceptionModule
+from knowarm.perception.grounding import BATCH, FRAME, GroundingNetwork
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.tasks.state import EpisodeState
 
 
-class Recognition(nn.Module):
-    """Base of what computes a policy's knowledge with a perception module.
+class FrameRecognition(nn.Module):
+    """Recognition of grasp frames by a grounding network, which compares vectors of the queries.
 
     Args:
-        module: the trained network.
-        knowledge: (rows, D), what is known of the query of each row; one row for all episodes.
-        width: number K of numbers that the policy receives.
+        network: the trained network.
+        knowledge: (rows, D), what is known of the query of each row; one row for all episodes. None
+            is the table that the network was trained with.
     """
 
     knowledge: Tensor
 
-    def __init__(self, module: PerceptionModule, knowledge: np.ndarray | Tensor, width: int):
+    def __init__(
+        self, network: GroundingNetwork, knowledge: np.ndarray | Tensor | None = None
+    ) -> None:
         super().__init__()
-        self.module, self.width = module, width
+        self.network = network
+        knowledge = network.knowledge if knowledge is None else knowledge
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
 
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """Compute what the policy receives, (n, K), from images (n, H, W, 3) uint8 and (n, D)."""
-        raise NotImplementedError
+        """Find the frames (n, 9) in images (n, H, W, 3) uint8 by knowledge of queries (n, D)."""
+        return cast(Tensor, self.network(images, knowledge))
 
-    def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """Return what the policy of episodes (n,) would receive by the simulator's labels."""
-        raise NotImplementedError
+    def true_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """Return the frames that the simulator knows of episodes (n,)."""
+        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
+        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
+        network = self.network
+        return network.standardized(*(torch.from_numpy(x).to(network.knowledge) for x in numbers))
 
-    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor | None:
-        """Score the places of images (n, H, W, 3) uint8, (n, places); None if it has no places."""
-        return None
+    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """Score the places of images (n, H, W, 3) uint8, (n, places)."""
+        scores = self.network.cell_scores(self.network.encoder.features(images), knowledge)
+        return scores.unflatten(1, (-1, self.network.parts)).amax(2)
 
     def check_fits(self, env: EnvConfig) -> None:
-        """Check that the module was made for a task."""
-        self.module.spec.check_fits(env, ())
+        """Check that the network was made for a task."""
+        self.network.spec.check_fits(env, ())
 
     @property
     def depends_on_rows(self) -> bool:
@@ -65,7 +72,7 @@ class Recognition(nn.Module):
 
     @torch.inference_mode()
     def forward(self, images: Tensor, rows: Tensor) -> Tensor:
-        """Compute what the policy receives in episodes of some rows, in batches; see `locate`."""
+        """Find the frames of episodes of some rows, in batches; see `locate`."""
         parts = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
         return torch.cat([self.locate(*part) for part in parts])
 
@@ -89,12 +96,12 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
     """
 
     def __init__(
-        self, config: EnvConfig, num_envs: int, recognition: Recognition, **options: Any
+        self, config: EnvConfig, num_envs: int, recognition: FrameRecognition, **options: Any
     ) -> None:
         recognition.check_fits(config)
         super().__init__(config, num_envs, **options)
         self._recognition = copy.deepcopy(recognition).to(self.device)
-        self._perceived = torch.zeros((num_envs, recognition.width), device=self.device)
+        self._perceived = torch.zeros((num_envs, FRAME), device=self.device)
 
     @property
     def knowledge(self) -> Tensor:
@@ -125,7 +132,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
             return images
         knowledge = self._perceived.clone()
         if self.has_teacher:
-            knowledge[ids] = self._recognition.true_knowledge(self.running, ids.cpu().numpy())
+            knowledge[ids] = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
             rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
             knowledge[ids] = self._recognition(images[ids], rows)
@@ -144,10 +151,9 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndar
         return {}
     images = torch.as_tensor(image[None])
     given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
-    arrays, scores = {"knowledge": given[0]}, None
+    arrays = {"knowledge": given[0]}
     if (recognition := agent.recognition) is not None:
         scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
-    if scores is not None:
         share = scores[0].softmax(0)
         arrays["recognition"] = share.reshape(round(len(share) ** 0.5), -1)
     return {name: value.numpy() for name, value in arrays.items()}

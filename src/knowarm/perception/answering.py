@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import Unclear
-from knowarm.perception.grounding import FrameRecognition
-from knowarm.perception.module import BATCH
+from knowarm.perception.grounding import BATCH
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.questions import number_objects, number_parts
 
@@ -58,7 +58,7 @@ class AnswerGrounding(FrameRecognition):
         frames, scores, by_place = self._find(images, knowledge)
         named, places = self._name(by_place)
         at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
-        part = self.module.part_of
+        part = self.network.part_of
         same = part[:, None] == part[named][:, None]  # of the named part of an object, (n, F, m)
         shares = at_place.masked_fill(~same, -torch.inf).softmax(1)
         likelihood = (shares * knowledge[:, :, None]).sum(1)
@@ -66,22 +66,22 @@ class AnswerGrounding(FrameRecognition):
         return SeenAnswers(frames, scores, named, places, answering, likelihood)
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """As `Recognition.place_scores`."""
+        """As `FrameRecognition.place_scores`."""
         return self._find(images, knowledge)[1]
 
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """As `Recognition.locate`."""
+        """As `FrameRecognition.locate`."""
         return self._find(images, knowledge)[0]
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """As `Recognition.make_agent`."""
+        """As `FrameRecognition.make_agent`."""
         return AnsweringAgent(policy, recognition=self, **options)
 
     def _find(self, images: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
-        features = self.module.encoder.features(images)
-        objects, colours = self.module.encoder.logits(features)
-        object_of, colour_of = self.module.encoder.facet_parts
+        features = self.network.encoder.features(images)
+        objects, colours = self.network.encoder.logits(features)
+        object_of, colour_of = self.network.encoder.facet_parts
         by_place = objects[:, object_of] + colours[:, colour_of]
         # Where nothing answers, every facet counts, so that there is a place to guess.
         counted = torch.where((knowledge > 0).any(1, keepdim=True), knowledge, 1.0)
@@ -89,8 +89,8 @@ class AnswerGrounding(FrameRecognition):
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
         at_place = place[:, None, None].expand(-1, answering.shape[1], 1)
-        cell = self.module.cells(place, answering.gather(2, at_place)[..., 0].argmax(1))
-        return self.module.frames(features, cell[:, None])[:, 0], scores, by_place
+        cell = self.network.cells(place, answering.gather(2, at_place)[..., 0].argmax(1))
+        return self.network.frames(features, cell[:, None])[:, 0], scores, by_place
 
     def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
         """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
@@ -99,10 +99,10 @@ class AnswerGrounding(FrameRecognition):
         parts of an object are named at the best place of any.
         """
         rows, left = torch.arange(len(by_place)), by_place.clone()
-        parts = torch.from_numpy(number_parts(self.module.spec.facets))
-        objects = torch.from_numpy(number_objects(self.module.spec.facets, whole=True))
+        parts = torch.from_numpy(number_parts(self.network.spec.facets))
+        objects = torch.from_numpy(number_objects(self.network.spec.facets, whole=True))
         named = []
-        for _ in range(self.module.spec.objects // self.module.parts):
+        for _ in range(self.network.spec.objects // self.network.parts):
             best = left.flatten(1).argmax(1)
             facet, place = best // left.shape[2], best % left.shape[2]
             named.append((parts[facet], place[:, None].expand(-1, parts.shape[1])))

@@ -15,9 +15,8 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.perception.answering import AnswerGrounding
-from knowarm.perception.grounding import GroundingNetwork, centres
+from knowarm.perception.grounding import BATCH, GroundingNetwork, centres
 from knowarm.perception.images import pixels_of, sample_images
-from knowarm.perception.module import BATCH
 from knowarm.seeding import derive_seed
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig

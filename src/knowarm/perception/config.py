@@ -1,7 +1,7 @@
-"""Training configs of perception modules, and the specification that is stored with a module."""
+"""Training config of grounding networks, and the specification that is stored with a network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from knowarm.config import above_zero, at_least, check_values
@@ -16,52 +16,20 @@ so if it sees any ("seen"), stay ("stop"), or stay and ask which one is meant ("
 LEVEL = 0.9
 """How often the right object is among the candidates, where nothing else is said."""
 
-RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
+RETRAIN = "Take one of a run of this task, or leave perception out to train one."
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModuleTrainingConfig:
-    """Base of the training configs of perception modules; their labels come from the simulator."""
-
-    images: int = 20_000
-    """Training images: first images of episodes."""
-    batch: int = 128
-    """Images per gradient step."""
-    learning_rate: float = 2e-3
-    """Largest learning rate of Adam; it rises and falls once (one cycle)."""
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        where = f"{type(self).__name__}."
-        at_least(self, 1, "images", "batch", where=where)
-        above_zero(self, "learning_rate", where=where)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerceptionConfig(ModuleTrainingConfig):
-    """Training of a `FacetClassifier`."""
-
-    epochs: int = 12
-    """Passes over the training images."""
-    seed: int = 0
-    """Seed of initial weights, images and their order."""
-    test_images: int = 2_000
-    """Images of each test, which training did not see."""
-    held_out_colours: tuple[str, ...] = ()
-    """Colours that training does not show, to test whether they are recognized (reaching only)."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        at_least(self, 1, "epochs", "test_images", where="PerceptionConfig.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroundingConfig(ModuleTrainingConfig):
-    """Training of a `GroundingNetwork`."""
+class GroundingConfig:
+    """Training of a `GroundingNetwork`; its labels come from the simulator."""
 
     _RETIRED: ClassVar[dict[str, Any]] = {"frame_coef": 10.0}
     images: int = 16_000
     """Training images per round: first images of episodes, never the same."""
+    batch: int = 128
+    """Images per gradient step."""
+    learning_rate: float = 2e-3
+    """Largest learning rate of Adam; it rises and falls once (one cycle)."""
     rounds: int = 20
     """Number of times that images are drawn and each is trained on once."""
     naming_coef: float = 0.5
@@ -80,7 +48,9 @@ class GroundingConfig(ModuleTrainingConfig):
     """Seed of the network, so that runs with other seeds share it; None: that of the run."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        check_values(self)
+        at_least(self, 1, "images", "batch", where="GroundingConfig.")
+        above_zero(self, "learning_rate", where="GroundingConfig.")
         least = 0 if self.shared_rounds > 0 else 1
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
@@ -91,7 +61,9 @@ class GroundingConfig(ModuleTrainingConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModuleSpec:
-    """What a perception module was made for, and how accurate it is."""
+    """What a grounding network was made for."""
+
+    _RETIRED: ClassVar[dict[str, Any]] = {"accuracy": {}}
 
     robot: str
     """Name of the robot."""
@@ -100,41 +72,35 @@ class ModuleSpec:
     objects: int
     """Number of visible objects."""
     facets: tuple[tuple[str, str], ...]
-    """The (object, colour) pairs that it distinguishes, F; of instances of families that look
-    alike, a grounding network has one."""
-    config: PerceptionConfig | GroundingConfig
+    """The (object, colour) pairs that it distinguishes, F; one of instances that look alike."""
+    config: GroundingConfig
     """How it was trained."""
-    accuracy: dict[str, dict[str, float]] = field(default_factory=dict)
-    """Shares of correct names, by test."""
 
     @classmethod
-    def of(cls, env: EnvConfig, config: PerceptionConfig | GroundingConfig) -> "ModuleSpec":
-        """Return the specification of a module for a task."""
-        facets = facets_of(env)
-        if isinstance(config, GroundingConfig):
-            facets = _looks(facets, shown_in(env))
+    def of(cls, env: EnvConfig, config: GroundingConfig) -> "ModuleSpec":
+        """Return the specification of a network for a task."""
         return cls(
             robot=scene_of(env).robot.name,
             image_size=env.image_size,
             objects=env.task.visible,
-            facets=facets,
+            facets=_looks(facets_of(env), shown_in(env)),
             config=config,
         )
 
     def check_fits(self, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:
-        """Check that the module was made for a task's robot, images and (object, colour) pairs."""
-        module = "The perception module"
+        """Check that the network was made for a task's robot, images and (object, colour) pairs."""
+        network = "The grounding network"
         for what, made, needed in (
             ("the robot", self.robot, scene_of(env).robot.name),
             ("an image size of", self.image_size, env.image_size),
             ("a number of visible objects of", self.objects, env.task.visible),
         ):
             if made != needed:
-                text = f"{module} was made for {what} {made}, and this task has {needed}."
+                text = f"{network} was made for {what} {made}, and this task has {needed}."
                 raise UserError(f"{text} {RETRAIN}")
         unknown = [" ".join(reversed(facet)) for facet in facets if facet not in self.facets]
         if unknown:
-            text = f"{module} does not know {', '.join(unknown[:5])}, which this task shows."
+            text = f"{network} does not know {', '.join(unknown[:5])}, which this task shows."
             raise UserError(f"{text} {RETRAIN}")
 
 

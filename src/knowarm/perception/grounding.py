@@ -5,24 +5,27 @@ the query. From the features of that place the network predicts the object's gra
 objects have parts, each place has a key and a frame per part: a cell is a place and a part.
 """
 
-from collections.abc import Mapping
+import json
+import struct
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Self, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knowarm.perception.agent import Recognition
-from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.config import from_dict, to_dict
+from knowarm.errors import UserError
+from knowarm.perception.config import ModuleSpec
+from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
-from knowarm.perception.module import PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import number_parts
+from knowarm.reading import UnreadableFileError, one_line, reading, replacing
 from knowarm.seeding import torch_generator
-from knowarm.world.tasks.state import EpisodeState
 
 STRIDE = 4
 """Distance of two places in the image [px]."""
@@ -31,12 +34,18 @@ WIDTH = 64
 FRAME = 9
 """Numbers that describe a grasp frame: standardized position, x and z axis."""
 
+FORMAT, METADATA, ENCODER = "knowarm-grounding-2", "knowarm", "encoder."
+"""Format of the file, key of its metadata, and beginning of the names that it leaves out."""
+REMEDY = "Restore the file, or take perception.safetensors of another run."
+BATCH = 256
+"""Most images that are processed at once."""
+
 DEEP_HEAD_GAIN = 0.6
 """Gain of the initial weights of the frame head for neighbourhoods; with a gain for ReLU it learned
 more slowly."""
 
 
-class GroundingNetwork(PerceptionModule):
+class GroundingNetwork(nn.Module):
     """Network that compares the places of an image with a query and predicts grasp frames.
 
     Args:
@@ -48,8 +57,6 @@ class GroundingNetwork(PerceptionModule):
         first_stage: with the frame head of the first stage of a training, which predicts frames
             from the object's place alone; the final one reads the 3 x 3 places around it.
     """
-
-    FORMAT = "knowarm-grounding-2"
 
     knowledge: Tensor
     """(Q, K) buffer, the table of the training."""
@@ -69,9 +76,10 @@ class GroundingNetwork(PerceptionModule):
         reads_facts: bool = False,
         first_stage: bool = False,
     ) -> None:
-        config = spec.config if isinstance(spec.config, GroundingConfig) else GroundingConfig()
-        convolutions = convolutions_of(config.channels)
-        super().__init__(spec, PlaceEncoder(spec.facets, convolutions, seed))
+        convolutions = convolutions_of(spec.config.channels)
+        super().__init__()
+        self.spec = spec
+        self.encoder = PlaceEncoder(spec.facets, convolutions, seed)
         self.slots = slots
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
         self.register_buffer("position_mean", torch.zeros(3))
@@ -96,17 +104,60 @@ class GroundingNetwork(PerceptionModule):
         if self._around:  # features differ in scale, and many are zero
             self.frame.insert(0, Standardize(inputs))
 
-    def describe(self) -> dict[str, Any]:
-        """As `PerceptionModule.describe`."""
-        return super().describe() | {"slots": self.slots}
+    def to_bytes(self) -> bytes:
+        """Return the content of the network's file."""
+        state = {name.removeprefix(ENCODER): value for name, value in self.state_dict().items()}
+        tensors = {name: value.contiguous().cpu() for name, value in state.items()}
+        about = {"format": FORMAT, "seen": to_dict(self.spec), "slots": self.slots}
+        # One entry: safetensors writes several in an order that varies.
+        return save(tensors, {METADATA: json.dumps(about)})
+
+    def write(self, path: Path) -> None:
+        """Write the network to a file."""
+        with replacing(path) as temporary:
+            temporary.write_bytes(self.to_bytes())
 
     @classmethod
-    def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
-        """As `PerceptionModule.build`."""
-        table, slots = tensors["knowledge"], about["slots"]
-        if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
-            raise ValueError("its table of knowledge does not fit its slots")
-        return cls(spec, table, slots, reads_facts="query.fact.weight" in tensors)
+    def read(cls, path: Path) -> Self:
+        """Read a network from a file."""
+        with reading(path, REMEDY):
+            return cls.from_bytes(path.read_bytes(), path)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, path: Path = Path("network")) -> Self:
+        """Build a network from the content of its file; the path is for messages."""
+        with reading(path, REMEDY):
+            tensors = load(data)
+            (length,) = struct.unpack_from("<Q", data)
+            metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
+            about = json.loads(metadata.get(METADATA, "{}"))
+            if about.get("format") != FORMAT:
+                raise UnreadableFileError(
+                    f"{path} holds no grounding network (format {about.get('format')!r}, expected "
+                    f"{FORMAT!r}). {REMEDY}"
+                )
+            try:
+                spec = from_dict(ModuleSpec, about["seen"])
+            except UserError as error:
+                raise ValueError(one_line(error)) from error
+            if not spec.facets or len(set(spec.facets)) != len(spec.facets):
+                raise ValueError("it names no facets, or one twice")
+            table, slots = tensors["knowledge"], about["slots"]
+            if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
+                raise ValueError("its table of knowledge does not fit its slots")
+            network = cls(spec, table, slots, reads_facts="query.fact.weight" in tensors)
+            state = network.state_dict()
+            expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
+            if {name: value.shape for name, value in tensors.items()} != expected:
+                raise ValueError("its arrays do not fit the facets that it names")
+            if not all(v.is_floating_point() and v.isfinite().all() for v in tensors.values()):
+                raise ValueError("it contains non-finite values")
+            network.load_state_dict({name: tensors[name.removeprefix(ENCODER)] for name in state})
+        return network.eval().requires_grad_(False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy, and send to other processes, by the content of the file."""
+        return type(self).from_bytes, (self.to_bytes(),)
 
     def keys(self, features: Tensor) -> Tensor:
         """Compute the keys of the cells from the encoder's features: (n, P parts, D)."""
@@ -219,36 +270,6 @@ class GroundingNetwork(PerceptionModule):
         truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
         frames = self.frames(features, self.cells(places, labels.facets[rows]))
         return -named.mean(), (frames - truth).square().mean()
-
-
-class FrameRecognition(Recognition):
-    """Recognition of grasp frames by a grounding network: base, and that by the queries' vectors.
-
-    ``knowledge`` is by default the table that the network was trained with.
-    """
-
-    module: GroundingNetwork
-
-    def __init__(
-        self, network: GroundingNetwork, knowledge: np.ndarray | Tensor | None = None
-    ) -> None:
-        super().__init__(network, network.knowledge if knowledge is None else knowledge, FRAME)
-
-    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """As `Recognition.locate`."""
-        return cast(Tensor, self.module(images, knowledge))
-
-    def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """As `Recognition.true_knowledge`: the goal frame."""
-        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
-        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
-        network = self.module
-        return network.standardized(*(torch.from_numpy(x).to(network.knowledge) for x in numbers))
-
-    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """As `Recognition.place_scores`."""
-        scores = self.module.cell_scores(self.module.encoder.features(images), knowledge)
-        return scores.unflatten(1, (-1, self.module.parts)).amax(2)
 
 
 class Standardize(nn.Module):

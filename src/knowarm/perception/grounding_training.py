@@ -14,7 +14,7 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, ModuleSpec
-from knowarm.perception.grounding import GroundingNetwork, Standardize, place_of
+from knowarm.perception.grounding import BATCH, GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import (
     DescribedGraph,
     ImageSampler,
@@ -23,8 +23,7 @@ from knowarm.perception.images import (
     query_answers,
     sample_images,
 )
-from knowarm.perception.module import BATCH
-from knowarm.perception.training import GROUNDING_IMAGES, PassProgress, Step, minimize
+from knowarm.perception.training import PassProgress, Step, minimize
 from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
@@ -36,6 +35,9 @@ REVISION = 2
 
 QUERIES = 48
 """Queries per gradient step."""
+
+GROUNDING_IMAGES = 2
+"""Number of the random streams of images."""
 
 HEAD, HEAD_EPOCHS, HEAD_RATE = 2, 8, 2.0
 """Of the training of a frame head: number of its random streams, passes over its images, and factor

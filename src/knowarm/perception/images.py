@@ -23,7 +23,7 @@ class LabelledImages(NamedTuple):
     """First images of N episodes that show m objects, the target first."""
 
     images: Tensor  # (N, H, W, 3) uint8
-    facets: Tensor  # (N, m) int64, facets of a module
+    facets: Tensor  # (N, m) int64, facets of the network
     queries: Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
     pixels: Tensor  # (N, m, 2) float32: column and row of the objects [px]
     grasp_position: Tensor  # (N, m, 3) float32 [m], world

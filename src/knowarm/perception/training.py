@@ -1,7 +1,7 @@
-"""Training of perception modules on images of the simulator, and of the facet classifier."""
+"""Minimization of a network's losses in passes, which can be stopped and continued."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,83 +10,12 @@ from torch import Tensor, nn
 from torch.optim import Adam
 from torch.optim.lr_scheduler import OneCycleLR
 
-from knowarm.cores import torch_threads
-from knowarm.errors import UserError
 from knowarm.learn.checkpoint import select
-from knowarm.perception.classifier import FacetClassifier, accuracy
-from knowarm.perception.config import GroundingConfig, ModuleSpec, PerceptionConfig
-from knowarm.perception.images import sample_images
-from knowarm.seeding import derive_seed, torch_generator
+from knowarm.perception.config import GroundingConfig
 from knowarm.world.cache import read_arrays, write_arrays
-from knowarm.world.config import EnvConfig
-from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.tasks.held_out import HeldOut
-
-LOOKS = VisualRandomization(
-    light=0.3, light_angle_deg=20.0, camera_shift_m=0.02, camera_turn_deg=2.0, surface_colour=0.2
-)
-"""Visual randomization of the test."""
-
-CLASSIFIER_IMAGES, TESTS, GROUNDING_IMAGES = range(3)
-"""Numbers of the random streams of images."""
 
 Step = tuple[int, Tensor, Tensor]
 """Number of images of a gradient step, the loss that is minimized, and the one that is reported."""
-
-
-@torch_threads(1)
-def train_classifier(
-    env: EnvConfig, config: PerceptionConfig, *, report: Callable[[str], None] = lambda text: None
-) -> FacetClassifier:
-    """Train a facet classifier for a task on the simulator's labels, and measure its accuracy.
-
-    Args:
-        env: the task; colours that it holds out of training are held out here, too.
-        config: images, epochs and seed.
-        report: receives a line after every epoch.
-
-    Raises:
-        UserError: the colours to hold out do not exist, or the task has queries.
-    """
-    env = without_colours(env, config.held_out_colours)
-    held_out = env.held_out.colours if env.held_out else ()
-    spec = ModuleSpec.of(env, replace(config, held_out_colours=held_out))
-    classifier = FacetClassifier(spec, seed=config.seed)
-    seed = derive_seed(config.seed, "perception", CLASSIFIER_IMAGES)
-    labels = sample_images(env, spec, config.images, seed)
-    generator = torch_generator(config.seed, "perception", CLASSIFIER_IMAGES)
-
-    def epoch(number: int) -> Iterator[Step]:
-        for rows in torch.randperm(config.images, generator=generator).split(config.batch):
-            loss = classifier.loss(labels, rows)
-            yield len(rows), loss, loss
-
-    minimize(classifier, config, epoch, config.epochs, "epoch", report)
-    tests = {"new images": env}
-    if env.held_out is not None and held_out:
-        tests["held-out colours"] = replace(env, held_out=replace(env.held_out, play="held_out"))
-    tests["visual randomization"] = replace(env, randomization=LOOKS)
-    measured = {}
-    for number, (name, tested) in enumerate(tests.items()):
-        seed = derive_seed(config.seed, "perception", TESTS, number)
-        labels = sample_images(tested, spec, config.test_images, seed)
-        measured[name] = accuracy(classifier, labels, tested)
-    classifier.spec = replace(spec, accuracy=measured)
-    return classifier
-
-
-def without_colours(env: EnvConfig, colours: tuple[str, ...]) -> EnvConfig:
-    """Return a task that does not show some colours; its queries must not decide what it shows."""
-    if not colours:
-        return env
-    if not env.task.holds_out:
-        raise UserError(
-            f"held_out_colours cannot be combined with the task {env.task.kind!r}, whose questions "
-            "decide what is visible. Leave held_out_colours out."
-        )
-    own = env.held_out or HeldOut(colours=colours)
-    colours = tuple(dict.fromkeys((*own.colours, *colours)))
-    return replace(env, held_out=replace(own, colours=colours))
 
 
 @dataclass(frozen=True)
@@ -133,7 +62,7 @@ class PassProgress:
 
 def minimize(
     module: nn.Module,
-    config: PerceptionConfig | GroundingConfig,
+    config: GroundingConfig,
     steps: Callable[[int], Iterator[Step]],
     passes: int,
     name: str,

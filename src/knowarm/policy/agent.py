@@ -31,7 +31,7 @@ class PolicyAgent:
     Args:
         policy: the policy; it is not changed.
         table: (rows, K) float32, what it knows in the episodes of each row; None without knowledge.
-        recognition: in place of a table, a `Recognition` that computes it from the first image.
+        recognition: in place of a table, a `FrameRecognition`, which reads the first image.
         greedy: choose the most probable action instead of sampling.
         generator: samples the actions; required unless ``greedy``.
 

@@ -6,21 +6,12 @@ A member of `Knows` builds the knowledge table and the input of the policy, in t
 from knowarm.experiment.knows.grounded import GraphAnswers, GroundedVector
 from knowarm.experiment.knows.member import NoKnowledge, Reasoning
 from knowarm.experiment.knows.vectors import (
-    PerceivedVector,
     QueryVector,
     SceneVector,
     TargetVector,
 )
 
-Knows = (
-    NoKnowledge
-    | SceneVector
-    | TargetVector
-    | PerceivedVector
-    | QueryVector
-    | GroundedVector
-    | GraphAnswers
-)
+Knows = NoKnowledge | SceneVector | TargetVector | QueryVector | GroundedVector | GraphAnswers
 """What an agent knows, told apart by ``kind``."""
 
 __all__ = [
@@ -28,7 +19,6 @@ __all__ = [
     "GroundedVector",
     "Knows",
     "NoKnowledge",
-    "PerceivedVector",
     "QueryVector",
     "Reasoning",
     "SceneVector",

@@ -27,16 +27,9 @@ if TYPE_CHECKING:  # These import torch, which reading a config does not need.
 class Grounded(AboutQueries):
     """Base of the members whose policy receives the grasp frame that a network finds."""
 
-    has_module: ClassVar[bool] = True
     is_grounded: ClassVar[bool] = True
     grounding: GroundingConfig = field(default_factory=GroundingConfig)
     """Training of the network, before the policy's."""
-
-    def module_type(self, agent: str) -> "type[GroundingNetwork]":
-        """As `Member.module_type`."""
-        from knowarm.perception.grounding import GroundingNetwork
-
-        return GroundingNetwork
 
     def input_sizes(self, embedded: Known) -> tuple[int, int]:
         """As `Member.input_sizes`: those of a grasp frame."""
@@ -44,8 +37,8 @@ class Grounded(AboutQueries):
 
         return FRAME, 1
 
-    def train_module(self, env: EnvConfig, run_seed: int, **how: Any) -> "GroundingNetwork | None":
-        """As `Member.train_module`."""
+    def train_network(self, env: EnvConfig, run_seed: int, **how: Any) -> "GroundingNetwork | None":
+        """As `Member.train_network`."""
         from knowarm.perception.grounding_training import train_grounding
 
         embedded = self.embed(env, run_seed)
@@ -96,11 +89,11 @@ class GroundedVector(Grounded):
     kind: Literal["grounded"] = "grounded"
     """Tag in JSON."""
 
-    def check_module(self, module: Any, table: np.ndarray | None, agent: str) -> None:
-        """As `Member.check_module`: a network was trained with the same vectors."""
-        if module is None or table is None:
+    def check_network(self, network: Any, table: np.ndarray | None, agent: str) -> None:
+        """As `Member.check_network`: a network was trained with the same vectors."""
+        if network is None or table is None:
             return
-        if not np.array_equal(module.knowledge.numpy(), table):
+        if not np.array_equal(network.knowledge.numpy(), table):
             raise UserError(
                 "The given grounding network was trained with other knowledge of the queries than "
                 f"the agent {agent!r} has. Give one of the same agent and graph, or leave "
@@ -108,12 +101,12 @@ class GroundedVector(Grounded):
             )
 
     def input(
-        self, env: EnvConfig, run_seed: int, table: np.ndarray, module: Any, **how: Any
+        self, env: EnvConfig, run_seed: int, table: np.ndarray, network: Any, **how: Any
     ) -> "KnowledgeInput":
         """As `Member.input`."""
-        from knowarm.perception.grounding import FrameRecognition
+        from knowarm.perception.agent import FrameRecognition
 
-        return FrameRecognition(module, table)
+        return FrameRecognition(network, table)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,9 +135,9 @@ class GraphAnswers(Grounded):
         return answers_by(graph, env, facets, colours_only=control == "colours")
 
     def input(
-        self, env: EnvConfig, run_seed: int, table: np.ndarray, module: Any, **how: Any
+        self, env: EnvConfig, run_seed: int, table: np.ndarray, network: Any, **how: Any
     ) -> "KnowledgeInput":
         """As `Member.input`."""
         from knowarm.perception.answering import AnswerGrounding
 
-        return AnswerGrounding(module, self.answers(env, run_seed, module.spec.facets, **how))
+        return AnswerGrounding(network, self.answers(env, run_seed, network.spec.facets, **how))

@@ -14,7 +14,7 @@ from knowarm.world.tasks.task import Task
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.experiment.inputs import KnowledgeInput
     from knowarm.knowledge import Embedding, KnowledgeGraph
-    from knowarm.perception.module import PerceptionModule
+    from knowarm.perception.grounding import GroundingNetwork
 
 Reasoning = Literal["vector", "graph", "graph-shuffled", "colours"]
 """What a grounding network is given of a query: its vector; the facets that answer it by the graph;
@@ -34,12 +34,10 @@ class Known(NamedTuple):
 
 
 class Member:
-    """Base of the members of `Knows`: an agent without a module, and without a graph."""
+    """Base of the members of `Knows`: an agent without a grounding network, and without a graph."""
 
     scope: ClassVar[Scope]
     """What a row of the table describes; see `Scope`."""
-    has_module: ClassVar[bool] = False
-    """Whether the agent has a perception module or a grounding network."""
     is_grounded: ClassVar[bool] = False
     """Whether the policy receives the grasp frame that a grounding network finds."""
     answers_by_graph: ClassVar[bool] = False
@@ -95,20 +93,13 @@ class Member:
         """Return whether this is from a graph, or from none."""
         return True
 
-    def module_type(self, agent: str) -> "type[PerceptionModule]":
-        """Return the class of the module of the agent of this name."""
-        raise UserError(
-            f"Agent {agent!r} perceives nothing with a network of its own: leave perception "
-            "out, or take an agent with a perception module or a grounding network."
-        )
-
-    def check_module(
-        self, module: "PerceptionModule | None", table: np.ndarray | None, agent: str
+    def check_network(
+        self, network: "GroundingNetwork | None", table: np.ndarray | None, agent: str
     ) -> None:
-        """Check that the module of a training fits, and its table unless that is None."""
+        """Check that the network of a training fits, and its table unless that is None."""
 
-    def train_module(self, env: EnvConfig, run_seed: int, **how: Any) -> "PerceptionModule | None":
-        """Train the module before the policy; ``how`` as `train_grounding`, None if stopped."""
+    def train_network(self, env: EnvConfig, run_seed: int, **how: Any) -> "GroundingNetwork | None":
+        """Train the network before the policy; ``how`` as `train_grounding`, None if stopped."""
         raise NotImplementedError
 
     def input(
@@ -116,7 +107,7 @@ class Member:
         env: EnvConfig,
         run_seed: int,
         table: np.ndarray,
-        module: Any,
+        network: Any,
         *,
         graph: "KnowledgeGraph | None" = None,
         control: Control | None = None,
@@ -127,7 +118,7 @@ class Member:
             env: the task.
             run_seed: seed of the training.
             table: the knowledge table of the task.
-            module: the trained module, for members that have one.
+            network: the trained network, for members that have one.
             graph: in place of the own graph.
             control: of answers by a graph.
         """

@@ -1,11 +1,9 @@
-"""Knowledge as vectors: of all objects, of the target, of what is perceived, of the query."""
+"""Knowledge as vectors: of all objects, of the target, of the query."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
-import numpy as np
-
-from knowarm.errors import Argument, UserError
+from knowarm.errors import UserError
 from knowarm.experiment.answers import asked
 from knowarm.experiment.knows.member import Known, Member
 from knowarm.knowledge import KnowledgeGraph
@@ -14,11 +12,6 @@ from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig, facets_of
-
-if TYPE_CHECKING:  # These import torch, which reading a config does not need.
-    from knowarm.experiment.inputs import KnowledgeInput
-    from knowarm.perception.classifier import FacetClassifier
-    from knowarm.perception.module import PerceptionModule
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,45 +85,6 @@ class TargetVector(AboutFacets):
     scope: ClassVar[Scope] = "target"
     kind: Literal["target"] = "target"
     """Tag in JSON."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerceivedVector(AboutFacets):
-    """Vector of the object and colour that a perception module names in the image.
-
-    In tasks that ask it is the surest of those that answer the query.
-    """
-
-    scope: ClassVar[Scope] = "perceived"
-    has_module: ClassVar[bool] = True
-    keeps_agent: ClassVar[bool] = False
-    kind: Literal["perceived"] = "perceived"
-    """Tag in JSON."""
-
-    def module_type(self, agent: str) -> "type[FacetClassifier]":
-        """As `Member.module_type`."""
-        from knowarm.perception.classifier import FacetClassifier
-
-        return FacetClassifier
-
-    def check_module(
-        self, module: "PerceptionModule | None", table: np.ndarray | None, agent: str
-    ) -> None:
-        """As `Member.check_module`: there is one."""
-        if module is None:
-            raise UserError(
-                "Knowledge of what is perceived needs a perception module: pass ",
-                Argument("perception", "FILE"),
-                ". Make one with `knowarm perception train EXPERIMENT --out FILE`.",
-            )
-
-    def input(
-        self, env: EnvConfig, run_seed: int, table: np.ndarray, module: Any, **how: Any
-    ) -> "KnowledgeInput":
-        """As `Member.input`."""
-        from knowarm.perception.classifier import NamedFacet
-
-        return NamedFacet(module, env, table)
 
 
 @dataclass(frozen=True, kw_only=True)

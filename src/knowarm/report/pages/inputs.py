@@ -28,10 +28,6 @@ KINDS = (
         *("the knowledge vector is a constant input, which is a bias", "capacity_control", "scene"),
     ),
     (
-        "the vector describes what a perception module names in the first image of the episode.",
-        *("the knowledge vector describes what is perceived", "content_control", "perceived"),
-    ),
-    (
         "the vector describes the query of the episode.",
         *("the knowledge vector describes the query of the episode", "content_control", "query"),
     ),
@@ -93,7 +89,7 @@ def _kind_of_input(task: TaskData) -> Verdict:
     knowledge = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
     sentence, reasons = "no agent received a knowledge vector", []
     for words, said, role, scope in KINDS:
-        if scope in ("query", "perceived"):
+        if scope == "query":
             agents = [g.name for g in task.groups if g.scope == scope and knowledge[g.name]]
         else:
             flag = "constant" if scope == "scene" else "privileged"

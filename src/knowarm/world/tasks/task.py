@@ -39,7 +39,7 @@ class Task:
     """Colours of every experiment of the task; None lets ``EnvConfig.colours`` decide."""
     max_steps: ClassVar[int] = 50
     """Steps of an episode at most, unless ``EnvConfig.max_episode_steps`` gives others."""
-    scopes: ClassVar[frozenset[str]] = frozenset({"scene", "target", "perceived"})
+    scopes: ClassVar[frozenset[str]] = frozenset({"scene", "target"})
     """Scopes of knowledge that describe something in this task."""
     holds_out: ClassVar[bool] = True
     """Whether ``EnvConfig.held_out`` and visual distractors can be combined with the task."""

@@ -49,7 +49,7 @@ class Choose(Task):
     area: ClassVar[str] = "choose"
     targets: ClassVar[tuple[str, ...]] = CHOOSE_TARGETS
     colours: ClassVar[Colours | None] = "randomized"
-    scopes: ClassVar[frozenset[str]] = frozenset({"query", "perceived"})
+    scopes: ClassVar[frozenset[str]] = frozenset({"query"})
     holds_out: ClassVar[bool] = False
     knowledge_info: ClassVar[str] = "query"
     # Without progress_coef, grasps of which few objects are examples are learned late.

@@ -1,22 +1,12 @@
-"""Perception module: encoder and base of trained networks, file format."""
+"""Encoder of grounding networks: scores objects and colours at every place of an image."""
 
-import hashlib
-import json
-import struct
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, ClassVar, Self, cast
+from typing import cast
 
 import torch
-from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knowarm.config import from_dict, to_dict
-from knowarm.errors import UserError
-from knowarm.perception.config import ModuleSpec
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour
-from knowarm.reading import UnreadableFileError, one_line, reading, replacing
 from knowarm.seeding import torch_generator
 from knowarm.world.objects.families import ATTRIBUTES, COLUMNS, attribute_codes
 
@@ -137,89 +127,3 @@ def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:
     """Return object and colour of each facet, (2, F) int64, numbered by first appearance."""
     columns = [(names, list(dict.fromkeys(names))) for names in zip(*facets, strict=True)]
     return torch.tensor([[order.index(name) for name in names] for names, order in columns])
-
-
-METADATA, ENCODER = "knowarm", "encoder."
-"""Key of the file's metadata, and beginning of the parameters' names that files leave out."""
-
-REMEDY = "Restore the file, or make one with `knowarm perception train EXPERIMENT --out FILE`."
-
-BATCH = 256
-"""Most images that are processed at once."""
-
-
-class PerceptionModule(nn.Module):
-    """Base of the trained networks that recognize objects in images."""
-
-    FORMAT: ClassVar[str]
-    """Format of the file."""
-
-    def __init__(self, spec: ModuleSpec, encoder: PlaceEncoder) -> None:
-        super().__init__()
-        self.spec = spec
-        self.encoder = encoder
-
-    def describe(self) -> dict[str, Any]:
-        """Return what the file contains beside the parameters."""
-        return {"format": self.FORMAT, "seen": to_dict(self.spec)}
-
-    @classmethod
-    def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
-        """Build a module from the result of `describe`; its parameters are loaded afterwards."""
-        raise NotImplementedError
-
-    def to_bytes(self) -> bytes:
-        """Return the content of the module's file."""
-        state = {name.removeprefix(ENCODER): value for name, value in self.state_dict().items()}
-        tensors = {name: value.contiguous().cpu() for name, value in state.items()}
-        # One entry: safetensors writes several in an order that varies.
-        return save(tensors, {METADATA: json.dumps(self.describe())})
-
-    def write(self, path: Path) -> None:
-        """Write the module to a file."""
-        with replacing(path) as temporary:
-            temporary.write_bytes(self.to_bytes())
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a module from a file."""
-        with reading(path, REMEDY):
-            return cls.from_bytes(path.read_bytes(), path)
-
-    @classmethod
-    def from_bytes(cls, data: bytes, path: Path = Path("module")) -> Self:
-        """Build a module from the content of its file; the path is for messages."""
-        with reading(path, REMEDY):
-            tensors = load(data)
-            (length,) = struct.unpack_from("<Q", data)
-            metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
-            about = json.loads(metadata.get(METADATA, "{}"))
-            if about.get("format") != cls.FORMAT:
-                raise UnreadableFileError(
-                    f"{path} holds no perception module (format {about.get('format')!r}, expected "
-                    f"{cls.FORMAT!r}). {REMEDY}"
-                )
-            try:
-                spec = from_dict(ModuleSpec, about["seen"])
-            except UserError as error:
-                raise ValueError(one_line(error)) from error
-            if not spec.facets or len(set(spec.facets)) != len(spec.facets):
-                raise ValueError("it names no facets, or one twice")
-            module = cls.build(spec, about, tensors)
-            state = module.state_dict()
-            expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
-            if {name: value.shape for name, value in tensors.items()} != expected:
-                raise ValueError("its arrays do not fit the facets that it names")
-            if not all(v.is_floating_point() and v.isfinite().all() for v in tensors.values()):
-                raise ValueError("it contains non-finite values")
-            module.load_state_dict({name: tensors[name.removeprefix(ENCODER)] for name in state})
-        return module.eval().requires_grad_(False)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Copy, and send to other processes, by the content of the file."""
-        return type(self).from_bytes, (self.to_bytes(),)
-
-
-def digest(data: bytes) -> str:
-    """Return the SHA-256 of a file's content, hexadecimal."""
-    return hashlib.sha256(data).hexdigest()
