@@ -43,20 +43,29 @@ def check_values(config: Any, *, where: str = "") -> None:
     elif isinstance(config, int):
         if where.endswith(".seed") and not 0 <= config <= MAX_SEED:
             raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
-    elif isinstance(config, Mapping):
-        for key, value in config.items():
-            check_values(value, where=f"{where}.{key}")
     elif isinstance(config, tuple | list):
         for i, value in enumerate(config):
             check_values(value, where=f"{where}[{i}]")
     elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
-        for field in dataclasses.fields(config):
-            value, path = getattr(config, field.name), f"{prefix}.{field.name}"
-            hint = _hints(type(config))[field.name]
-            if _is_plain(hint):
-                _reader(hint)(value, path)
+        for name, read in _checks(typing.cast(Any, type(config))):
+            value, path = getattr(config, name), f"{prefix}.{name}"
+            if read is not None:
+                read(value, path)
             check_values(value, where=path)
+    elif isinstance(config, Mapping):
+        for key, value in config.items():
+            check_values(value, where=f"{where}.{key}")
+
+
+@cache
+def _checks(cls: Any) -> list[tuple[str, _Reader | None]]:
+    """Return the fields of a config, and what reads those that hold no configs."""
+    hints = _hints(cls)
+    return [
+        (field.name, _reader(hint) if _is_plain(hint := hints[field.name]) else None)
+        for field in dataclasses.fields(cls)
+    ]
 
 
 @cache
@@ -249,6 +258,8 @@ def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
 
 
 def _float(value: Any, path: str) -> float:
+    if type(value) is float:
+        return value
     try:
         whole = isinstance(value, int) and not isinstance(value, bool)
         return _instance(float, float(value) if whole else value, path)
@@ -279,7 +290,9 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
     """
     if value is None and type(None) in args:
         return None
-    kinds, tags, is_told = _alternatives(args)
+    kinds, tags, is_told, config = _alternatives(args)
+    if isinstance(value, Mapping) and config is not None:
+        return from_dict(config, value, where=path)
     if isinstance(value, Mapping) and tags:
         for (field, choice), kind in tags.items():
             if value.get(field) == choice:
@@ -300,11 +313,20 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
 
 
 @cache
-def _alternatives(args: tuple[Any, ...]) -> tuple[list[Any], dict[tuple[str, str], Any], bool]:
-    """Return the alternatives of a union, those with tags by tag, and whether all have tags."""
+def _alternatives(
+    args: tuple[Any, ...],
+) -> tuple[list[Any], dict[tuple[str, str], Any], bool, Any | None]:
+    """Return what a union allows.
+
+    Returns:
+        The alternatives, those with tags by tag, whether all have tags, and the only one that is
+        read from fields, where the others are numbers or texts.
+    """
     kinds = [kind for kind in args if kind is not type(None)]
     tags = {tag: kind for kind in kinds for tag in _tags(kind)}
-    return kinds, tags, bool(tags) and all(map(_tags, kinds))
+    configs = [kind for kind in kinds if not _is_plain(kind)]
+    only = configs[0] if len(configs) == 1 and dataclasses.is_dataclass(configs[0]) else None
+    return kinds, tags, bool(tags) and all(map(_tags, kinds)), None if tags else only
 
 
 def _tags(cls: Any) -> list[tuple[str, str]]:

@@ -1,0 +1,85 @@
+"""Section of `docs/results/answer.md` on the size of the network, without knowledge."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import linregress, t
+
+from knowarm.report.format import p_value
+from knowarm.statistics import Interval, welch
+from scripts.answer_cells import Agent, percent, signed, table, tasks_of, thousands
+
+TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
+{seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
+that the paper's network has with 150 and 300 numbers of knowledge. *Area*: mean success during
+training. Seconds: steps to 80 % at the steps per second that each size trains with, the median of
+{rounds} measurements in turns on one core of an {processor} (`python -m benchmarks.sizes`)."""
+
+
+def speeds(path: Path) -> tuple[dict[str, list[float]], str]:
+    """Return the measured steps per second by agent, and the processor."""
+    lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    found: dict[str, list[float]] = {}
+    for line in lines:
+        found.setdefault(line["agent"], []).append(float(line["steps_per_s"]))
+    return found, lines[0]["processor"]
+
+
+def slope(sizes: np.ndarray, values: np.ndarray) -> tuple[Interval, float]:
+    """Return the change of values (n,) per doubling of the size (n,), and its p value."""
+    line = linregress(np.log2(sizes), values)
+    half = float(t.ppf(0.975, len(sizes) - 2)) * line.stderr
+    return Interval(line.slope, line.slope - half, line.slope + half), float(line.pvalue)
+
+
+def size_section(study: Path, speed: Path, progress: str) -> list[str]:
+    """Return the blocks of the section from an unpacked study and a CSV file of speeds."""
+    ((task, agents),) = tasks_of([study])
+    rates, processor = speeds(speed)
+    parts = {group.name: group.runs[0] for group in task.groups}
+    hidden = {n: run.config.policy.hidden for n, run in parts.items()}
+    size_of = {name: size if isinstance(size, int) else 128 for name, size in hidden.items()}
+    names = sorted(agents, key=size_of.__getitem__)
+    base, rows = agents[names[0]], []
+    for name in names:
+        each, rate = agents[name], float(np.median(rates[name]))
+        differs = name != names[0]
+        area, time = each.area, each.steps / rate
+        rows.append(
+            [
+                *(f"`{name}`", str(size_of[name])),
+                f"{parts[name].provenance.parameter_counts['total']:,}",
+                thousands(each.steps),
+                signed(welch(each.steps, base.steps).difference, 1e-3) if differs else "",
+                *(percent(each.success), percent(area)),
+                signed(welch(area, base.area).difference, 100, 1) if differs else "",
+                *(f"{rate:,.0f}", f"{time.mean():,.0f}"),
+                signed(seconds(each, base, rates), 1) if differs else "",
+            ]
+        )
+    columns = [
+        *("agent", "LSTM", "parameters", "steps to 80 % [thousands]", "against 128"),
+        *("success", "area", "against 128 [points]", "steps/s", "s to 80 %", "against 128 [s]"),
+    ]
+    sizes = np.concatenate([[size_of[name]] * len(agents[name].seeds) for name in names])
+    steps, p_steps = slope(sizes, np.concatenate([agents[name].steps for name in names]))
+    area, p_area = slope(sizes, np.concatenate([agents[name].area for name in names]))
+    trend = (
+        f"Per doubling of the LSTM the steps to 80 % change by {signed(steps, 1e-3)} thousand "
+        f"(p {p_value(p_steps)}), the mean success during training by {signed(area, 100, 1)} "
+        f"points (p {p_value(p_area)}), linear over {len(sizes)} runs, not corrected."
+    )
+    text = TEXT.format(
+        seeds=", ".join(map(str, base.seeds)),
+        progress=progress,
+        rounds=len(rates[names[0]]),
+        processor=processor,
+    )
+    return ["## Is it the size of the network?", text, table(columns, rows), trend]
+
+
+def seconds(first: Agent, second: Agent, rates: dict[str, list[float]]) -> Interval:
+    """Return the difference of two agents in seconds to 80 %."""
+    one, other = (each.steps / np.median(rates[each.name]) for each in (first, second))
+    return welch(one, other).difference
