@@ -1,6 +1,6 @@
 """Measures the training speed of the study `size`: networks of several sizes, in turns.
 
-    python -m benchmarks.sizes --rounds 5 --out docs/results/size-speed.csv
+python -m benchmarks.sizes --rounds 5 --out docs/results/size-speed.csv
 """
 
 import argparse

@@ -45,16 +45,15 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     for name in names:
         each, rate = agents[name], float(np.median(rates[name]))
         differs = name != names[0]
-        area, time = each.area, each.steps / rate
         rows.append(
             [
                 *(f"`{name}`", str(size_of[name])),
                 f"{parts[name].provenance.parameter_counts['total']:,}",
                 thousands(each.steps),
                 signed(welch(each.steps, base.steps).difference, 1e-3) if differs else "",
-                *(percent(each.success), percent(area)),
-                signed(welch(area, base.area).difference, 100, 1) if differs else "",
-                *(f"{rate:,.0f}", f"{time.mean():,.0f}"),
+                *(percent(each.success), percent(each.area)),
+                signed(welch(each.area, base.area).difference, 100, 1) if differs else "",
+                *(f"{rate:,.0f}", f"{each.steps.mean() / rate:,.0f}"),
                 signed(seconds(each, base, rates), 1) if differs else "",
             ]
         )

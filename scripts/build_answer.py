@@ -47,6 +47,7 @@ from scripts.answer_outcomes import (
     mean_success_row,
     outcomes_section,
 )
+from scripts.answer_size import size_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
@@ -186,9 +187,19 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
 
 
 def page(
-    found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str, sections: Sequence[str]
+    found: Sequence[tuple[TaskData, Mapping[str, Agent]]],
+    progress: str,
+    size: Sequence[str],
+    sections: Sequence[str],
 ) -> str:
-    """Write the page; ``progress`` says how much of the study is done, ``sections`` follow."""
+    """Write the page.
+
+    Args:
+        found: cells and their agents.
+        progress: how much of the studies is done.
+        size: section on the size of the network.
+        sections: what follows the table of all runs.
+    """
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
@@ -216,6 +227,7 @@ def page(
         parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
         parts.append(comparison_table(cell.compared))
     parts += [
+        *size,
         *anova_section(tasks),
         *cost_section(tasks),
         "## Every run",
@@ -292,7 +304,7 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 `zoo/tiago-full-fast` are seeds 0: `knowarm evaluate zoo/irb120-full-fast` prints 99.6 % [99.0,
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
-Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `a3c-tuned`, `fusions` and
+Repeat: `knowarm study run` with `answer`, `paper`, `size`, `a3c`, `a3c-tuned`, `fusions` and
 `choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`, `leave-out --steps
 5000000 --seeds 0` and `set`; pack them, then `python -m scripts.build_answer`."""
 
@@ -323,7 +335,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = {
             name: unpack_study(RESULTS / f"{name}.tar.xz", Path(temporary) / name)
-            for name in (*STUDIES, "a3c", "a3c-tuned", "fusions", "choose")
+            for name in (*STUDIES, "size", "a3c", "a3c-tuned", "fusions", "choose")
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
@@ -333,7 +345,8 @@ def main() -> None:
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
         changes = changes_section(RESULTS / "a3c-changes")
-        text = page(list(cells), progress, [*a3c, *tuned, *changes, *fusions])
+        size = size_section(folder["size"], RESULTS / "size-speed.csv", done(folder["size"]))
+        text = page(list(cells), progress, size, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
 
 
