@@ -22,7 +22,7 @@ Purpose = Literal[
     "placebos",  # random vectors and shuffled graphs; the knowledge's seed, 0
     "interim_actions",  # draws nothing: interim evaluations are greedy
     "splits",  # what the splits of a choose task hold out; number of the split
-    "perception",  # weights and images of a perception module; number of the images and of the test
+    "perception",  # weights and images of a grounding network; number of the images and of the test
     "damage",  # which triples of a graph an evaluation damages; number of the kind
 ]
 """What random numbers are drawn for, with the meaning of the indices. The position of a purpose is

@@ -29,7 +29,7 @@ from knowarm.integrations.ask_page import (
     page,
     place_labels,
 )
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import GroundingSpec
 
 ROOT = Path(__file__).parents[2]
 RUN = str(ROOT / "zoo" / "irb120-choose-subgraph-fast")
@@ -310,7 +310,7 @@ def test_an_idle_connection_does_not_block_the_page(served):
 
 def test_scenes_of_families_show_what_looks_like_the_names_of_the_network():
     config = experiment_config("irb120-families-answers-distil")
-    spec = ModuleSpec.of(config.env, config.knows.grounding)
+    spec = GroundingSpec.of(config.env, config.knows.grounding)
     families = Asker(SimpleNamespace(network=SimpleNamespace(spec=spec), config=config))
     answers = families.answers("usedFor drinking")
     shown = families._shown[families.scene([answers])]

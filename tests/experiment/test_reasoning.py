@@ -24,7 +24,7 @@ from knowarm.experiment.other_graphs import with_graph
 from knowarm.experiment.run import train
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
@@ -62,7 +62,7 @@ def test_varied_graphs_describe_and_answer_the_queries_of_training():
     two = {"grounding": {"graphs": 2}}
     config = experiment_config("irb120-choose-reasoner-fast", env=CHOOSE_ENV, knows=two)
     (table, known), *others = config.knows.varied_graphs(config.env, 0)
-    own = query_answers(config.env, ModuleSpec.of(config.env, config.knows.grounding).facets)
+    own = query_answers(config.env, GroundingSpec.of(config.env, config.knows.grounding).facets)
     assert (table == build(config).table).all()
     assert all((one == other).all() for one, other in zip(known[:2], own[:2], strict=True))
     held_out = own.satisfies & ~own.askable
@@ -178,7 +178,7 @@ def test_the_query_enters_through_its_vector_only(name):
     image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
     images = image.expand(len(table), -1, -1, -1)
     if config.knows.is_grounded:
-        spec = ModuleSpec.of(config.env, config.knows.grounding)
+        spec = GroundingSpec.of(config.env, config.knows.grounding)
         reads_facts = config.knows.pooling == "facts"
         slots = parts.embedding.slots_per_row
         network = GroundingNetwork(spec, table, slots, reads_facts=reads_facts)

@@ -6,7 +6,7 @@ import torch
 
 from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
-from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork, place_of
 from knowarm.perception.images import query_answers, sample_images
 from knowarm.questions import object_of
@@ -26,7 +26,7 @@ def parted():
     task = Purpose(queries=NameQueries())
     env = EnvConfig(task=task, targets=names, dynamics="kinematic")
     knowledge = np.random.default_rng(0).normal(size=(len(questions_of(env).queries), 6))
-    spec = ModuleSpec.of(env, GroundingConfig())
+    spec = GroundingSpec.of(env, GroundingConfig())
     return env, GroundingNetwork(spec, knowledge.astype(np.float32), 1)
 
 

@@ -18,7 +18,7 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, network_for_training
 from knowarm.perception import grounding_training
 from knowarm.perception.agent import FrameRecognition
-from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import (
     FRAME,
     STRIDE,
@@ -55,7 +55,7 @@ def config():
 def network(config):
     parts = build(config)
     return GroundingNetwork(
-        ModuleSpec.of(config.env, GroundingConfig()), parts.table, parts.embedding.slots_per_row
+        GroundingSpec.of(config.env, GroundingConfig()), parts.table, parts.embedding.slots_per_row
     )
 
 
@@ -76,7 +76,7 @@ def test_places_cover_the_image_row_by_row():
 def test_the_labels_are_where_the_objects_are_seen():
     """In the marked image the wanted object is the only magenta one."""
     config = experiment_config("irb120-choose-mask-fast", env=CHOOSE_ENV)
-    spec = ModuleSpec.of(config.env, GroundingConfig())
+    spec = GroundingSpec.of(config.env, GroundingConfig())
     found = sample_images(config.env, spec, 64, seed=0)
     image = found.images.float()
     magenta = (image[..., 0] - image[..., 1]).clamp(min=0) * (image[..., 2] - image[..., 1] > 40)
@@ -249,7 +249,7 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(c
     first, other = train(table), train(table[::-1].copy())
     assert differing(first, other) == {"key", "query"}
     assert [line.startswith("training") for line in lines if "(" in line] == [1, 1, 1, 0, 1, 0]
-    untrained = GroundingNetwork(ModuleSpec.of(config.env, settings), table, slots).state_dict()
+    untrained = GroundingNetwork(GroundingSpec.of(config.env, settings), table, slots).state_dict()
     assert {"encoder", "frame", "key", "query"} <= differing(first, untrained)
     assert differing(train(table), first) == set()
     assert all("read from" in line for line in lines[-3:])
@@ -264,7 +264,7 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(c
 def test_other_graphs_take_the_place_of_the_tasks_in_training_alone(config, empty_cache):
     parts = build(config)
     settings = GroundingConfig(images=64, rounds=2, batch=32, shared_rounds=1)
-    answers = query_answers(config.env, ModuleSpec.of(config.env, settings).facets)
+    answers = query_answers(config.env, GroundingSpec.of(config.env, settings).facets)
     zeros = np.zeros_like(parts.table)
 
     def train(*graphs):
@@ -392,7 +392,7 @@ def test_an_arm_is_trained_with_a_network_that_exists(tmp_path, choose_run):
 
 def test_a_network_knows_one_of_the_objects_that_look_alike(tmp_path):
     config = experiment_config("irb120-families-answers-distil")
-    spec = ModuleSpec.of(config.env, config.knows.grounding)
+    spec = GroundingSpec.of(config.env, config.knows.grounding)
     GroundingNetwork(spec, np.zeros((1, 4), np.float32), 1).write(tmp_path / PERCEPTION_FILE)
     given = network_for_training(config, None, tmp_path / PERCEPTION_FILE)
     assert len(given.spec.facets) < len(facets_of(config.env))

@@ -33,7 +33,7 @@ from knowarm.experiment.csv_log import number_in, read_csv, writing
 from knowarm.experiment.provenance import CHANGING, Provenance, provenance
 from knowarm.experiment.run_inputs import copy_input, is_copy_of, with_inputs
 from knowarm.experiment.summary import Summary
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.reading import (
     digest,
@@ -266,7 +266,7 @@ def network_for_training(
             )
         network = stored
     if network is not None:
-        needed = ModuleSpec.of(config.env, network.spec.config)
+        needed = GroundingSpec.of(config.env, network.spec.config)
         network.spec.check_fits(config.env, needed.facets)
     return network
 

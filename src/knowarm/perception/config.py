@@ -60,7 +60,7 @@ class GroundingConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModuleSpec:
+class GroundingSpec:
     """What a grounding network was made for."""
 
     _RETIRED: ClassVar[dict[str, Any]] = {"accuracy": {}}
@@ -77,7 +77,7 @@ class ModuleSpec:
     """How it was trained."""
 
     @classmethod
-    def of(cls, env: EnvConfig, config: GroundingConfig) -> "ModuleSpec":
+    def of(cls, env: EnvConfig, config: GroundingConfig) -> "GroundingSpec":
         """Return the specification of a network for a task."""
         return cls(
             robot=scene_of(env).robot.name,

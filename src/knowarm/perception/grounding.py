@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import GroundingSpec
 from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
@@ -68,7 +68,7 @@ class GroundingNetwork(nn.Module):
 
     def __init__(
         self,
-        spec: ModuleSpec,
+        spec: GroundingSpec,
         knowledge: np.ndarray | Tensor,
         slots: int,
         *,
@@ -137,7 +137,7 @@ class GroundingNetwork(nn.Module):
                     f"{FORMAT!r}). {REMEDY}"
                 )
             try:
-                spec = from_dict(ModuleSpec, about["seen"])
+                spec = from_dict(GroundingSpec, about["seen"])
             except UserError as error:
                 raise ValueError(one_line(error)) from error
             if not spec.facets or len(set(spec.facets)) != len(spec.facets):

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
-from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import BATCH, GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import (
     DescribedGraph,
@@ -94,7 +94,7 @@ def train_grounding(
         seed, config = config.seed, replace(config, seed=None)
     options: dict[str, Any] = {"seed": seed, "reads_facts": reads_facts}
     network = GroundingNetwork(
-        ModuleSpec.of(env, config), knowledge, slots, first_stage=True, **options
+        GroundingSpec.of(env, config), knowledge, slots, first_stage=True, **options
     )
     answers = query_answers(env, network.spec.facets)
     assert answers is not None

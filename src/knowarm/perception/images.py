@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import GroundingSpec
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -60,7 +60,7 @@ def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnsw
 class ImageSampler:
     """Samples the first images of episodes; their seed and number at once decide which."""
 
-    def __init__(self, env: EnvConfig, spec: ModuleSpec, seed: int, at_once: int = ENVS) -> None:
+    def __init__(self, env: EnvConfig, spec: GroundingSpec, seed: int, at_once: int = ENVS) -> None:
         self._world = ArmVectorEnv(env, at_once)
         self._first_facets = first_facets(self._world.scene, spec)
         self._seed: int | None = seed
@@ -103,12 +103,12 @@ def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
     return _float(((1 + point * [1, -1]) / 2 * image_size).reshape(positions.shape))
 
 
-def sample_images(env: EnvConfig, spec: ModuleSpec, count: int, seed: int) -> LabelledImages:
+def sample_images(env: EnvConfig, spec: GroundingSpec, count: int, seed: int) -> LabelledImages:
     """Sample the first images of N episodes; arguments as `ImageSampler`."""
     return ImageSampler(env, spec, seed, min(ENVS, count)).sample(count)
 
 
-def first_facets(scene: Scene, spec: ModuleSpec) -> np.ndarray:
+def first_facets(scene: Scene, spec: GroundingSpec) -> np.ndarray:
     """Return the facet of each target in its first colour, (targets,) int64; others follow.
 
     An instance of a family has the facet of the one that looks like it.

@@ -12,7 +12,7 @@ from knowarm.experiment.knows.vectors import AboutQueries
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.questions import ObjectColour
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
@@ -59,7 +59,7 @@ class Grounded(AboutQueries):
 
         from knowarm.perception.images import query_answers
 
-        facets = ModuleSpec.of(env, self.grounding).facets
+        facets = GroundingSpec.of(env, self.grounding).facets
         own = query_answers(env, facets)
         assert own is not None
         answers = torch.from_numpy(QueryGraph(graph, facets).answers(asked(env).queries))
