@@ -154,7 +154,8 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
     assert all(f"knowarm list {kind}" in out for kind in KINDS if kind != "experiments")
     assert len(out.splitlines()) < 25
     for kind, every in (("robots", ROBOTS), ("agents", AGENTS), ("targets", TARGETS)):
-        assert all(name in run(capsys, "list", kind)[1] for name in every)
+        out = run(capsys, "list", kind)[1]
+        assert all(name in out for name in every)
     names = json.loads(file.read_text())
     assert {"irb120", "tiago"} <= set(names["robots"])
     assert "irb120-full-a3c" in names["experiments"]

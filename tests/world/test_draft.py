@@ -244,7 +244,9 @@ THREE_JOINTS = """
 
 
 @pytest.mark.slow
-def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> None:
+def test_draft_of_an_arm_with_three_joints_passes_all_checks(
+    tmp_path: Path, short_search: None
+) -> None:
     """Just below the threshold of the orientation the nearest pose is taken."""
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     targets = ("mug", "bottle", "cereal_box")
