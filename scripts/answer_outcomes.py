@@ -141,7 +141,7 @@ def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
             f"{p_value(gate_of(finding).adjusted_p)}), but not than networks as large without "
             f"this knowledge, which gain {spread} points over that baseline: the paper's "
             "observation, with the [size of the network](#is-it-the-size-of-the-network) as a "
-            "likely cause, since what the vector says is not shown to matter."
+            "possible cause, since what the vector says is not shown to matter."
         )
     return f"{text} {costs_time(tasks)}"
 
