@@ -59,9 +59,8 @@ def train(
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
-        perception: file of the grounding network, for knowledge of what is perceived, or of a
-            grounding network to use instead of training one; the run folder keeps a copy, with
-            which it resumes.
+        perception: file of a grounding network to use instead of training one; the run folder keeps
+            a copy, with which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
             such as ``algorithm={"num_envs": 64}``; ``graph`` is that of knowledge and questions.
 
