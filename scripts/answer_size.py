@@ -77,8 +77,8 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     is_shown = any(each.high < 0 for each in saved) or min(p_steps, p_area, adjusted) < SIGNIFICANT
     assert not is_shown, "write the lead for what is found"
     lead = (
-        "**Not shown with five seeds: that a size saves steps to 80 % over 128, or a trend over the "
-        f"sizes. With {size_of[names[-1]]} mean success during training is "
+        "**Not shown with five seeds: that a size saves steps to 80 % over 128, or a trend over "
+        f"the sizes. With {size_of[names[-1]]} mean success during training is "
         f"{signed(gains[-1].difference, 100, 1)} points higher (p {p_value(adjusted)} with Holm's "
         "correction over three sizes), and by the clock 80 % comes "
         f"{later.estimate:,.0f} [{later.low:,.0f}, {later.high:,.0f}] seconds later.**"
