@@ -1,6 +1,6 @@
 """Measures the training speed of the study `size`: networks of several sizes, in turns.
 
-python -m benchmarks.sizes --rounds 5 --out docs/results/size-speed.csv
+KNOWARM_CORES=1 python -m benchmarks.sizes --out docs/results/size-speed.csv
 """
 
 import argparse
@@ -16,7 +16,7 @@ def main() -> None:
     """Measure and write a row per measurement."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--seconds", type=float, default=10)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     study = read_study("size")

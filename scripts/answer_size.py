@@ -14,7 +14,8 @@ TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, 
 {seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
 that the paper's network has with 150 and 300 numbers of knowledge. *Area*: mean success during
 training. Seconds: steps to 80 % at the steps per second that each size trains with, the median of
-{rounds} measurements in turns on one core of an {processor} (`python -m benchmarks.sizes`)."""
+{rounds} measurements in turns on one core of an {processor} (`KNOWARM_CORES=1 python
+-m benchmarks.sizes`)."""
 
 
 def speeds(path: Path) -> tuple[dict[str, list[float]], str]:
@@ -38,8 +39,8 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     ((task, agents),) = tasks_of([study])
     rates, processor = speeds(speed)
     parts = {group.name: group.runs[0] for group in task.groups}
-    hidden = {n: run.config.policy.hidden for n, run in parts.items()}
-    size_of = {name: size if isinstance(size, int) else 128 for name, size in hidden.items()}
+    chosen = {name: run.config.policy for name, run in parts.items()}
+    size_of = {n: p.hidden if isinstance(p.hidden, int) else p.features for n, p in chosen.items()}
     names = sorted(agents, key=size_of.__getitem__)
     base, rows = agents[names[0]], []
     for name in names:
@@ -77,10 +78,10 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     is_shown = any(each.high < 0 for each in saved) or min(p_steps, p_area, adjusted) < SIGNIFICANT
     assert not is_shown, "write the lead for what is found"
     lead = (
-        "**Not shown with five seeds: that a size saves steps to 80 % over 128, or a trend over "
-        f"the sizes. With {size_of[names[-1]]} mean success during training is "
+        f"**Not shown with {len(base.seeds)} seeds: that a size saves steps to 80 % over 128, or a "
+        f"trend over the sizes. With {size_of[names[-1]]} mean success during training is "
         f"{signed(gains[-1].difference, 100, 1)} points higher (p {p_value(adjusted)} with Holm's "
-        "correction over three sizes), and by the clock 80 % comes "
+        f"correction over {len(larger)} sizes), and by the clock 80 % comes "
         f"{later.estimate:,.0f} [{later.low:,.0f}, {later.high:,.0f}] seconds later.**"
     )
     text = TEXT.format(

@@ -244,7 +244,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
             f"{config.agent!r} does not. Leave them out, or reason by the graph."
         )
     same = graph is None and by is None and config is trained.config
-    if same and knows.keeps_agent:
+    if same and not knows.answers_by_graph:
         return trained.agent
     table = trained.table
     if not same or facets_of(env) != facets_of(config.env):

@@ -114,7 +114,6 @@ class GraphAnswers(Grounded):
     """Grasp frame of what answers the query by the graph, and a network finds by its name."""
 
     answers_by_graph: ClassVar[bool] = True
-    keeps_agent: ClassVar[bool] = False
     kind: Literal["answers"] = "answers"
     """Tag in JSON."""
 

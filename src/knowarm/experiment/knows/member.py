@@ -42,8 +42,6 @@ class Member:
     """Whether the policy receives the grasp frame that a grounding network finds."""
     answers_by_graph: ClassVar[bool] = False
     """Whether that network is given answers of the graph instead of a vector."""
-    keeps_agent: ClassVar[bool] = True
-    """Whether the agent of the training plays tests that do not change what it knows."""
 
     def fits(self, task: type[Task] | Task) -> bool:
         """Return whether a task has what this describes."""
