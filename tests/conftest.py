@@ -43,6 +43,17 @@ def short_search(monkeypatch):
     monkeypatch.setattr("knowarm.world.own_robot.robot_check.searched_list", searched_list)
 
 
+@pytest.fixture
+def no_search(monkeypatch):
+    """Let the fixed list of actions be one that stands still, in place of one that is searched."""
+    import numpy as np
+
+    def stand_still(config, *, seed):
+        return np.full((config.max_episode_steps, 7), 3)
+
+    monkeypatch.setattr("knowarm.world.agents.search_open_loop", stand_still)
+
+
 @pytest.fixture(scope="session")
 def choose_run(tmp_path_factory):
     """A run of the choose task, like `reach_run`."""

@@ -1,6 +1,5 @@
 import dataclasses
 
-import numpy as np
 import pytest
 
 from knowarm.errors import UserError
@@ -10,15 +9,9 @@ from knowarm.experiment.demo import demo, demo_experiments
 from knowarm.report import write_report
 
 
-def stand_still(config, *, seed):
-    """In place of a search that takes 13 seconds."""
-    return np.full((config.max_episode_steps, 7), 3)
-
-
 @pytest.mark.slow
-def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
+def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch, no_search):
     monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
-    monkeypatch.setattr("knowarm.world.agents.search_open_loop", stand_still)
     stops = iter([False, True])
     assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None
     with pytest.raises(UserError, match="holds a demo of 1536 steps, got 3072"):

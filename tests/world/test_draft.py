@@ -185,7 +185,7 @@ def test_given_yaws_turn_the_grasps_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
+def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path, short_search: None) -> None:
     draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
     assert (draft.success_angle_deg, draft.ignore_roll) == (15.0, False)
     assert draft.task_options() == ""

@@ -101,10 +101,14 @@ class MujocoSimulator:
             self._set_servos(slice(None), joint_targets)
             self.batch.step(nstep=self.substeps, stage=self._stage)
 
-    def set_joints(self, joint_positions: Floats) -> None:
-        """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
-        self._qpos[:, self.scene.qpos_index] = joint_positions
-        self.batch.forward(stage=_POSES)
+    def set_joints(self, joint_positions: Floats, env_ids: NDArray[np.intp] | None = None) -> None:
+        """Set the joint angles (m, J) [rad] and compute poses without advancing time.
+
+        Of environments (m,), by default of all.
+        """
+        ids = np.arange(self.num_envs) if env_ids is None else env_ids
+        self._qpos[ids[:, None], self.scene.qpos_index] = joint_positions
+        self.batch.forward(ids=env_ids, stage=_POSES)
 
     def get_state(self) -> Floats:
         """Copy MuJoCo's state, which includes servo targets and object positions, (n, S)."""

@@ -16,6 +16,7 @@ from knowarm.world.tasks.state import EpisodeState
 ITERATIONS = 80
 DAMPING = 0.05
 MAX_STEP_RAD = 0.3
+SETTLED_RAD = 1e-5  # A step below which the iterations of a pose end
 ATTEMPTS = 6  # Sets of random starts tried for poses that are not reached
 ROTATION_WEIGHT = 0.05
 """Weight of the direction beside the position where the roll is ignored [m/rad]."""
@@ -67,10 +68,8 @@ class InverseKinematics:
         self._eased_deg = eased_deg
         self.reached_deg = REACHED_DEG + eased_deg
         model = scene.model
-        self._body = int(model.site_bodyid[scene.tcp_site])
-        joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
-        self._is_hinge = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
-        self._dofs = model.jnt_dofadr[joints]
+        self._joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
+        self._is_hinge = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_HINGE
 
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
@@ -125,20 +124,28 @@ class InverseKinematics:
             q[1] = self.scene.home
         q = q.reshape(-1, joints)
         position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
-        simulation = MujocoSimulator(self.scene, len(q))
-        contacts = simulation.batch.bind("ncon")
+        moving = MujocoSimulator(self.scene, len(q), dynamics="kinematic")
+        anchors, axes = (moving.batch.bind(name) for name in ("xanchor", "xaxis"))
+        active = np.arange(len(q))
         for _ in range(ITERATIONS):
-            simulation.set_joints(q)
-            error = _pose_error(simulation, position, matrix)
-            translation, rotation = simulation.batch.jac(self._body, simulation.tcp_position)
-            jacobian = np.concatenate([translation, rotation], axis=1)[:, :, self._dofs]
+            moving.set_joints(q[active], active)
+            tcp, goal = moving.tcp_position[active], matrix[active]
+            error = _pose_error(tcp, moving.tcp_matrix[active], position[active], goal)
+            joint = active[:, None], self._joints
+            jacobian = self._jacobian(tcp, anchors[joint], axes[joint])
             if self._ignore_roll:
-                error, jacobian = _without_roll(error, jacobian, matrix)
+                error, jacobian = _without_roll(error, jacobian, goal)
             transposed = jacobian.transpose(0, 2, 1)
             damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
             step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
-            q = np.clip(q + np.clip(step, -MAX_STEP_RAD, MAX_STEP_RAD), lower, upper)
+            old = q[active]
+            q[active] = np.clip(old + np.clip(step, -MAX_STEP_RAD, MAX_STEP_RAD), lower, upper)
+            active = active[np.abs(q[active] - old).max(axis=1) > SETTLED_RAD]
+            if not len(active):
+                break
         q = self._unwind(q, np.tile(start, (self._starts, 1)))
+        simulation = MujocoSimulator(self.scene, len(q))
+        contacts = simulation.batch.bind("ncon")
         simulation.set_joints(q)
         distance, angle = measure(
             simulation.tcp_position, simulation.tcp_matrix, position, matrix, self._ignore_roll
@@ -152,6 +159,14 @@ class InverseKinematics:
         return IKSolution(
             joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
         )
+
+    def _jacobian(self, tcp: Floats, anchors: Floats, axes: Floats) -> Floats:
+        """Return the Jacobians of the gripper (n, 6, J) from anchors and axes (n, J, 3)."""
+        arm, following, last = tcp[:, None] - anchors, [1, 2, 0], [2, 0, 1]
+        turning = axes[..., following] * arm[..., last] - axes[..., last] * arm[..., following]
+        hinge = self._is_hinge[:, None]
+        both = np.where(hinge, turning, axes), np.where(hinge, axes, 0.0)
+        return np.concatenate(both, axis=2).transpose(0, 2, 1)
 
     def _unwind(self, q: Floats, start: Floats) -> Floats:
         """Shift hinges by whole turns to the angle nearest to the start."""
@@ -172,10 +187,10 @@ def _without_roll(error: Floats, jacobian: Floats, matrix: Floats) -> tuple[Floa
     )
 
 
-def _pose_error(simulation: MujocoSimulator, position: Floats, matrix: Floats) -> Floats:
+def _pose_error(tcp: Floats, tcp_matrix: Floats, position: Floats, matrix: Floats) -> Floats:
     """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
-    turn = matrix.reshape(n, 3, 3) @ simulation.tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
+    turn = matrix.reshape(n, 3, 3) @ tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
     skew = np.stack(
         [
             turn[:, 2, 1] - turn[:, 1, 2],
@@ -188,5 +203,4 @@ def _pose_error(simulation: MujocoSimulator, position: Floats, matrix: Floats) -
     angle = np.arctan2(sine, np.trace(turn, axis1=1, axis2=2) - 1.0)
     # At half a turn the skew part does not define the axis; any axis makes progress.
     axis = np.where(sine[:, None] > 1e-9, skew / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
-    error = np.concatenate([position - simulation.tcp_position, axis * angle[:, None]], axis=1)
-    return np.asarray(error)
+    return np.concatenate([position - tcp, axis * angle[:, None]], axis=1)
