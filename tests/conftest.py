@@ -5,6 +5,7 @@ import random
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,14 @@ def short_search(monkeypatch):
         return OpenLoopAgent(search_open_loop(env.config, BUDGET // 10, seed))
 
     monkeypatch.setattr("knowarm.world.own_robot.robot_check.searched_list", searched_list)
+
+
+@pytest.fixture
+def short_handshakes(monkeypatch):
+    """Let servers give sockets two seconds for a handshake, not ten."""
+    from knowarm.integrations import serve
+
+    monkeypatch.setattr(serve, "serve", partial(serve.serve, open_timeout=2))
 
 
 @pytest.fixture

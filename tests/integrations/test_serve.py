@@ -371,7 +371,7 @@ def test_the_policy_is_compiled_before_a_client_comes(parts):
     server.close()
 
 
-def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts):
+def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts, short_handshakes):
     """None of them sends a key; a client that is there is served on, and new ones later."""
     server = started(parts)
     with client(server) as connection:

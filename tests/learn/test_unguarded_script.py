@@ -9,7 +9,10 @@ SCRIPT = """
 import knowarm
 
 run = knowarm.train(
-    "irb120-full-fast", total_steps=3200, algorithm={"processes": 2}, interim={"episodes": 2}
+    "irb120-full-fast",
+    total_steps=400,
+    algorithm={"processes": 2, "num_envs": 16, "minibatches": 2},
+    interim={"episodes": 2},
 )
 print("trained", run.result.step)
 """

@@ -20,5 +20,5 @@ def test_file_errors_end_in_an_error_for_users_and_leave_what_was_stored():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("campaign", [clocks, forged_rows, links, sockets])
-def test_the_edges_keep_what_they_promise(campaign):
+def test_the_edges_keep_what_they_promise(campaign, short_handshakes):
     assert campaign(20, 0) == (20, [])

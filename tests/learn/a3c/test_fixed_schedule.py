@@ -177,13 +177,6 @@ def test_rollouts_that_do_not_reach_the_end_of_an_episode_are_refused():
     assert trainer(config=other)[0].train(100).step >= 100
 
 
-def test_the_identity_task_is_solved():
-    config = dataclasses.replace(CONFIG, workers=17, learning_rate=1e-3, gamma=0.5, ent_coef=0.01)
-    built, _ = trainer(config=config, make=partial(make_env, recall=False, staggered=False))
-    built.train(15_000)
-    assert success_rate(built.policy, recall=False, length=LENGTH) > 0.75
-
-
 @pytest.mark.slow
 def test_the_memory_task_is_solved():
     config = dataclasses.replace(
