@@ -33,6 +33,7 @@ from scripts.answer_cells import (
     comparisons,
     plus,
     runs_table,
+    signed,
     table,
     tasks_of,
     title_of,
@@ -51,7 +52,7 @@ from scripts.answer_size import size_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
-STUDIES = ("answer", "paper")  # of a cell that two studies have, the first counts
+STUDIES = ("answer", "answer-tiago", "paper")  # of a cell that two have, the first counts
 
 
 def saving(task: TaskData, agent: str) -> float | None:
@@ -188,6 +189,7 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
 
 def page(
     found: Sequence[tuple[TaskData, Mapping[str, Agent]]],
+    before: Mapping[tuple[str, str], str],
     progress: str,
     size: Sequence[str],
     sections: Sequence[str],
@@ -196,6 +198,7 @@ def page(
 
     Args:
         found: cells and their agents.
+        before: what older seeds gave, by cell, where other studies trained anew.
         progress: how much of the studies is done.
         size: section on the size of the network.
         sections: what follows the table of all runs.
@@ -226,6 +229,7 @@ def page(
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
         parts.append(comparison_table(cell.compared))
+        parts += [before[cell.task.key]] if cell.task.key in before else []
     parts += [
         *size,
         *anova_section(tasks),
@@ -236,6 +240,23 @@ def page(
         BOTTOM.format(processors=processors),
     ]
     return wrapped("\n\n".join(parts)) + "\n"
+
+
+def older(study: Path, anew: Path) -> dict[tuple[str, str], str]:
+    """Say by cell what a study gave whose cells another one trained anew."""
+    trained = {task.key for task, _ in tasks_of([anew])}
+    return {
+        task.key: OLDER.format(
+            seeds=", ".join(map(str, agents["full"].seeds)),
+            differences="; ".join(
+                f"`{each.first}` - `{each.second}` {signed(each.steps, 1e-3)} thousand steps "
+                f"({signed(each.share, 100)} %)"
+                for each in comparisons(agents)
+            ),
+        )
+        for task, agents in tasks_of([study])
+        if task.key in trained
+    }
 
 
 def processors_of(agents: Sequence[Agent]) -> list[str]:
@@ -260,10 +281,12 @@ HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -
 # Does semantic knowledge help a robot arm to learn?"""
 
 TOP = """**Protocol.** {runs} runs of the paper's task with `fast` (IRB120 from the study
-`answer`, TIAGo from `paper`), 1.5 million steps, one process, training seeds {seeds};
+`answer`, TIAGo from `answer-tiago`, with randomized colours from `paper`), 1.5 million steps, one
+process, training seeds {seeds};
 {hours:.0f} hours of one core. {progress} The outcomes and
 comparisons of `answer` were fixed when the runs of `bm`,
-`partial` and `full` with seeds 0 to 2 were known, and before any other run. Primary: environment
+`partial` and `full` with seeds 0 to 2 were known, and before any other run; those of
+`answer-tiago`, the same, before any of its runs. Primary: environment
 steps until 80 % of the 40 interim episodes succeed (5 cm, 15 degrees); a run that never does counts
 as 1.5 million, and as censored in the log-rank test. Secondary: success of 1,000 episodes after
 training (10 cm, 17 degrees), and area under the curve of interim success. Brackets: 95 % intervals
@@ -282,6 +305,10 @@ WITHOUT_CONTROLS = """**No control is among these runs**, so a difference could 
 knowledge or to network size. Study `answer` has four: a network as large, zeros, random numbers, a
 shuffled graph."""
 
+OLDER = """Older runs of this cell, seeds {seeds} of the study `paper`, raised the question. They
+had no controls, other processors and the curriculum of their time, and are not among those above:
+{differences}."""
+
 PAPER = """The paper's accuracy counts the distance alone, of one training seed per agent with A3C,
 after the step of its best model. Here success counts distance and angle, as means over seeds, with
 another algorithm and simulator."""
@@ -295,18 +322,20 @@ BOTTOM = """## What this cannot say
   do, it changes everything: see [choose](choose.md) and [answers](answers.md).
 - `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
   A3C learns are on [its own page](a3c.md).
-- Processors: {processors}, of two generations ([lab notes](../lab-notes.md)). Another kind rounds
-  differently, so the same seed is another training there.
+- Processors: {processors}, of several generations ([lab notes](../lab-notes.md)). Another kind
+  rounds differently, so the same seed is another training there.
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
-- On TIAGo success has reached its ceiling, so only the steps can differ; its runs have no controls.
+- On TIAGo success has reached its ceiling, so only the steps and the mean success during training
+  can differ. With randomized colours its runs have no controls.
 
 The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fast` and
 `zoo/tiago-full-fast` are seeds 0: `knowarm evaluate zoo/irb120-full-fast` prints 99.6 % [99.0,
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
-Repeat: `knowarm study run` with `answer`, `paper`, `size`, `a3c`, `a3c-tuned`, `fusions` and
-`choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`, `leave-out --steps
-5000000 --seeds 0` and `set`; pack them, then `python -m scripts.build_answer`."""
+Repeat: `knowarm study run` with `answer`, `answer-tiago`, `paper`, `size`, `a3c`, `a3c-tuned`,
+`fusions` and `choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`,
+`leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python -m
+scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -340,13 +369,14 @@ def main() -> None:
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
         fusions = fusions_section(folder["fusions"], folder["choose"], *shares, progress)
-        cells = tasks_of([folder[name] for name in STUDIES])
+        cells = list(tasks_of([folder[name] for name in STUDIES]))
+        before = older(folder["paper"], folder["answer-tiago"])
         progress = " ".join(done(folder[name]) for name in STUDIES)
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
         changes = changes_section(RESULTS / "a3c-changes")
         size = size_section(folder["size"], RESULTS / "size-speed.csv", done(folder["size"]))
-        text = page(list(cells), progress, size, [*a3c, *tuned, *changes, *fusions])
+        text = page(cells, before, progress, size, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
 
 

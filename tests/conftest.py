@@ -57,8 +57,11 @@ def no_search(monkeypatch):
     """Let the fixed list of actions be one that stands still, in place of one that is searched."""
     import numpy as np
 
+    from knowarm.world.envs.vector_env import ArmVectorEnv
+
     def stand_still(config, *, seed):
-        return np.full((config.max_episode_steps, 7), 3)
+        joints = ArmVectorEnv(config, 1).single_action_space.shape
+        return np.full((config.max_episode_steps, *joints), 3)
 
     monkeypatch.setattr("knowarm.world.agents.search_open_loop", stand_still)
 
