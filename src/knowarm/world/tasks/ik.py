@@ -124,13 +124,14 @@ class InverseKinematics:
             q[1] = self.scene.home
         q = q.reshape(-1, joints)
         position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
-        moving = MujocoSimulator(self.scene, len(q), dynamics="kinematic")
-        anchors, axes = (moving.batch.bind(name) for name in ("xanchor", "xaxis"))
+        simulation = MujocoSimulator(self.scene, len(q))
+        bound = (simulation.batch.bind(name) for name in ("xanchor", "xaxis", "ncon"))
+        anchors, axes, contacts = bound
         active = np.arange(len(q))
         for _ in range(ITERATIONS):
-            moving.set_joints(q[active], active)
-            tcp, goal = moving.tcp_position[active], matrix[active]
-            error = _pose_error(tcp, moving.tcp_matrix[active], position[active], goal)
+            simulation.set_joints(q[active], active)
+            tcp, goal = simulation.tcp_position[active], matrix[active]
+            error = _pose_error(tcp, simulation.tcp_matrix[active], position[active], goal)
             joint = active[:, None], self._joints
             jacobian = self._jacobian(tcp, anchors[joint], axes[joint])
             if self._ignore_roll:
@@ -144,8 +145,6 @@ class InverseKinematics:
             if not len(active):
                 break
         q = self._unwind(q, np.tile(start, (self._starts, 1)))
-        simulation = MujocoSimulator(self.scene, len(q))
-        contacts = simulation.batch.bind("ncon")
         simulation.set_joints(q)
         distance, angle = measure(
             simulation.tcp_position, simulation.tcp_matrix, position, matrix, self._ignore_roll
