@@ -18,7 +18,7 @@ def result_of(name: str, robot: Path | str, targets: list, **options: object) ->
     return next(each for each in check_robot(robot, targets, **options) if each.name == name)
 
 
-def test_example_robot_passes_all_checks(short_search: None) -> None:
+def test_example_robot_passes_all_checks() -> None:
     targets = ["bottle", str(EXAMPLES / "bowl.toml")]
     checks = [*check_robot(EXAMPLES / "scara.toml", targets, distance_m=0.03)]
     assert [check for check in checks if not check.ok] == []

@@ -106,8 +106,8 @@ class MujocoSimulator:
 
         Of environments (m,), by default of all.
         """
-        ids = np.arange(self.num_envs) if env_ids is None else env_ids
-        self._qpos[ids[:, None], self.scene.qpos_index] = joint_positions
+        rows = slice(None) if env_ids is None else env_ids[:, None]
+        self._qpos[rows, self.scene.qpos_index] = joint_positions
         self.batch.forward(ids=env_ids, stage=_POSES)
 
     def get_state(self) -> Floats:
