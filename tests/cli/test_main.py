@@ -10,11 +10,11 @@ import shlex
 import subprocess
 import sys
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from knowarm.cli import main as cli
 from knowarm.cli.list import KINDS
 from knowarm.cli.main import COMMANDS, main, with_flags
 from knowarm.cli.train import USAGE, Train
@@ -51,12 +51,22 @@ def test_help_and_version_are_commands_and_train_needs_a_name(capsys):
     assert "usage: knowarm train EXPERIMENT" in capsys.readouterr().err
 
 
-def test_every_command_exists(capsys):
-    for name in COMMANDS:
-        with pytest.raises(SystemExit) as ended:
-            cli._parse(name, ["--help"])
-        assert ended.value.code in (0, None), name
-        assert "usage" in capsys.readouterr().out
+def commands_in(group, *words):
+    yield words
+    if isinstance(group, dict):
+        for name, command in group.items():
+            yield from commands_in(command, *words, name)
+
+
+def test_every_command_has_a_help(capsys):
+    for name, (where, _) in COMMANDS.items():
+        module, _, attribute = where.partition(":")
+        group = getattr(import_module(f"knowarm.cli.{module}"), attribute)
+        for words in commands_in(group, name):
+            with pytest.raises(SystemExit) as ended:
+                main([*words, "--help"])
+            assert ended.value.code in (0, None), words
+            assert f"usage: knowarm {' '.join(words)}" in capsys.readouterr().out
 
 
 def test_a_typing_error_in_a_command_imports_nothing_heavy():

@@ -85,7 +85,7 @@ def parse_options(
         if count > 1:
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
     if not {*HELP}.isdisjoint(arguments):
-        _print_help(options.get("default", command), prog)
+        _print_help(options.get("default") or command, prog)
     frame = StringIO()
     try:
         with redirect_stderr(frame):
