@@ -304,7 +304,8 @@ def save_model(
 def load_model(path: Path) -> StoredModel:
     """Read a model that `save_model` wrote."""
     if not path.is_file():
-        raise UserError(f"There is no model file {path}. Write one with `save_model`.")
+        remedy = "Write one: knowarm knowledge fit --out FILE.safetensors."
+        raise UserError(f"There is no model file {path}. {remedy}")
     with reading(path, AGAIN), safe_open(path, "pt") as file:
         about = file.metadata() or {}
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
