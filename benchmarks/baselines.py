@@ -251,7 +251,7 @@ def demonstrations(config: EnvConfig, count: int, seed: int) -> tuple[torch.Tens
 
 def cloning(cell: Cell, seed: int, out: Path) -> None:
     """Fit a network to the oracle's actions in eight epochs; write it as ONNX."""
-    from knowarm.integrations.onnx_export import export_onnx
+    from knowarm.deploy.onnx_export import export_onnx
 
     images, targets, labels = demonstrations(cell.env, DEMONSTRATIONS, seed)
     torch.manual_seed(seed)

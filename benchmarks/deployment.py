@@ -24,14 +24,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 
 from examples.ros_robot import TICK_S, RobotNode
+from knowarm.deploy import ros
+from knowarm.deploy.client import Client
+from knowarm.deploy.contract import Deployment, deployment, export, tcp_position
+from knowarm.deploy.driver import Driver, Safety, Topics
+from knowarm.deploy.ros import DriverNode
+from knowarm.deploy.runner import Runner
+from knowarm.deploy.serve import PolicyServer
 from knowarm.experiment.load import load_agent
-from knowarm.integrations import ros
-from knowarm.integrations.client import Client
-from knowarm.integrations.contract import Deployment, deployment, export, tcp_position
-from knowarm.integrations.driver import Driver, Safety, Topics
-from knowarm.integrations.ros import DriverNode
-from knowarm.integrations.runner import Runner
-from knowarm.integrations.serve import PolicyServer
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig

@@ -22,10 +22,10 @@ from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from knowarm.deploy.driver import Topics
+from knowarm.deploy.joint_map import real_joints
+from knowarm.deploy.runner import JointMap
 from knowarm.experiment.load import load_agent
-from knowarm.integrations.driver import Topics
-from knowarm.integrations.joint_map import real_joints
-from knowarm.integrations.runner import JointMap
 from knowarm.pictures import encode
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, facets_of, scene_of

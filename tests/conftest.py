@@ -41,13 +41,13 @@ def short_search(monkeypatch):
     def searched_list(env, seed):
         return OpenLoopAgent(search_open_loop(env.config, BUDGET // 10, seed))
 
-    monkeypatch.setattr("knowarm.world.own_robot.robot_check.searched_list", searched_list)
+    monkeypatch.setattr("knowarm.own_robot.robot_check.searched_list", searched_list)
 
 
 @pytest.fixture
 def short_handshakes(monkeypatch):
     """Let servers give sockets two seconds for a handshake, not ten."""
-    from knowarm.integrations import serve
+    from knowarm.deploy import serve
 
     monkeypatch.setattr(serve, "serve", partial(serve.serve, open_timeout=2))
 

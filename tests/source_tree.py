@@ -65,15 +65,10 @@ def imported(path: str, tree: ast.Module) -> Iterator[str]:
             if isinstance(node.args[0], ast.Constant):
                 yield node.args[0].value
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            module, colon, _ = node.value.partition(":")
+            module, _, name = node.value.partition(":")
             beside = ".".join([*parents, module])
-            if colon and (module in names() or beside in names()):
+            if name.isidentifier() and (module in names() or beside in names()):
                 yield module if module in names() else beside
-
-
-BY_PATH = {"world/tasks/query_source.py": {"experiment/graph_queries.py"}}
-"""Modules that a registry names by import path, and that are imported when they are used: a graph
-that answers questions joins ``knowledge`` and ``world``, which do not know each other."""
 
 
 def edges(path: str, tree: ast.Module) -> set[str]:
@@ -88,4 +83,4 @@ def edges(path: str, tree: ast.Module) -> set[str]:
             name = name.rpartition(".")[0]
         if name in names():
             found.add(names()[name])
-    return found - {path} - BY_PATH.get(path, set())
+    return found - {path}

@@ -4,8 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from knowarm.asking.answers import answer
 from knowarm.knowledge import read_graph
-from knowarm.knowledge.queries.answers import answer
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "other_graphs" / "convert.py"
 FACETS = [("mug", "red"), ("watering_can", "blue"), ("vase", "red")]

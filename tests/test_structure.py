@@ -1,6 +1,8 @@
 """Structure of the source: imports, registries, random state, names and lengths of modules."""
 
 import ast
+import subprocess
+import sys
 import tomllib
 from collections import defaultdict
 
@@ -9,31 +11,33 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks import TASKS, task_type
 from knowarm.world.tasks.task import Task
-from tests.source_tree import ROOT, edges, files, imported, modules, package
+from tests.source_tree import ROOT, dotted, edges, files, imported, modules, package
 
 BELOW = {
     "": set(),
     "knowledge": set(),
-    "world": set(),
+    "world": {"knowledge"},
     "policy": set(),
     "statistics": set(),
     "learn": {"policy"},
     "perception": {"world", "policy", "learn"},
     "experiment": {"knowledge", "world", "policy", "statistics", "learn", "perception"},
-    "integrations": {
-        "knowledge",
-        "world",
-        "policy",
-        "learn",
-        "perception",
-        "experiment",
-        "statistics",
-    },
-    "study": {"world", "learn", "experiment"},
-    "benchmark": {"knowledge", "world", "learn", "statistics", "experiment", "integrations"},
+    "study": {"knowledge", "world", "learn", "experiment"},
     "report": {"knowledge", "world", "policy", "statistics", "learn", "experiment"},
 }
-"""Packages that each package may import, beside itself and the root's modules; `cli` may all."""
+"""Packages of the core: which others each may import, beside itself and the root's modules."""
+
+CORE = {*BELOW, "cli"}
+"""All packages of the core; `cli` may import all others."""
+
+DOORS = {
+    "own_robot": CORE,
+    "asking": CORE,
+    "deploy": CORE | {"asking"},
+    "benchmark": CORE | {"deploy"},
+}
+"""Packages above the core, and what each may import. No module of the core imports a door: the
+command line names their commands, and imports them when they are typed."""
 
 REGISTRIES = {
     "world/robots/": set(ROBOTS),
@@ -69,13 +73,49 @@ def listed(offenders):
 def test_packages_import_one_way():
     """Also: the modules at the root import no package."""
     known = {package(path) for path in modules()}
-    assert known == {*BELOW, "cli"}, "Name a new package in BELOW, with what it may import."
+    allowed = BELOW | DOORS | {"cli": CORE}
+    assert known == set(allowed), "Name a new package in BELOW or DOORS, with what it may import."
     offenders = [
         f"{path} imports {target}"
         for path, tree in modules().items()
-        if path not in ("__init__.py", "__main__.py") and package(path) != "cli"
+        if path not in ("__init__.py", "__main__.py")
         for target in sorted(edges(path, tree))
-        if package(target) not in {"", package(path), *BELOW[package(path)]}
+        if package(target) not in {"", package(path), *allowed[package(path)]}
+    ]
+    assert not offenders, listed(offenders)
+
+
+def test_the_core_can_be_imported_without_its_doors():
+    """Also: every command of the core, with a door's command refused in one line."""
+    packages = [f"knowarm.{door}" for door in DOORS]
+    core = [dotted(path) for path in modules() if package(path) in CORE and path != "__main__.py"]
+    script = f"""
+import importlib, sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name in {packages!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+for name in {core!r}:
+    importlib.import_module(name)
+from knowarm.cli.main import DOORS, main
+print([main([command]) for command in DOORS])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert set(ast.literal_eval(done.stdout.splitlines()[-1])) == {2}
+    assert "is not installed" in done.stderr
+
+
+def test_tests_of_the_core_know_no_door():
+    offenders = [
+        f"{path} imports {name}"
+        for path, text in files("tests").items()
+        if len(path.split("/")) > 2 and path.split("/")[1] in CORE
+        for name in imported(path, ast.parse(text))
+        if name.startswith(tuple(f"knowarm.{door}." for door in DOORS))
     ]
     assert not offenders, listed(offenders)
 
@@ -85,7 +125,8 @@ def test_only_the_command_line_parses_arguments():
         f"{path} imports {name}"
         for path, tree in modules().items()
         for name in imported(path, tree)
-        if name.split(".")[0] in ("argparse", "tyro") and package(path) != "cli"
+        if name.split(".")[0] in ("argparse", "tyro")
+        if package(path) != "cli" and path.split("/")[-1] != "command.py"
     ]
     assert not offenders, listed(offenders)
 

@@ -1,17 +1,18 @@
 # Public names of the package: what type checkers see, and what __init__.py imports on first use.
+from .asking.asker import Asked as Asked
+from .asking.asker import ask as ask
 from .errors import UserError as UserError
 from .experiment.agents import AGENTS as AGENTS
 from .experiment.agents import Agent as Agent
 from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
 from .experiment.algorithms import register_algorithm as register_algorithm
-from .experiment.ask import Asked as Asked
-from .experiment.ask import ask as ask
 from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
 from .experiment.evaluation import EvaluationConfig as EvaluationConfig
-from .experiment.graph_queries import GraphQueries as GraphQueries
+from .experiment.hub import from_pretrained as from_pretrained
+from .experiment.hub import push_to_hub as push_to_hub
 from .experiment.knows import GraphAnswers as GraphAnswers
 from .experiment.knows import GroundedVector as GroundedVector
 from .experiment.knows import NoKnowledge as NoKnowledge
@@ -24,8 +25,6 @@ from .experiment.names import experiment_config as experiment_config
 from .experiment.names import experiment_names as experiment_names
 from .experiment.run import Run as Run
 from .experiment.run import train as train
-from .integrations.hub import from_pretrained as from_pretrained
-from .integrations.hub import push_to_hub as push_to_hub
 from .knowledge import query_embedding as query_embedding
 from .knowledge.config import KnowledgeConfig as KnowledgeConfig
 from .knowledge.embedding import SceneEmbedding as SceneEmbedding
@@ -66,9 +65,10 @@ from .world.tasks import register_task as register_task
 from .world.tasks.choose.choose import Choose as Choose
 from .world.tasks.choose.choose import Families as Families
 from .world.tasks.choose.purpose import Purpose as Purpose
+from .world.tasks.choose.query_source import GraphQueries as GraphQueries
+from .world.tasks.choose.query_source import NameQueries as NameQueries
 from .world.tasks.held_out import HeldOut as HeldOut
 from .world.tasks.lift.lift import Lift as Lift
-from .world.tasks.query_source import NameQueries as NameQueries
 from .world.tasks.reach import Reach as Reach
 from .world.tasks.sampling import Episodes as Episodes
 from .world.tasks.state import EpisodeState as EpisodeState

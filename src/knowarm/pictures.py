@@ -29,3 +29,10 @@ def check_suffix(path: Path, what: str) -> None:
     """Raise a `UserError` unless images can be written in the format of a file's suffix."""
     if Image.registered_extensions().get(path.suffix.lower()) not in Image.SAVE:
         raise UserError(f"{what} is an image file such as {path.stem}.png, got {path.name!r}.")
+
+
+def central_square(image: Image.Image, size: int) -> Image.Image:
+    """Average the central square of an image to ``size`` pixels."""
+    side = min(image.size)
+    left, top = ((length - side) / 2 for length in image.size)
+    return image.resize((size, size), Image.Resampling.BOX, (left, top, left + side, top + side))

@@ -19,6 +19,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.formats import read_graph
 from knowarm.questions import find_rows
 from knowarm.reading import write_json
+from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -424,7 +425,7 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     short = freeze_short()
     for module in ("rows", "leaderboard"):
         monkeypatch.setattr(f"knowarm.benchmark.{module}.read_suite", lambda name: short)
-    monkeypatch.setattr("knowarm.cli.benchmark.read_suite", lambda name: short)
+    monkeypatch.setattr("knowarm.benchmark.command.read_suite", lambda name: short)
     row, page = tmp_path / "rows/row.json", tmp_path / "page.html"
     row.parent.mkdir()
     assert main(["benchmark", "show"]) == 0
@@ -454,3 +455,8 @@ def freeze_short():
     cell = copy.copy(read_suite("reach-v1").cells["irb120-fixed"])
     object.__setattr__(cell, "episodes", cell.episodes[:4])
     return freeze("reach-v1", "short", [cell], training_seeds=1, control_episodes=2)
+
+
+@pytest.mark.parametrize("name", SCRIPTED_AGENTS)
+def test_scripted_agents_enter_with_the_inputs_that_they_name(name):
+    assert entrant(name).inputs == SCRIPTED_AGENTS[name].kind.inputs

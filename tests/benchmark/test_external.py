@@ -178,7 +178,7 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
 def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    from knowarm.integrations.contract import export
+    from knowarm.deploy.contract import export
 
     trained = load_agent(ROOT / "zoo/irb120-full-fast")
     export(trained, tmp_path)
@@ -204,8 +204,8 @@ def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
 def test_a_served_policy_acts_as_the_same_policy_here():
     pytest.importorskip("websockets")
     pytest.importorskip("msgpack")
-    from knowarm.integrations.contract import deployment
-    from knowarm.integrations.serve import PolicyServer
+    from knowarm.deploy.contract import deployment
+    from knowarm.deploy.serve import PolicyServer
 
     trained = load_agent(ROOT / "zoo/irb120-full-fast")
     server = PolicyServer(deployment(trained).runner, port=0)

@@ -7,10 +7,10 @@ import pytest
 
 from knowarm.benchmark.suites import FOLDER, parse_suite, read_suite, suite_names
 from knowarm.config import to_dict
-from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.choose.query_source import GraphQueries
 from scripts.freeze_suites import freeze
 
 NAMES = suite_names()

@@ -14,14 +14,13 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build
 from knowarm.experiment.conditions import SplitTest, Subject
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.query_source import NameQueries
+from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
 from tests.tiny import CHOOSE_ENV
 
 

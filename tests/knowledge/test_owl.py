@@ -5,7 +5,6 @@ import pytest
 from knowarm.errors import DataWarning
 from knowarm.knowledge import graph_of, read_graph
 from knowarm.knowledge.graph.owl import with_class_axioms
-from knowarm.knowledge.queries.answers import answer
 
 PREFIXES = """@prefix : <http://e.org/> .
 @prefix owl: <http://www.w3.org/2002/07/owl#> .
@@ -56,8 +55,8 @@ def read(tmp_path, text):
     return graph, local, str(warning.message)
 
 
-def test_what_axioms_say_is_asked(tmp_path):
-    graph, local, warning = read(tmp_path, KITCHEN)
+def test_what_axioms_say_is_stated(tmp_path):
+    _, local, warning = read(tmp_path, KITCHEN)
     for name in ("Mug", "TeaCup", "mug-1"):
         assert {(name, "usedFor", "Drinking"), (name, "holds", "Liquid")} <= local
     assert ("Vessel", "holds", "Liquid") in local
@@ -66,9 +65,6 @@ def test_what_axioms_say_is_asked(tmp_path):
     facts = {(h, r) for h, r, _ in local if r in ("usedFor", "holds", "hasPart", "price")}
     assert len(facts) == 10
     assert warning.endswith("11 facts follow from class axioms of OWL and were added.")
-    facets = [(name, "red") for name in ("mug", "spoon", "teacup")]
-    assert {n for n, _ in answer(graph, facets, "usedFor drinking").evidence} == {"mug", "teacup"}
-    assert {n for n, _ in answer(graph, facets, "price < 6").evidence} == {"spoon"}
 
 
 def test_axioms_that_state_no_fact_are_counted_by_kind(tmp_path):

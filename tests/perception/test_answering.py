@@ -16,7 +16,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS
 from knowarm.world.tasks.choose.purpose import Purpose
-from knowarm.world.tasks.query_source import NameQueries
+from knowarm.world.tasks.choose.query_source import NameQueries
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from knowarm.benchmark.rows import read_row
+from knowarm.deploy.contract import deployment
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.integrations.contract import deployment
 from knowarm.report import write_report
-from tests.integrations.test_driver import IMAGE, NAMES, Robot
+from tests.deploy.test_driver import IMAGE, NAMES, Robot
 from tests.robustness.mutator import mutate, mutate_json
 from tests.robustness.test_permuted_doors import DOORS, ROWS, Doors
 from tests.source_tree import ROOT
@@ -104,7 +104,7 @@ def sockets(tries: int, seed: int) -> Result:
     from websockets.exceptions import WebSocketException
     from websockets.sync.client import connect
 
-    from knowarm.integrations.serve import PolicyServer, pack, unpack
+    from knowarm.deploy.serve import PolicyServer, pack, unpack
 
     random, failures = np.random.default_rng(seed), []
     parts = deployment(load_agent(ROOT / "zoo" / CHOOSE_NAME))

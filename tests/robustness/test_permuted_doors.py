@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 
 import knowarm
+from knowarm.asking.asker import Asker
 from knowarm.benchmark import rows
 from knowarm.benchmark.policies import entrant
 from knowarm.benchmark.suites import read_suite
-from knowarm.experiment.ask import Asker
-from knowarm.integrations.contract import deployment, export
-from knowarm.integrations.driver import Driver, Safety, decoded
-from knowarm.integrations.runner import Runner, Start
+from knowarm.deploy.contract import deployment, export
+from knowarm.deploy.driver import Driver, Safety, decoded
+from knowarm.deploy.runner import Runner, Start
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.world.agents.protocol import Batch
@@ -35,8 +35,8 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("onnxscript")
 pytest.importorskip("websockets")
 
-from knowarm.integrations.client import Client
-from knowarm.integrations.serve import Episode, PolicyServer
+from knowarm.deploy.client import Client
+from knowarm.deploy.serve import Episode, PolicyServer
 
 Forms = Mapping[str, Callable[[], object]]
 Random = np.random.Generator

@@ -26,7 +26,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.choose.arrangements import Arrangements, arrange
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.choose.layouts import support
-from knowarm.world.tasks.query_source import NameQueries
+from knowarm.world.tasks.choose.query_source import NameQueries
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
-from knowarm.integrations.runner import Runner
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels

@@ -10,13 +10,13 @@ from typing import Any
 from knowarm.benchmark.external import ExportedPolicy, OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
+from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.run_folder import PERCEPTION_FILE
-from knowarm.integrations.runner import Runner
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
 from knowarm.reading import reading
@@ -65,7 +65,7 @@ def entrant(spec: str) -> Entrant:
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
     if spec.startswith(("ws://", "wss://")):
-        from knowarm.integrations.client import Client
+        from knowarm.deploy.client import Client
 
         return _entrant(spec, Client(spec))
     if ":" in spec:

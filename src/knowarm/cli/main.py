@@ -11,9 +11,9 @@ import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from importlib.metadata import version
 from typing import Any
 
-import knowarm
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
@@ -23,24 +23,38 @@ COMMANDS = {
     "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
     "train": ("train:Train", "train one agent, or resume a stopped run"),
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
-    "ask": ("ask:Ask", "ask a trained agent a question that a graph answers"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("study:Report", "write one HTML report from run folders"),
     "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
-    "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),
-    "serve": ("deploy:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
-    "ros": ("deploy:Ros", "drive a robot over ROS 2, with safety rules before every motion"),
-    "record": ("deploy:Record", "record episodes as a LeRobot dataset"),
-    "hub": ("deploy:HUB", "share policies and studies on the Hugging Face Hub"),
-    "benchmark": ("benchmark:COMMANDS", "score any policy on frozen episodes, beside controls"),
+    "hub": ("hub:HUB", "share policies and studies on the Hugging Face Hub"),
     "bench": ("bench:Bench", "measure the speed of this machine"),
-    "doctor": ("doctor:Doctor", "check this installation, or a robot of your own"),
 }
-"""Where each command is defined, and its help text.
+"""Where each command of the core is defined, below ``knowarm.cli``, and its help text.
 
 The definition is a frozen dataclass whose fields are the arguments and whose ``run()`` does the
 work and may return an exit code, or a dict of such definitions by name.
+"""
+
+DOORS = {
+    "ask": ("asking.command:Ask", "ask a trained agent a question that a graph answers"),
+    "answer": ("asking.command:AnswerCommand", "answer a question about objects by a graph alone"),
+    "export": ("deploy.command:Export", "write a trained policy as ONNX, with contract and runner"),
+    "serve": ("deploy.command:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
+    "ros": (
+        "deploy.command:Ros",
+        "drive a robot over ROS 2, with safety rules before every motion",
+    ),
+    "record": ("deploy.command:Record", "record episodes as a LeRobot dataset"),
+    "benchmark": (
+        "benchmark.command:COMMANDS",
+        "score any policy on frozen episodes, beside controls",
+    ),
+    "doctor": ("own_robot.command:Doctor", "check this installation, or a robot of your own"),
+}
+"""The same for the commands of the packages above the core, below ``knowarm``.
+
+The core never imports one of them but for its command.
 """
 
 
@@ -64,10 +78,10 @@ def _run_command(arguments: list[str]) -> int:
     try:
         if not arguments or arguments[0] in ("-h", "--help", "help"):
             about = "Deep reinforcement learning of robot-arm policies with knowledge graphs."
-            summaries = {name: what for name, (_, what) in COMMANDS.items()}
+            summaries = {name: what for name, (_, what) in {**COMMANDS, **DOORS}.items()}
             print(group_help("knowarm", about, summaries))
         elif arguments[0] in ("--version", "version"):
-            print(f"knowarm {knowarm.__version__}")
+            print(f"knowarm {version('knowarm')}")
         else:
             code = _parse(arguments[0], arguments[1:]).run()
             return code if isinstance(code, int) else 0
@@ -126,13 +140,24 @@ def _flag(argument: Argument, command: str) -> str:
 
 def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
-    if name not in COMMANDS:
-        raise unknown_name("command", name, COMMANDS)
+    if name in COMMANDS:
+        where, about = COMMANDS[name]
+        package = "knowarm.cli"
+    elif name in DOORS:
+        where, about = DOORS[name]
+        package = "knowarm"
+    else:
+        raise unknown_name("command", name, [*COMMANDS, *DOORS])
     for flag, (_, register) in OWN.items():
         arguments, import_path = take_option(arguments, flag, "package.module:Name")
         if import_path is not None:
             register(import_path)
-    where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
-    command = getattr(import_module(f"knowarm.cli.{module}"), attribute)
+    try:
+        imported = import_module(f"{package}.{module}")
+    except ModuleNotFoundError as error:
+        if error.name != f"{package}.{module.partition('.')[0]}":
+            raise
+        raise UserError(f"`knowarm {name}` is not installed here: it needs {error.name}.") from None
+    command = getattr(imported, attribute)
     return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)

@@ -13,7 +13,6 @@ from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError
-from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
@@ -28,6 +27,7 @@ from knowarm.world.viewing.record import (
     write_strip,
     write_video,
 )
+from knowarm.world.viewing.rerun import check_rrd, write_rrd
 from knowarm.world.viewing.watch import watch
 
 

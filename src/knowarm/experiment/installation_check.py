@@ -9,6 +9,7 @@ import numpy as np
 import psutil
 import torch
 
+from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
@@ -16,7 +17,6 @@ from knowarm.experiment.provenance import provenance
 from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.own_robot.check import Check
 
 MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
 """Free memory and disk space that training needs."""

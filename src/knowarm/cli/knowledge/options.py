@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, Self, cast
 
+import numpy as np
 import tyro
 
 from knowarm.cli.arguments import parse_options, take_source
@@ -13,9 +14,12 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
+from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
+from knowarm.questions import COLOUR_RELATION
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.objects import TARGETS
+from knowarm.world.objects.target import COLOURS
 
 OBJECTS = EnvConfig().targets  # the default task's objects
 
@@ -32,6 +36,33 @@ class GraphOptions:
     def read(self) -> KnowledgeGraph:
         """Read the graph."""
         return read_graph(self.graph, self.format)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectOptions(GraphOptions):
+    """The objects with colours about which a graph is asked."""
+
+    graph: str | None = "objects"
+    """A graph file, a folder of triples or a shipped graph; by default that of the choose task."""
+    objects: tuple[str, ...] = ()
+    """Objects of the task; by default every entity that is the head of a triple and the tail of
+    none, and no colour."""
+    colours: tuple[str, ...] = tuple(COLOURS)
+    """Colours of objects that are no targets and of which the graph states none."""
+
+    def facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
+        """Return the objects with the colours that each can have."""
+        roots = [graph.names.short(i) for i in np.setdiff1d(graph.heads, graph.tails)]
+        named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
+        names = self.objects or [name for name in named if name not in self.colours]
+        states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
+        facets = []
+        for name in names:
+            colours = TARGETS[name].colours if name in TARGETS else self.colours
+            is_stated = name not in TARGETS and states_colours
+            stated = graph_facets([name], graph) if is_stated else [(name, "")]
+            facets += stated if stated[0][1] else [(name, colour) for colour in colours]
+        return facets
 
 
 @dataclass(frozen=True, kw_only=True)

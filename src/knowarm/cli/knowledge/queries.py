@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, ObjectOptions
 from knowarm.cli.tables import TableCommand, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
@@ -21,33 +21,20 @@ from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.graph.statistics import graph_statistics
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import query_agreement
-from knowarm.knowledge.queries.answers import answer
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.knowledge.queries.sparql import sparql
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
-from knowarm.knowledge.slots import graph_facets
-from knowarm.questions import COLOUR_RELATION, QuestionTable
+from knowarm.questions import QuestionTable
 from knowarm.reading import read_text, replacing
-from knowarm.world.objects import TARGETS
-from knowarm.world.objects.target import COLOURS
 
 SHOWN = 60  # most triples that are printed
 MOST_HELD = 12  # most held-out pairs or new triples that are printed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Queries(GraphOptions, TableCommand):
+class Queries(ObjectOptions, TableCommand):
     """Show what a graph can be asked about objects, and what training and each test ask."""
 
-    graph: str | None = "objects"
-    """A graph file, a folder of triples or a shipped graph; by default that of the choose task."""
-    objects: tuple[str, ...] = ()
-    """Objects of the task; by default every entity that is the head of a triple and the tail of
-    none, and no colour."""
-    colours: tuple[str, ...] = tuple(COLOURS)
-    """Colours of objects that are no targets and of which the graph states none."""
-    ask: str | None = None
-    """Answer one query, such as "usedFor drinking and hasColor blue", and show nothing else."""
     agent: str | None = None
     """Measure how well the knowledge of this agent reflects the answers, and show nothing else."""
     split: str | None = None
@@ -70,13 +57,8 @@ class Queries(GraphOptions, TableCommand):
     def result(self) -> dict[str, Any]:
         """Read the graph, make the tables and print them."""
         graph = self.read()
-        facets = self._facets(graph)
+        facets = self.facets(graph)
         asked = QueryGraph(graph, facets)
-        if self.ask is not None:
-            answers = answer(graph, facets, self.ask)
-            found = [*answers.evidence]
-            print_table(f"Answers to: {answers.question}", ["object", "colour"], found)
-            return {"query": answers.question, "answers": found}
         if self.agent is not None:
             return self._print_agreement(self.agent, asked)
         names = ("seed", "pairs", "hold_out")
@@ -100,19 +82,6 @@ class Queries(GraphOptions, TableCommand):
         shown = "undefined: all conditions are equally similar" if found is None else f"{found:.3f}"
         print(f"Rank correlation of similar vectors and common answers, {agent}: {shown}.")
         return {"agent": agent, "rank_correlation": found}
-
-    def _facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
-        roots = [graph.names.short(i) for i in np.setdiff1d(graph.heads, graph.tails)]
-        named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
-        names = self.objects or [name for name in named if name not in self.colours]
-        states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
-        facets = []
-        for name in names:
-            colours = TARGETS[name].colours if name in TARGETS else self.colours
-            is_stated = name not in TARGETS and states_colours
-            stated = graph_facets([name], graph) if is_stated else [(name, "")]
-            facets += stated if stated[0][1] else [(name, colour) for colour in colours]
-        return facets
 
 
 def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
 
 from numpy.typing import NDArray
 
@@ -19,6 +19,9 @@ from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.teacher import Teacher
+
+if TYPE_CHECKING:
+    from knowarm.knowledge import KnowledgeGraph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +165,7 @@ class Task:
             f"{value!r}. Take a run of a task with such queries, or leave {name} out."
         )
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> Any:
+    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> "KnowledgeGraph | None":
         """Return the graph that answers instead of ``graph``, of split S5; else None."""
         return None
 

@@ -12,7 +12,7 @@ from knowarm.questions import ObjectColour, QuestionTable, number_parts, with_di
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.choose.layouts import LayoutSource, draws
 from knowarm.world.tasks.choose.object_sets import ObjectSets, draw_object_sets
-from knowarm.world.tasks.query_source import QuerySource
+from knowarm.world.tasks.choose.query_source import QuerySource
 from knowarm.world.tasks.sampling import DrawnObjects, Setting, derive, uniforms
 
 _ROUNDS = 6  # Layouts drawn for each set before it counts as too large for the rectangle

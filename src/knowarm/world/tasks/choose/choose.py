@@ -13,17 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Integers, Mask
-from knowarm.config import check_values, override, registered, within
+from knowarm.config import check_values, override, within
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.questions import AND, ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.arrangements import SeveralObjects, question_table
-from knowarm.world.tasks.query_source import (
-    QUERY_SOURCES,
-    QuerySource,
-    graph_queries,
-    source_type,
-)
+from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
 from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState
@@ -37,9 +33,6 @@ CHOOSE_TARGETS = (
 """Objects of the choose task."""
 
 MAX_OBJECTS = 6
-
-
-ANY_SOURCE = registered(lambda: map(source_type, QUERY_SOURCES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +68,7 @@ class Choose(Task):
     """Tag of this task in JSON."""
     objects: int = 4
     """Objects per episode, 2 to 6, all different."""
-    queries: QuerySource = field(default_factory=graph_queries, metadata=ANY_SOURCE)
+    queries: GraphQueries | NameQueries = field(default_factory=GraphQueries)
     """Where the questions come from, and which objects answer them."""
     marked: bool = False
     """Paint the object that answers the question in magenta and the others in grey: the upper
@@ -123,7 +116,7 @@ class Choose(Task):
             return super().asking(**fields)
         return replace(self, queries=override(self.queries, fields))
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> Any:
+    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> KnowledgeGraph | None:
         """Return the graph that answers instead of ``graph``, of split S5; else None."""
         return self.queries.edited_graph(facets, self.visible)
 
@@ -197,10 +190,7 @@ class Families(Choose):
 
     kind: Literal["families"] = "families"  # type: ignore[assignment]
     """Tag of this task in JSON."""
-    queries: QuerySource = field(
-        default_factory=partial(
-            graph_queries, graph="families", hold_out=("S3b", "S3a", "S4", "S2")
-        ),
-        metadata=ANY_SOURCE,
+    queries: GraphQueries | NameQueries = field(
+        default_factory=partial(GraphQueries, graph="families", hold_out=("S3b", "S3a", "S4", "S2"))
     )
     """Where the questions come from, and which objects answer them."""

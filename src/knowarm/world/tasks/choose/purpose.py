@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from knowarm.arrays import Integers
 from knowarm.measures import Measure
 from knowarm.questions import object_of
-from knowarm.world.tasks.choose.choose import ANY_SOURCE, Choose
-from knowarm.world.tasks.query_source import QuerySource, graph_queries
+from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
 
@@ -49,9 +49,8 @@ class Purpose(Choose):
     """Tag of this task in JSON."""
     objects: int = 2
     """Objects per episode, 2 to 6, all different, with two parts each."""
-    queries: QuerySource = field(
-        default_factory=partial(graph_queries, graph="purposes", hold_out=("S4", "S2")),
-        metadata=ANY_SOURCE,
+    queries: GraphQueries | NameQueries = field(
+        default_factory=partial(GraphQueries, graph="purposes", hold_out=("S4", "S2"))
     )
     """Where the questions come from, and which parts answer them."""
 

@@ -1,0 +1,318 @@
+"""Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress, pairwise
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import torch
+
+from knowarm.asking.answers import Answers, Words, answer, words
+from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.edits import edited
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.perception.config import LEVEL, Unclear
+from knowarm.perception.grounding import centres
+from knowarm.perception.images import first_facets
+from knowarm.questions import COLOUR_RELATION, ObjectColour
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.reward import is_success
+from knowarm.world.viewing.record import Frame, record_episode
+
+EXAMPLES = 6
+"""Most questions given as examples."""
+IN_WORDS = "something to drink from that is not blue"
+"""The first of them, where a graph answers it."""
+SCENES = 4_000
+"""Scenes among which one is chosen that shows an answer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A question, its answers, where the network sees them, and what the arm did."""
+
+    answers: Answers
+    """The answers in the graph."""
+    known: Mapping[str, int]
+    """Number of colours in which the network knows each object."""
+    scene: int
+    """Number of the scene among the evaluation episodes."""
+    shown: tuple[ObjectColour, ...]
+    """What stands in the scene; the object that answers comes first, if one does."""
+    named: tuple[ObjectColour, ...]
+    """What the network names, surest first."""
+    points: np.ndarray
+    """Where it does, column and row in units of the image, (m, 2)."""
+    heat: np.ndarray
+    """Share of every place in the choice, (h, w), sum 1."""
+    candidates: tuple[ObjectColour, ...]
+    """Which of the named objects may answer, at the level of confidence."""
+    stopped: bool
+    """Whether the arm stayed because it saw no answer, or several."""
+    reached: ObjectColour
+    """What the gripper was nearest to at the end."""
+    distance: float
+    """Distance of the gripper from the grasp of that object [m]."""
+    angle: float
+    """Angle from it [deg]."""
+    within: bool
+    """Whether both are within the task's thresholds."""
+    film: tuple[Frame, ...]
+    """The episode."""
+
+    @property
+    def right(self) -> bool:
+        """Whether the arm ended nearest to an object that answers."""
+        return self.reached in self.answers.evidence
+
+    @property
+    def outcome(self) -> str:
+        """What the arm did, in a sentence."""
+        name = " ".join(reversed(self.reached))
+        seen = ", ".join(f"the {colour} {name}" for name, colour in self.candidates)
+        if self.stopped:
+            return f"The arm stayed: it sees {'several answers: ' + seen if seen else 'no answer'}."
+        several = f" It saw several answers: {seen}." if len(self.candidates) > 1 else ""
+        what = "reached" if self.within else "did not arrive; it ended nearest to"
+        verdict = "which answers" if self.right else "which does not answer"
+        return (
+            f"The arm {what} the {name}, {verdict}, after {self.film[-1].step} steps: "
+            f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp.{several}"
+        )
+
+    @property
+    def table(self) -> list[list[str]]:
+        """Answers by object: its name, the colours in which it answers, why the first one does."""
+        rows: dict[str, tuple[list[str], str]] = {}
+        for (name, colour), why in self.answers.evidence.items():
+            rows.setdefault(name, ([], "; ".join(why)))[0].append(colour)
+        return [
+            [name, "any" if len(colours) == self.known[name] else ", ".join(colours), why]
+            for name, (colours, why) in rows.items()
+        ]
+
+
+class Asker:
+    """Asks a trained agent many questions; scenes are drawn once. The arguments are of `ask`."""
+
+    def __init__(
+        self,
+        trained: TrainedAgent,
+        graph: KnowledgeGraph | Path | str | None = None,
+        *,
+        seed: int = 0,
+        names: Mapping[str, str] | None = None,
+        level: float = LEVEL,
+    ) -> None:
+        if trained.network is None:
+            raise UserError(
+                f"The agent {trained.config.agent!r} has no grounding network, which finds "
+                "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
+            )
+        self.trained, self.facets = trained, trained.network.spec.facets
+        self._network, self._names, self._level = trained.network, names, level
+        if graph is None:
+            graph = trained.config.knows.read_graph()
+            assert graph is not None  # of an agent with a grounding network
+        self._graph = graph if isinstance(graph, KnowledgeGraph) else read_graph(graph)
+        self._env = ArmVectorEnv(trained.config.env, 1)
+        self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
+        first = first_facets(self._env.scene, trained.network.spec)
+        self._shown = first[self._scenes.objects] + self._scenes.colours
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()
+
+    def ask(
+        self,
+        question: str,
+        edit: Sequence[str] = (),
+        scene: int | None = None,
+        unclear: Unclear = "seen",
+    ) -> Asked:
+        """Answer a question and play a scene; see `ask`."""
+        answers = [self.answers(question, edit)]
+        if scene is None and edit:
+            with suppress(UserError):  # without the edits the question may have no answer
+                before = self.answers(question)
+                if (before.satisfies != answers[0].satisfies).any():
+                    answers.insert(0, before)
+        number = self.scene(answers) if scene is None else scene
+        return self.play(answers[-1], number, unclear)
+
+    def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
+        """Answer a question by the graph with edits, among all that the network knows."""
+        return answer(edited(self._graph, edit), self.facets, question, self._names)
+
+    @cached_property
+    def threshold(self) -> float:
+        """Likelihood from which a visible object counts as an answer."""
+        return self.trained.threshold(self._level)
+
+    @cached_property
+    def seen(self) -> list[str]:
+        """The objects that scenes show; the network may know more."""
+        return sorted({self.facets[f][0] for f in np.unique(self._shown)})
+
+    @cached_property
+    def words(self) -> Words:
+        """What can be asked: by relation and value, the objects that scenes show."""
+        facets = [self.facets[f] for f in np.unique(self._shown)]
+        return words(self._graph, facets, self._names)
+
+    @cached_property
+    def examples(self) -> list[str]:
+        """Questions that a scene answers by one object, of several relations."""
+        facts = [
+            f"{relation} {max(values, key=lambda value: len(values[value]))}"
+            for relation, values in self.words.items()
+            if relation != COLOUR_RELATION
+        ]
+        joined = [f"{first} and not hasColor blue" for first in facts[:1]]
+        joined += [f"{first} or {second}" for first, second in pairwise(facts)][1:]
+        found = []
+        for question in [IN_WORDS, *joined[:2], *facts]:
+            with suppress(UserError):
+                self.scene([self.answers(question)])
+                found.append(question)
+        return found[:EXAMPLES]
+
+    def look(self, scene: int) -> tuple[np.ndarray, list[ObjectColour]]:
+        """Return the image of a scene, (480, 480, 3) uint8, and what stands in it."""
+        _check_scene(scene)
+        self._env.reset(options={"episodes": self._scenes[scene : scene + 1]})
+        return self._env.render()[0], [self.facets[f] for f in self._shown[scene]]
+
+    def scene(self, answers: Sequence[Answers]) -> int:
+        """Return the first scene in which one object answers, another one for each of several.
+
+        If no scene shows other ones, the first in which one object gives the last answer, and the
+        answers differ.
+
+        Raises:
+            UserError: there is none.
+        """
+        shown = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
+        one = shown.sum(2) == 1
+        fits = one.all(0) & (shown.sum(0) <= 1).all(1)
+        if not fits.any():
+            fits = one[-1] & (shown != shown[-1]).any((0, 2))
+        if not fits.any():
+            named = {self.facets[f][0] for f in np.flatnonzero(answers[-1].satisfies)}
+            if not named & {self.facets[f][0] for f in np.unique(self._shown)}:
+                raise UserError(
+                    f"No scene shows what answers {answers[-1].question!r}: "
+                    f"{', '.join(sorted(named))}. The scenes show what this run was trained with: "
+                    f"{', '.join(self.seen)}. Ask for one of these."
+                )
+            raise UserError(
+                f"In none of {SCENES:,} scenes does exactly one object answer "
+                f"{answers[-1].question!r}"
+                + (", another one than before the edit. " if len(answers) > 1 else ". ")
+                + "Ask a question with other answers, or give the number of a scene."
+            )
+        return int(fits.argmax())
+
+    def play(
+        self,
+        answers: Answers,
+        scene: int,
+        unclear: Unclear = "seen",
+        picked: ObjectColour | None = None,
+    ) -> Asked:
+        """Play a scene with an agent that looks for the answers, or for the one that is picked."""
+        _check_scene(scene)
+        if unclear not in get_args(Unclear):
+            raise unknown_name("value of unclear", unclear, get_args(Unclear))
+        episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
+        order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
+        names = ("objects", "names", "colours", "positions")
+        episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
+        wanted = answers.satisfies
+        if picked is not None:
+            wanted, unclear = np.array([facet == picked for facet in self.facets]), "guess"
+        agent = self.trained.answering(wanted[None])
+        agent.unclear, agent.threshold = unclear, self.threshold
+        film = record_episode(agent, self._env, episode)
+        end = self._env.running
+        infos = end.config.task.infos(end)
+        nearest = np.argmax(infos["objects"] == infos["reached_object"][:, None], axis=1)
+        distance, angle = end.measure_object(nearest)
+        with torch.inference_mode():
+            image = torch.as_tensor(film[0].policy)[None]
+            seen = agent.recognition.see(image, torch.from_numpy(answers.satisfies[None]))
+        named = [self.facets[f] for f in seen.named[0].tolist()]
+        may_answer = seen.candidates(self.threshold)[0].tolist()
+        side = int(seen.scores.shape[1] ** 0.5)
+        size = self._network.spec.image_size
+        return Asked(
+            answers=answers,
+            known=Counter(name for name, _ in self.facets),
+            scene=scene,
+            shown=tuple(self.facets[f] for f in shown[order]),
+            named=tuple(named),
+            points=(centres(size)[seen.places[0]] / size).numpy(),
+            heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
+            candidates=tuple(compress(named, may_answer)),
+            stopped=not agent.moves[0],
+            reached=self.facets[shown[order][nearest[0]]],
+            distance=float(distance[0]),
+            angle=float(angle[0]),
+            within=bool(is_success(distance, angle, *end.limits)[0]),
+            film=tuple(film),
+        )
+
+
+def ask(
+    agent: TrainedAgent | Path | str,
+    question: str,
+    *,
+    graph: KnowledgeGraph | Path | str | None = None,
+    edit: Sequence[str] | str = (),
+    scene: int | None = None,
+    seed: int = 0,
+    names: Mapping[str, str] | None = None,
+    unclear: Unclear = "seen",
+    level: float = LEVEL,
+) -> Asked:
+    """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there.
+
+    Args:
+        agent: a run of the choose task with a grounding network, such as
+            ``zoo/irb120-choose-answers-fast``, or what `load_agent` returned.
+        question: such as "usedFor drinking and not hasColor blue", or SPARQL.
+        graph: another graph than the run's: a file, or the name of a shipped one.
+        edit: a change of the graph, such as "- mug usedFor drinking", or several. The scene is
+            then one with another answer than without them, unless ``scene`` is given.
+        scene: number of the scene; None takes the first in which exactly one object answers.
+        seed: seed of the scenes.
+        names: the graph's names for objects, such as ``{"mug": "CoffeeMug"}``.
+        unclear: if the network sees no answer, or several: go to the most likely place ("guess"),
+            do so if it sees any ("seen"), or stay ("stop", "ask"). `Asked.candidates` says which
+            it sees.
+        level: how often the object that is meant shall be among those; calibrated on images that
+            training did not see.
+
+    Returns:
+        Answers with their evidence, what the network names, and what the arm did.
+
+    Raises:
+        UserError: a question, edit, graph or scene that does not fit the agent.
+    """
+    trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
+    with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
+        return asker.ask(question, [edit] if isinstance(edit, str) else edit, scene, unclear)
+
+
+def _check_scene(scene: int) -> None:
+    if scene not in range(SCENES):
+        raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene!r}.")

@@ -1,0 +1,153 @@
+"""``knowarm ask`` and ``answer``: questions to a trained agent, and to a graph alone."""
+
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from knowarm.asking.answers import answer
+from knowarm.asking.asker import Asked, Asker
+from knowarm.asking.page import make_server, serve_page, write_page
+from knowarm.cli.arguments import read_names
+from knowarm.cli.knowledge.options import ObjectOptions
+from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
+from knowarm.errors import UserError, printable
+from knowarm.experiment.answers import meeting
+from knowarm.experiment.load import load_agent
+from knowarm.knowledge.formats import read_graph
+from knowarm.perception.config import LEVEL, Unclear
+from knowarm.questions import ObjectColour
+
+SHOWN = 12  # most objects whose evidence is printed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ask(TableCommand):
+    """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there."""
+
+    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
+    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast."""
+    question: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")] = ""
+    """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
+    and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
+    ?object. Optional with --browser."""
+    graph: str | None = None
+    """Path of another graph, or the name of a shipped one; default: the run's."""
+    format: str | None = None
+    """The format of that graph, as of `knowarm knowledge`; by default recognized."""
+    names: tuple[str, ...] = ()
+    """The graph's names for objects, such as mug=CoffeeMug wine_glass=Q81707, or a file of such
+    lines; spelling (wine_glass, WineGlass, wine glasses) makes no difference."""
+    edit: tuple[str, ...] = ()
+    """Changes of the graph, such as "- mug usedFor drinking" "+ lamp usedFor drinking". The scene
+    is then one with another answer than without them, unless --scene is given."""
+    scene: int | None = None
+    """Number of the scene; default: the first in which exactly one object answers."""
+    seed: int = 0
+    """Seed of the scenes."""
+    unclear: Unclear = "seen"
+    """If the network sees no answer, or several: move to the most likely place ("guess"), do so if
+    it sees any ("seen"), stay ("stop"), or ask which one is meant ("ask")."""
+    level: float = LEVEL
+    """How often the object that is meant shall be among those that count as answers; calibrated on
+    images that training did not see."""
+    page: FilePath = None
+    """Write an HTML page with answers, evidence, map of places and film."""
+    browser: bool = False
+    """Open a page in the browser on which questions and edits can be changed; Ctrl-C ends it."""
+    port: int = 0
+    """Port of that page, which only this machine can reach; 0 takes the first free one from
+    8080."""
+
+    def result(self) -> dict[str, Any]:
+        """Answer, play, and print or show."""
+        if not self.question and not self.browser:
+            first = "" if Path(self.agent).exists() else "a run, then "
+            raise UserError(
+                f"Give {first}a question: knowarm ask zoo/irb120-choose-answers-fast "
+                '"usedFor drinking and not hasColor blue".'
+            )
+        if self.browser and self.page is not None:
+            raise UserError("--browser serves a page and writes none: leave out --page.")
+        trained = load_agent(self.agent)
+        graph = read_graph(self.graph, self.format) if self.graph else None
+        how: dict[str, Any] = {"seed": self.seed, "names": read_names(self.names)}
+        with closing(Asker(trained, graph, **how, level=self.level)) as asker:
+            if graph is not None:
+                print_meeting(meeting(graph, [name for name, _ in asker.facets], how["names"]))
+            if self.browser:
+                start = (self.question, self.edit, self.scene)
+                serve_page(make_server(asker, *start, port=self.port, unclear=self.unclear))
+                return {}
+            asked = asker.ask(self.question, self.edit, self.scene, self.unclear)
+            _print(asked)
+            if self.unclear == "ask" and asked.stopped:
+                picked = _pick(asked.candidates or asked.named)
+                if picked is not None:
+                    asked = asker.play(asked.answers, asked.scene, picked=picked)
+                    print(printable(asked.outcome))
+        if self.page is not None:
+            write_page(Path(self.page), asked, self.question, self.edit)
+            print(f"Wrote {self.page}")
+        return {
+            "question": asked.answers.question,
+            "answers": {"/".join(f): list(why) for f, why in asked.answers.evidence.items()},
+            "scene": asked.scene,
+            "shown": ["/".join(facet) for facet in asked.shown],
+            "named": ["/".join(facet) for facet in asked.named],
+            "candidates": ["/".join(facet) for facet in asked.candidates],
+            "reached": "/".join(asked.reached),
+            "right": asked.right,
+            "success": asked.film[-1].success,
+            "steps": asked.film[-1].step,
+        }
+
+
+def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
+    """Ask the user which object is meant; None if no number of one is given."""
+    for number, (name, colour) in enumerate(choices, 1):
+        print(f"  {number}: the {colour} {name}")
+    with suppress(EOFError):
+        given = input("Which one is meant? Its number, or nothing to stay: ").strip()
+        if given in map(str, range(1, len(choices) + 1)):
+            return choices[int(given) - 1]
+    return None
+
+
+def _print(asked: Asked) -> None:
+    """Print the answers with their evidence, the scene and what the arm did."""
+    lines = asked.table
+    print(printable(f"I read this as: {asked.answers.question}"))
+    print_table("Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN])
+    if len(lines) > SHOWN:
+        print(f"and {len(lines) - SHOWN} more objects.")
+    shown = asked.shown
+    named = sorted(asked.named, key=lambda each: (each not in shown, [*shown, each].index(each)))
+    for what, facets in (("stand", shown), ("the network names", named)):
+        marked = [
+            " ".join(reversed(each))
+            + " (answers)" * (each in asked.answers.evidence)
+            + " (a mistake)" * (each not in shown)
+            for each in facets
+        ]
+        print(printable(f"In scene {asked.scene} {what}: {', '.join(marked)}."))
+    print(printable(asked.outcome))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerCommand(ObjectOptions, TableCommand):
+    """Answer a question about objects by a graph alone, without an agent."""
+
+    question: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="QUESTION")]
+    """In plain words, in conditions, or in SPARQL, as of `knowarm ask`."""
+
+    def result(self) -> dict[str, Any]:
+        """Answer, and print the objects that answer."""
+        graph = self.read()
+        answers = answer(graph, self.facets(graph), self.question)
+        objects = [*answers.evidence]
+        print_table(f"Answers to: {answers.question}", ["object", "colour"], objects)
+        return {"query": answers.question, "answers": objects}

@@ -1,0 +1,194 @@
+"""Page of a question: answers, evidence, map of places and film; written, or served for changes."""
+
+import threading
+import webbrowser
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from PIL import Image
+
+from knowarm.asking.asker import SCENES, Asked, Asker
+from knowarm.errors import UserError
+from knowarm.perception.config import Unclear
+from knowarm.pictures import data_uri, encode
+from knowarm.reading import replacing
+from knowarm.svg import style_sheet
+from knowarm.world.viewing.watch import ADDRESS, listen, refusal
+
+RED = (214, 39, 40)
+FRAME_MS, LAST_MS = 100, 1_500
+"""Display time of each image of the film, and of the last [ms]."""
+LETTER, PADDING, LINE, WIDTH = 7.0, 12.0, 19.0, 340.0
+"""Sizes of a label and of the narrowest image that it fits in [px]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
+    """A name on an image: what it names, and where it stands, in % of the image."""
+
+    text: str
+    answers: bool
+    right: bool
+    x: float
+    y: float
+    left: float
+    top: float
+
+
+def place_labels(asked: Asked) -> list[Label]:
+    """Place the names that a network gives, none over another one; answers come first."""
+    found = sorted(
+        zip(asked.named, 100 * asked.points, strict=True),
+        key=lambda each: each[0] not in asked.answers.evidence,
+    )
+    high, taken, labels = 100 * LINE / WIDTH, list[tuple[float, float, float]](), list[Label]()
+    for facet, (x, y) in found:
+        text = " ".join(reversed(facet))
+        half = 50 * (LETTER * len(text) + PADDING) / WIDTH
+        left = min(max(x, half), 100 - half)
+        steps = [k for i in range(1, 16) for k in (-i, i)]
+        tops = [y + step * high for step in steps if high / 2 <= y + step * high <= 100 - high / 2]
+        free = (
+            top
+            for top in tops
+            if all(abs(top - b) >= high or abs(left - a) >= half + h for a, b, h in taken)
+        )
+        top = next(free, tops[0])
+        taken.append((left, top, half))
+        label = Label(
+            text=text,
+            answers=facet in asked.answers.evidence,
+            right=facet in asked.shown,
+            x=float(x),
+            y=float(y),
+            left=float(left),
+            top=float(top),
+        )
+        labels.append(label)
+    return labels
+
+
+def page(
+    asked: Asked | None,
+    question: str,
+    edits: Sequence[str],
+    *,
+    asker: Asker | None = None,
+    scene: int | None = None,
+    problem: str = "",
+) -> str:
+    """Return the page as self-contained HTML; an asker adds a form and what can be asked."""
+    loader = PackageLoader("knowarm.asking")
+    template = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    shown: dict[str, Any] = {"live": asker is not None, "problem": problem}
+    shown |= {"style": Markup(style_sheet())}
+    shown |= {"scene": "" if scene is None else scene, "image": "", "standing": ""}
+    if asker is not None:
+        seen = asker.seen
+        unseen = sorted({name for name, _ in asker.facets} - {*seen})
+        shown |= {"words": asker.words, "examples": asker.examples, "seen": seen, "unseen": unseen}
+    if asked is not None:
+        shown |= {**_pictures(asked), "labels": place_labels(asked)}
+    elif asker is not None:
+        image, facets = asker.look(min(scene or 0, SCENES - 1))
+        names = ", ".join(" ".join(reversed(facet)) for facet in facets)
+        shown |= {"image": data_uri("PNG", encode(image, "PNG")), "standing": names}
+    found = {"asked": asked, "question": question, "edits": edits}
+    return template.get_template("ask.html.j2").render(**found, **shown)
+
+
+def write_page(path: Path, asked: Asked, question: str, edits: Sequence[str]) -> None:
+    """Write the page of a question, as it was asked, to an HTML file."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"The page must be an .html file, got {path}.")
+    text = page(asked, question, edits)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def serve_page(server: HTTPServer) -> None:
+    """Open the page of `make_server` in the browser and serve it until Ctrl-C."""
+    address = f"http://{ADDRESS}:{server.server_port}/"
+    print(f"Ask at {address} and press Ctrl-C to stop.", flush=True)
+    webbrowser.open(address)
+    with server:
+        server.serve_forever()
+
+
+def make_server(
+    asker: Asker,
+    question: str,
+    edits: tuple[str, ...] = (),
+    scene: int | None = None,
+    *,
+    port: int = 0,
+    unclear: Unclear = "seen",
+) -> HTTPServer:
+    """Make a server on the loopback interface, which listens and answers one question at a time."""
+    computing = threading.Lock()
+
+    class Handler(BaseHTTPRequestHandler):
+        timeout = 1.0  # [s]: browsers keep connections that ask nothing
+
+        def do_GET(self) -> None:
+            reason = refusal(self.path, self.headers)
+            if reason is not None or (url := urlsplit(self.path)).path != "/":
+                self.send_error(403 if reason else 404, reason)
+                return
+            with computing:
+                body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
+            with suppress(ConnectionError):  # the browser has left
+                self.send_response(200)
+                self.send_header("Content-Type", "text/html; charset=utf-8")
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+        def _page(self, given: dict[str, list[str]]) -> str:
+            text, lines, number = question, edits, scene
+            if given:
+                text = given.get("q", [""])[0].strip()
+                every = given.get("edit", [""])[0].splitlines()
+                lines = tuple(line.strip() for line in every if line.strip())
+                wanted = given.get("scene", [""])[0].strip()
+                number = int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
+            asked, problem = None, ""
+            try:
+                if text:
+                    asked = asker.ask(text, lines, number, unclear)
+            except UserError as error:
+                problem, number = str(error), None
+            return page(asked, text, lines, asker=asker, scene=number, problem=problem)
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            pass
+
+    listener = listen(port)
+    server = ThreadingHTTPServer(listener.getsockname(), Handler, bind_and_activate=False)
+    server.socket.close()
+    server.socket = listener
+    server.server_name, server.server_port = ADDRESS, listener.getsockname()[1]
+    return server
+
+
+def _pictures(asked: Asked) -> dict[str, str]:
+    """Return the first image, the map of places and the film as data URIs."""
+    heat = np.zeros((*asked.heat.shape, 4), np.uint8)
+    heat[..., :3] = RED
+    heat[..., 3] = np.round(255 * asked.heat / asked.heat.max())
+    frames = [Image.fromarray(frame.large) for frame in asked.film]
+    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
+    film = {"save_all": True, "append_images": frames[1:], "duration": durations, "loop": 0}
+    return {
+        "image": data_uri("PNG", encode(frames[0], "PNG")),
+        "heat": data_uri("PNG", encode(heat, "PNG")),
+        "film": data_uri("WEBP", encode(frames[0], "WEBP", quality=70, method=2, **film)),
+    }

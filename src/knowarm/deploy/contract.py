@@ -1,0 +1,250 @@
+"""Contract: what a robot, camera and caller must provide to play a trained policy; its export."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from knowarm.config import to_dict
+from knowarm.deploy import runner
+from knowarm.deploy.joint_map import real_joints
+from knowarm.deploy.onnx_export import (
+    INPUTS,
+    OUTPUTS,
+    RECOGNITION_INPUTS,
+    RECOGNITION_OUTPUTS,
+    PolicyStep,
+    export_onnx,
+    torch_model,
+)
+from knowarm.deploy.runner import FORMAT, Runner, Start, fingerprint
+from knowarm.errors import UserError
+from knowarm.experiment.load import TrainedAgent
+from knowarm.perception import grounding
+from knowarm.perception.agent import FrameRecognition
+from knowarm.reading import digest, replacing, write_json, writing
+from knowarm.world.config import facets_of, scene_of
+from knowarm.world.envs.running import joint_increments
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
+from knowarm.world.scene.scene import Scene, target_places
+
+WORKSPACE_MARGIN_M = 0.15
+"""How far the workspace reaches beyond start poses and grasp points [m]."""
+
+
+class RecognitionStep(nn.Module):
+    """`FrameRecognition.locate`: first images and what is known of their queries, to knowledge."""
+
+    def __init__(self, recognition: FrameRecognition) -> None:
+        super().__init__()
+        self.recognition = recognition
+
+    def forward(self, image: Tensor, query: Tensor) -> Tensor:
+        """Compute the knowledge of the policy, (B, K), of images and queries (B, D)."""
+        return self.recognition.locate(image, query)
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A trained agent, taken apart into what a runner needs."""
+
+    policy: PolicyStep
+    recognition: nn.Module | None
+    """Network that computes the knowledge from the first image and a query, or None."""
+    knowledge: NDArray[np.float32]
+    """Knowledge table, or table of queries for the recognition network, (rows, width)."""
+    contract: dict[str, Any]
+    scene: Scene
+
+    def runner(self) -> Runner:
+        """Return a runner that computes with PyTorch."""
+        recognition = self.recognition
+        return Runner(
+            self.contract,
+            self.knowledge,
+            torch_model(self.policy, INPUTS),
+            None if recognition is None else torch_model(recognition, RECOGNITION_INPUTS),
+        )
+
+
+def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployment:
+    """Take a trained agent apart.
+
+    ``joint_map`` is a TOML file whose table of that name replaces that of the robot.
+
+    Raises:
+        UserError: the policy closes fingers, its MPI is larger than that of the robot, or the joint
+            map does not fit.
+    """
+    env, policy = trained.config.env, trained.policy
+    rows = env.task.knowledge_rows(facets_of(env))
+    recognition = trained.agent.recognition
+    step = None if recognition is None else RecognitionStep(recognition)
+    table = trained.table if recognition is None else recognition.knowledge.numpy()
+    scene = scene_of(env)
+    if scene.joint_names != scene.robot.joints:
+        raise UserError(
+            f"Policies of the task {env.task.kind_of()!r} close fingers, which deployments "
+            "cannot do. Export a policy of another task."
+        )
+    if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
+        table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
+    increments, real = joint_increments(scene.robot, env), real_joints(scene, joint_map)
+    given = [(joint["name"], joint["scale"], joint["offset"]) for joint in real]
+    is_mapped = given != [(name, 1.0, 0.0) for name in scene.joint_names]
+    if (mpi := increments.max()) > scene.robot.mpi_rad:
+        raise UserError(
+            f"{trained.folder.path} moves a joint by up to {mpi:g} rad per step, and the "
+            f"description of {scene.robot.name} allows mpi_rad = {scene.robot.mpi_rad:g}. A run "
+            "does not set its own limit: train with that of the robot."
+        )
+    table = np.ascontiguousarray(table, dtype=np.float32)
+    recognized: dict[str, Any] | None = None
+    if recognition is not None:
+        network = recognition.network
+        recognized = {
+            "file": "recognition.onnx",
+            "format": grounding.FORMAT,
+            "digest": digest(network.to_bytes()),
+            "when": "in the first image of an episode",
+        }
+    contract = {
+        "format": FORMAT,
+        "origin": {
+            "experiment": trained.config.name,
+            "seed": trained.config.seed,
+            "checkpoint": trained.which,
+            "step": trained.step,
+        },
+        "control_period_s": CONTROL_PERIOD_S,
+        "max_episode_steps": env.max_episode_steps,
+        "joints": _joints(scene, increments) | ({"real": real} if is_mapped else {}),
+        "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
+        "camera": _camera(scene, env.image_size),
+        "knowledge": {
+            "file": "knowledge.npy",
+            "rows": rows,
+            "meaning": env.task.knowledge_info,
+            "origin": to_dict(trained.config.knows),
+        },
+        "recognition": recognized,
+        "recurrent": {
+            "size": policy.hidden_size,
+            "inputs": INPUTS[2:4],
+            "outputs": OUTPUTS[3:],
+            "reset": "zeros and episode_start true at the first step of every episode",
+        },
+        "success": [
+            {"label": each.label, "episodes": int(each["episodes"])}
+            | each.interval("success").named("success")
+            for each in trained.folder.summaries()
+        ],
+        "digests": {},
+    }
+    return Deployment(PolicyStep(policy), step, table, contract, scene)
+
+
+def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -> Deployment:
+    """Write models, knowledge table, contract and runner; return what was exported.
+
+    Raises:
+        UserError: the folder cannot be written to, or packages are missing.
+    """
+    parts = deployment(trained, joint_map)
+    with writing(folder, "Give another folder."):
+        folder.mkdir(parents=True, exist_ok=True)
+        about = {"contract": fingerprint(parts.contract)}
+        export_onnx(parts.policy, parts.policy.example(), folder / "policy.onnx", about=about)
+        if parts.recognition is not None:
+            image = parts.policy.example()[0]
+            example = (image, torch.from_numpy(parts.knowledge[[0, 0]]))
+            names = {"inputs": RECOGNITION_INPUTS, "outputs": RECOGNITION_OUTPUTS}
+            path = folder / "recognition.onnx"
+            export_onnx(parts.recognition, example, path, about=about, **names)
+        with replacing(folder / "knowledge.npy") as temporary:
+            np.save(temporary, parts.knowledge)
+        with replacing(folder / "runner.py") as temporary:
+            temporary.write_bytes(Path(runner.__file__).read_bytes())
+        files = ["policy.onnx", "knowledge.npy"]
+        files += ["recognition.onnx"] * (parts.recognition is not None)
+        digests = {name: digest((folder / name).read_bytes()) for name in files}
+        parts = replace(parts, contract=parts.contract | {"digests": digests})
+        write_json(folder / "contract.json", parts.contract)
+    return parts
+
+
+def play_once(player: Runner) -> None:
+    """Let a runner import and compile what it needs: later no file may be free to open."""
+    joints, size = player.contract["joints"], player.contract["camera"]["size"]
+    home = dict(zip(joints["names"], joints["home"], strict=True))
+    player.reset(Start(home, player.contract["knowledge"]["rows"][0]))
+    player.act({"image": np.zeros((1, size, size, 3), np.uint8)})
+
+
+def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the gripper's position (3,) [m], world, at joint angles (J,) [rad]."""
+    return scene.at(joints).site_xpos[scene.tcp_site].copy()
+
+
+def start_spread(scene: Scene) -> NDArray[np.float64]:
+    """Return how far start poses are from home, at most, (J,) [rad]; 0 for joints at home."""
+    moved = np.isin(np.arange(scene.num_joints), scene.robot.start_joints)
+    half_range = (scene.joint_upper - scene.joint_lower) / 2
+    return np.where(moved, scene.robot.start_fraction * half_range, 0.0)
+
+
+def workspace(scene: Scene) -> NDArray[np.float64]:
+    """Return lower and upper corner, (2, 3) [m], of a box around start poses and grasp points.
+
+    It ends at the height of the support.
+    """
+    robot = scene.robot
+    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    corners = target_places(scene, centre + signs * half)
+    points = [corners[None] + scene.grasp_position[:, None]]
+    spread, moved = start_spread(scene), list(robot.start_joints)
+    grid = np.linspace(-1, 1, 5)
+    offsets = np.stack(np.meshgrid(*[grid] * len(moved)), -1)
+    for factors in offsets.reshape(-1, len(moved)):
+        start = scene.home.copy()
+        start[moved] += factors * spread[moved]
+        points.append(tcp_position(scene, start.clip(scene.joint_lower, scene.joint_upper))[None])
+    every = np.concatenate([each.reshape(-1, 3) for each in points])
+    box = np.stack([every.min(0) - WORKSPACE_MARGIN_M, every.max(0) + WORKSPACE_MARGIN_M])
+    box[0, 2] = robot.support_height_m
+    return box
+
+
+def _joints(scene: Scene, increments: NDArray[np.float64]) -> dict[str, Any]:
+    return {
+        "robot": scene.robot.name,
+        "names": scene.robot.joints,
+        "unit": "rad (slides: m)",
+        "lower": scene.joint_lower.tolist(),
+        "upper": scene.joint_upper.tolist(),
+        "home": scene.home.tolist(),
+        "start_offset": start_spread(scene).tolist(),
+        "mpi": float(increments.max()),
+        "increments": increments.tolist(),
+        "command": "position target: previous target + increments[action], clipped to the limits",
+    }
+
+
+def _camera(scene: Scene, size: int) -> dict[str, Any]:
+    robot = scene.robot
+    return {
+        "size": size,
+        "colours": "RGB",
+        "dtype": "uint8",
+        "normalization": "none: the models take values 0 to 255",
+        "position_m": robot.camera_position_m,
+        "look_at_m": robot.camera_look_at_m,
+        "rotation": scene.camera_matrix.tolist(),
+        "frame": "robot base; rotation from camera (x right, y up, z backward)",
+        "fovy_deg": robot.camera_fovy_deg,
+    }

@@ -1,0 +1,282 @@
+"""Driver: plays a runner on a robot, with safety rules before anything is sent; needs no ROS.
+
+`Driver.tick` returns the joint targets to send, or None. A *hold* sends nothing until its reason is
+gone; an *end* is final. A step out of the workspace, or away from a blocked arm, is shortened.
+Two clocks: stamps are compared with the clock that made them; periods and holds are measured by a
+monotonic one, which no time server sets.
+"""
+
+import io
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from knowarm.config import above_zero, at_least, check_values
+from knowarm.deploy.runner import Runner, Start
+from knowarm.errors import UserError
+from knowarm.pictures import central_square
+from knowarm.reading import one_line
+
+Targets = NDArray[np.float64]
+EARLIEST = 0.8  # Shortest time between two targets, in control periods
+SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
+JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
+ENCODINGS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
+"""Channels red, green and blue of a pixel, by the encodings of ROS that are read."""
+FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
+
+
+@dataclass(frozen=True, kw_only=True)
+class Safety:
+    """Rules that hold before a joint target is sent, beside limits, speed and workspace."""
+
+    max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
+    patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
+    wait_s: float = 60.0  # The same before the first step, while robot and camera start [s]
+    following_steps: float = 4.0  # Largest distance of a target from the joint's angle, in MPI
+    confirm_steps: int = 5  # First steps that a person confirms one by one
+    max_steps: int | None = None  # Length of the episode; None takes that of the training
+    dry_run: bool = False  # Print the steps and send nothing
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        above_zero(self, "max_age_s", "patience_s", "wait_s", "following_steps")
+        at_least(self, 0, "confirm_steps")
+        at_least(self, 1, "max_steps")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topics:
+    """Names of the ROS topics."""
+
+    image: str = "/camera/image_raw"  # sensor_msgs/Image: rgb8, bgr8, rgba8 or bgra8
+    compressed: bool = False  # Images are sensor_msgs/CompressedImage: JPEG or PNG
+    joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
+    trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
+    positions: str = ""  # If given, std_msgs/Float64MultiArray to it instead of trajectories
+    stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
+    use_clock: bool = False  # Take the time from /clock, as simulators publish it
+
+
+class Driver:
+    """Plays one episode of a runner on a robot.
+
+    ``gripper`` computes the gripper's position (3,) [m], robot base, at joint angles (J,);
+    ``knowledge`` is a row of the table; ``resize`` averages the central square of larger images.
+
+    Rules hold for the policy's joint angles [rad]; the real arm's units are converted where
+    readings come in and targets go out, in the order of ``joint_names``.
+
+    Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
+    (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number;
+    ``clock``, which returns seconds that never run backwards.
+    """
+
+    def __init__(
+        self,
+        runner: Runner,
+        gripper: Callable[[Targets], Targets],
+        safety: Safety,
+        knowledge: str | None = None,
+        *,
+        resize: bool = False,
+    ) -> None:
+        about, self._map = runner.contract, runner.joint_map
+        self.joint_names, self._names = self._map.names, runner.joint_names
+        self._runner, self._gripper, self.safety = runner, gripper, safety
+        self._knowledge, self._resize = knowledge, resize
+        self.period_s, self._mpi = float(about["control_period_s"]), float(about["joints"]["mpi"])
+        self.max_steps = safety.max_steps or int(about["max_episode_steps"])
+        self._box = np.array([about["workspace_m"][end] for end in ("lower", "upper")])
+        self.status, self.end, self.completed, self.steps = "waiting", "", False, 0
+        self._inputs: dict[str, Any] = dict.fromkeys(("image", "joint angles"), "not yet seen")
+        self._before: dict[str, Any] = {}  # the runner's state before the proposal
+        self._proposal: Targets | None = None
+        self._is_confirmed = False
+        self.clock: Callable[[], float] = time.monotonic
+        self._ticked_at: float | None = None
+        self._proposed_at = self._sent_at = -np.inf
+        self._held_since = np.inf
+        self._felt: tuple[Targets, float] | None = None  # the last angles and their stamp
+        self._seen: dict[int, Targets] = {}  # hash of every image, and the angles at its first time
+        rows = about["knowledge"]["rows"]
+        if knowledge not in (rows if len(rows) > 1 else (None, *rows)):
+            raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
+        runner.is_started = False
+
+    def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
+        """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
+        size = self._runner.contract["camera"]["size"]
+        if not isinstance(image, str) and self._resize:
+            image = shrunk(image, size)
+        if not isinstance(image, str) and (image.shape, image.dtype) != ((size, size, 3), np.uint8):
+            image = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+        if not isinstance(image, str) and image.min() == image.max():
+            image = "shows a single colour"
+        self._inputs["image"] = image if isinstance(image, str) else (image, stamp_s)
+
+    def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
+        """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored."""
+        found = dict(zip(names, positions, strict=False))
+        if found.keys().isdisjoint(self._map.moved):
+            return  # of a gripper or another robot
+        angles = self._map.from_real([found.get(name, np.nan) for name in self.joint_names])
+        if bad := ", ".join(np.array(self._map.moved)[~np.isfinite(angles)]):
+            self._inputs["joint angles"] = f"lack a number for {bad}"
+            return
+        before, before_s = self._felt or (angles, stamp_s)
+        self._felt = angles, stamp_s
+        most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
+        jumped = (abs(angles - before) > most).any()
+        problem = "jump; does another robot publish these joints?"
+        self._inputs["joint angles"] = problem if jumped else (angles, stamp_s)
+
+    def confirm(self) -> None:
+        """Confirm the step that ``status`` shows; without effect where there is none."""
+        self._is_confirmed = self._proposal is not None and self._held_since == np.inf
+
+    def stop(self, reason: str) -> None:
+        """End the episode."""
+        self.end = self.status = self.end or reason
+
+    def tick(self, now_s: float, obstacle: str = "") -> Targets | None:
+        """Return what to send the real arm now, (R,), or None; once per control period.
+
+        ``now_s`` is the time by the clock of the stamps, ``obstacle`` a reason to hold.
+        """
+        steady = self.clock()
+        longest = self.safety.patience_s if self.steps else self.safety.wait_s
+        before, self._ticked_at = self._ticked_at, steady
+        if before is not None and not 0 <= steady - before <= longest:
+            self.stop(f"stopped: {steady - before:.1f} s passed between two control periods")
+        if self.end or steady - self._sent_at < EARLIEST * self.period_s:
+            return None
+        if self._proposal is not None and steady - self._proposed_at > self.safety.patience_s:
+            vars(self._runner).update(self._before)  # what is confirmed must be what is seen now
+            self._proposal = None
+        if not (problem := obstacle or self._old_input(now_s) or self._frozen()):
+            image, angles = (given[0] for given in self._inputs.values())
+            try:
+                if self._proposal is None:
+                    self._proposal, self._proposed_at = self._propose(image, angles), steady
+                self._check(self._proposal)
+            except ValueError as error:
+                self.stop(f"stopped: {error}")
+                return None
+            for share in SHARES:
+                targets = self._previous + share * (self._proposal - self._previous)
+                if not (problem := self._barred(targets, angles)):
+                    return None if self.end else self._released(targets, steady)
+            self._runner.targets, self._proposal = self._previous[None], None
+        self.status = f"hold: {problem}"
+        self._held_since = min(self._held_since, steady)
+        if steady - self._held_since > longest:
+            self.stop(f"stopped after {longest:g} s: {problem}")
+        return None
+
+    def _propose(self, image: NDArray[np.uint8], angles: Targets) -> Targets:
+        """Compute the next targets."""
+        runner = self._runner
+        if not runner.is_started:
+            joints = dict(zip(self._names, angles.tolist(), strict=True))
+            runner.reset(Start(joints, self._knowledge))
+        if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
+            runner.targets = angles.clip(runner.lower, runner.upper)[None]
+        self._previous, self._is_confirmed = runner.targets[0].copy(), False
+        self._before = dict(vars(runner))
+        runner.act({"image": image[None]})
+        return runner.targets[0]
+
+    def _released(self, targets: Targets, steady: float) -> Targets | None:
+        """Return checked targets if the step needs no confirmation or has it."""
+        self._held_since, dry = np.inf, self.safety.dry_run
+        moves = zip(self._names, targets - self._previous, strict=True)
+        change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
+        self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
+        if not (dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
+            self.status += "; Enter moves, anything else stops"
+            return None
+        self.status = f"dry run, {self.status}" if dry else "moving"
+        self._runner.targets, self._proposal = targets[None].copy(), None
+        self._sent_at, self.steps = steady, self.steps + 1
+        if self.steps == self.max_steps:
+            self.completed = True
+            self.stop(f"all {self.max_steps} steps are played")
+        return None if dry else self._map.to_real(targets)
+
+    def _old_input(self, now_s: float) -> str:
+        """Say which input is missing, wrong, old or from the future."""
+        most = self.safety.max_age_s
+        for name, given in self._inputs.items():
+            if isinstance(given, str) or not given[1]:
+                return f"{name} {given if isinstance(given, str) else 'without a time stamp'}"
+            if not -most <= (age := now_s - given[1]) <= most:
+                far = "in the future; synchronize the clocks" if age < 0 else "old"
+                return f"{name} more than {most:g} s {far}"
+        return ""
+
+    def _frozen(self) -> str:
+        """Say whether the image equals one, to the byte, from before the arm moved."""
+        image, angles = (given[0] for given in self._inputs.values())
+        before = self._seen.setdefault(hash(image.tobytes()), angles)
+        frozen = abs(angles - before).max() > FROZEN * self._mpi
+        return "the image is the same as before the arm moved" if frozen else ""
+
+    def _check(self, targets: Targets) -> None:
+        """Raise `ValueError` for targets (J,) that no intact policy computes."""
+        lower, upper, most = self._runner.lower, self._runner.upper, self._mpi * (1 + 1e-6)
+        for broken, text in (
+            (~np.isfinite(targets), "the target is not finite"),
+            ((targets < lower) | (targets > upper), "the target is beyond its limit"),
+            (abs(targets - self._previous) > most, f"faster than {most / self.period_s:g} / s"),
+        ):
+            if broken.any():
+                raise ValueError(f"{', '.join(np.array(self._names)[broken])}: {text}")
+
+    def _barred(self, targets: Targets, angles: Targets) -> str:
+        """Say what is in the way of targets, for measured joint angles; both (J,)."""
+        far = abs(targets - angles) > self.safety.following_steps * self._mpi
+        if far.any():
+            return f"{', '.join(np.array(self._names)[far])}: blocked, or moved by hand"
+        place = self._gripper(targets)
+        if ((place >= self._box[0]) & (place <= self._box[1])).all():
+            return ""
+        return f"the gripper would leave the workspace, to {place.round(2).tolist()} m"
+
+
+def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
+    """Average the central square of an RGB image (H, W, 3) to ``size``; smaller ones stay."""
+    is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    if not is_rgb or min(image.shape[:2]) < size:
+        return image
+    return np.asarray(central_square(Image.fromarray(image), size))
+
+
+def decoded(
+    encoding: str, height: int, width: int, step: int, data: bytes
+) -> NDArray[np.uint8] | str:
+    """Return the pixels (H, W, 3) RGB of a ROS image, or the reason why it cannot be read."""
+    if encoding not in ENCODINGS:
+        grey = " is grey, and the policy sees colours; publish" if "mono" in encoding else " is not"
+        return f"of the encoding {encoding!r}{grey} {', '.join(ENCODINGS)}"
+    size = len(encoding) - 1  # bytes per pixel
+    if not 0 < size * width <= step or not 0 < len(data) == height * step:
+        return f"has {len(data)} bytes, which are not {height} rows of {step}"
+    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : size * width]
+    return rows.reshape(height, width, size)[..., ENCODINGS[encoding]].copy()
+
+
+def decompressed(data: bytes) -> NDArray[np.uint8] | str:
+    """Return the pixels (H, W, 3) RGB of a JPEG or PNG file, or why it cannot be read."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
+            if image.mode not in ("RGB", "RGBA"):
+                return f"of the mode {image.mode!r} is not RGB; publish colours"
+            return np.array(image.convert("RGB"))
+    except Exception as error:  # Pillow raises many types
+        return f"is no JPEG or PNG: {one_line(error)}"

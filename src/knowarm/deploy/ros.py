@@ -1,0 +1,137 @@
+"""ROS 2 node of a `Driver`: images and joint states in, trajectories or positions out."""
+
+import sys
+import threading
+import time
+from typing import Any
+
+from knowarm.deploy.driver import Driver, Topics, decoded, decompressed
+from knowarm.errors import UserError, packages_of
+from knowarm.reading import one_line
+
+with packages_of("ros", "Driving a robot"):
+    import rclpy
+    from builtin_interfaces.msg import Duration
+    from rclpy.event_handler import SubscriptionEventCallbacks
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from rclpy.qos import QoSProfile, qos_profile_sensor_data
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import CompressedImage, Image, JointState
+    from std_msgs.msg import Empty, Float64MultiArray
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+DISCOVERY_S = 1.0
+"""Time before the first control period, in which ROS discovers other programs [s]."""
+
+
+class DriverNode(Node):
+    """Feeds a driver with messages, and publishes what it returns in each control period."""
+
+    def __init__(self, driver: Driver, topics: Topics) -> None:
+        clock = Parameter("use_sim_time", value=topics.use_clock)
+        super().__init__("knowarm", parameter_overrides=[clock])
+        self.driver, self._shown, self._out = driver, "", None
+        self._topic = topics.positions or topics.trajectory
+        self._sends_positions = bool(topics.positions)
+        latest = qos_profile_sensor_data
+        images = CompressedImage if topics.compressed else Image
+        self.create_subscription(images, topics.image, self._see, latest)
+        self.create_subscription(JointState, topics.joint_states, self._feel, latest)
+        stop = f"stopped by {topics.stop}"
+        # A reliable subscription receives nothing from a best-effort publisher; a best-effort one
+        # may lose a message on a bad network.
+        quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
+        for qos in (QoSProfile(depth=1), latest):
+            self.create_subscription(
+                Empty, topics.stop, lambda _: driver.stop(stop), qos, event_callbacks=quiet
+            )
+        if not driver.safety.dry_run:
+            self._out = self.create_publisher(
+                Float64MultiArray if self._sends_positions else JointTrajectory, self._topic, 1
+            )
+        if topics.use_clock:
+            driver.clock = self._seconds
+        self._from = time.monotonic() + DISCOVERY_S
+        self.create_timer(driver.period_s, self._tick)
+
+    def show(self) -> None:
+        """Print the driver's status where it has changed."""
+        if self.driver.status != self._shown:
+            self._shown = self.driver.status
+            print(self._shown, flush=True)
+
+    def _seconds(self) -> float:
+        """Return the time by the clock of the stamps [s]."""
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
+    def _see(self, image: Any) -> None:
+        data = bytes(image.data)
+        if isinstance(image, CompressedImage):
+            pixels = decompressed(data)
+        else:
+            pixels = decoded(image.encoding, image.height, image.width, image.step, data)
+        self.driver.see(pixels, _stamp(image))
+
+    def _feel(self, state: Any) -> None:
+        self.driver.feel(state.name, state.position, _stamp(state))
+
+    def _tick(self) -> None:
+        if time.monotonic() < self._from or not self._seconds():  # no /clock yet
+            return
+        obstacle = ""
+        if self._out is not None and self.count_publishers(self._topic) > 1:
+            obstacle = f"another program publishes to {self._topic}"
+        elif self._out is not None and not self.count_subscribers(self._topic):
+            obstacle = f"no controller at {self._topic}"
+        targets = self.driver.tick(self._seconds(), obstacle)
+        if targets is not None and self._out is not None:
+            self._out.publish(self._command(targets.tolist()))
+        self.show()
+
+    def _command(self, targets: list[float]) -> Any:
+        """Return the message for targets, which a trajectory reaches after a control period."""
+        if self._sends_positions:
+            return Float64MultiArray(data=targets)
+        point = JointTrajectoryPoint(positions=targets)
+        whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
+        point.time_from_start = Duration(sec=whole, nanosec=part)
+        return JointTrajectory(joint_names=list(self.driver.joint_names), points=[point])
+
+
+def _stamp(message: Any) -> float:
+    """Return when a message was measured [s]; 0 if it does not say."""
+    return float(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9)
+
+
+def drive(driver: Driver, topics: Topics) -> None:
+    """Drive the robot until the episode ends; a line at the terminal confirms a step or stops.
+
+    Raises:
+        UserError: the episode was stopped before its last step.
+    """
+    threading.Thread(target=_listen, args=[driver], daemon=True).start()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node, executor = DriverNode(driver, topics), SingleThreadedExecutor()
+        executor.add_node(node)
+        while not driver.end:
+            executor.spin_once(timeout_sec=driver.period_s)
+        node.show()
+    finally:
+        rclpy.shutdown()
+    if not driver.completed:
+        raise UserError(f"The episode was {driver.end}.")
+
+
+def _listen(driver: Driver) -> None:
+    try:
+        for line in sys.stdin.buffer if sys.stdin else ():  # bytes: any key stops
+            if line.strip() or driver.steps >= driver.safety.confirm_steps:
+                driver.stop("stopped at the terminal")
+            driver.confirm()
+        if driver.steps < driver.safety.confirm_steps and not driver.safety.dry_run:
+            driver.stop("stopped: nobody is at the terminal to confirm the first steps")
+    except Exception as error:
+        driver.stop(f"stopped: the terminal cannot be read: {one_line(error)}")

@@ -1,0 +1,131 @@
+"""Sources of the questions that episodes ask: names, or what a graph states."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.formats import SHIPPED, read_graph
+from knowarm.knowledge.queries.queries import Pairs
+from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
+from knowarm.questions import COLOUR_RELATION, ObjectColour, Query, QuestionTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuerySource:
+    """Base of the configs that make a question table."""
+
+    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+        """Make the table of the facets that can be shown, for a number of objects per episode."""
+        raise NotImplementedError
+
+    def version(self) -> tuple[int, ...]:
+        """Return numbers that change where files that the questions follow from change."""
+        return ()
+
+    @property
+    def graph_path(self) -> str | None:
+        """Path of the graph that answers, or the name of a shipped one; None without a graph."""
+        return None
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> KnowledgeGraph | None:
+        """Return the graph that answers instead of ``graph_path``, of split S5; else None."""
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NameQueries(QuerySource):
+    """Objects and colours by their names, without a graph; any two facets are related."""
+
+    kind: Literal["names"] = "names"
+    """Tag of this source in JSON."""
+    ask: tuple[Literal["object", "colour"], ...] = ("object", "colour")
+    """Which names are queries."""
+
+    def __post_init__(self) -> None:
+        if not self.ask or not set(self.ask) <= {"object", "colour"}:
+            raise UserError(
+                f"NameQueries.ask must name object, colour or both, got {self.ask}; give at least "
+                "one."
+            )
+
+    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+        """Make a table with one query per object and one per colour."""
+        place = {"object": ("isA", 0), "colour": (COLOUR_RELATION, 1)}
+        rows: dict[Query, list[bool]] = {}
+        for relation, part in (place[name] for name in self.ask):
+            for value in dict.fromkeys(facet[part] for facet in facets):
+                rows[Query.of((relation, value))] = [facet[part] == value for facet in facets]
+        satisfies = np.array(list(rows.values()), dtype=np.bool_)
+        count = len(facets)
+        return QuestionTable(
+            queries=tuple(rows),
+            facets=facets,
+            satisfies=satisfies,
+            askable=satisfies,
+            related=np.ones((count, count), dtype=np.bool_),
+            shown=np.ones(count, dtype=np.bool_),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphQueries(QuerySource):
+    """Queries for objects by what a graph states about them, for training or a split's test."""
+
+    kind: Literal["graph"] = "graph"
+    """Tag of this source in JSON."""
+    graph: str = "objects"
+    """Path of the graph, or the name of a shipped one."""
+    split: Split = "train"
+    """The questions of training, or those of a split's test."""
+    hold_out: tuple[str, ...] = HELD_OUT
+    """Splits for which training leaves something out; the others have no test but S1 and S5."""
+    pairs: Pairs = "colour"
+    """Which queries have two conditions: "none", a fact and a "colour", or "all"."""
+    seed: int = 0
+    """Seed of what is held out."""
+    edited: str | None = None
+    """Path of the graph of S5; None draws its edits."""
+
+    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+        """Make the table of the split."""
+        splits = self.splits(facets, objects)
+        return splits.train if self.split == "train" else splits.test(self.split)
+
+    def version(self) -> tuple[int, ...]:
+        """Return when the files of the graphs were last written."""
+        named = (Path(name) for name in (self.graph, self.edited) if name and name not in SHIPPED)
+        files = (file for path in named for file in (path, *path.glob("*")) if file.exists())
+        return tuple(sorted(file.stat().st_mtime_ns for file in files))
+
+    @property
+    def graph_path(self) -> str:
+        """Path of the graph, or the name of a shipped one."""
+        return self.graph
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> KnowledgeGraph | None:
+        """Return the graph of split S5 where its questions are asked."""
+        return self.splits(facets, objects).edited if self.split == "S5" else None
+
+    def splits(self, facets: tuple[ObjectColour, ...], objects: int) -> QuerySplits:
+        """Make the tables of training and of all tests; cached per `version`."""
+        return _splits(replace(self, split="train"), facets, objects, self.version())
+
+
+@lru_cache(maxsize=4)
+def _splits(
+    source: GraphQueries, facets: tuple[ObjectColour, ...], objects: int, version: tuple[int, ...]
+) -> QuerySplits:
+    return query_splits(
+        read_graph(source.graph),
+        facets,
+        seed=source.seed,
+        pairs=source.pairs,
+        objects=objects,
+        hold_out=source.hold_out,
+        edited=None if source.edited is None else read_graph(source.edited),
+    )

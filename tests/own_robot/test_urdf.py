@@ -1,0 +1,172 @@
+"""URDF and xacro: converted with visuals, frames, mimic joints and colours, or refused by cause."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.own_robot.draft_gripper import find_gripper
+from knowarm.own_robot.urdf import as_mjcf
+from knowarm.world.description import description_files
+
+LINK = """<link name="l{0}"><inertial><mass value="1"/><inertia ixx="{1}" iyy=".01" izz=".01"
+  ixy="0" ixz="0" iyz="0"/></inertial>
+  <visual name="v"><origin xyz="0 0 .1"/><geometry>{2}</geometry></visual></link>
+  <joint name="j{0}" type="revolute"><parent link="{3}"/><child link="l{0}"/><axis xyz="0 {4} 1"/>
+  <origin xyz="0 0 .2"/><limit lower="-2" upper="2" effort="5" velocity="1"/>{5}</joint>"""
+TOOL = """<link name="tool0"/><joint name="fixed" type="fixed"><parent link="l4"/>
+  <child link="tool0"/><origin xyz="0 0 .15"/></joint></robot>"""
+
+
+def urdf(shape: str = '<sphere radius=".05"/>', ixx: float = 0.01, mimic: str = "") -> str:
+    links = "".join(
+        LINK.format(i, ixx, shape, f"l{i - 1}" if i else "base", i % 2, mimic if i == 4 else "")
+        for i in range(5)
+    )
+    return f'<robot name="r"><link name="base"/>{links}{TOOL}'
+
+
+def convert(folder: Path, text: str, name: str = "arm.urdf", **options) -> mujoco.MjModel:
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(text)
+    file, note = as_mjcf(folder / name, folder / "out", **options)
+    assert f"converted from {Path(name).name}" in note
+    model = mujoco.MjModel.from_xml_path(str(file))
+    (folder / "out.toml").write_text(f"mjcf = '{file}'")
+    assert {"out.toml", f"model/{file.name}"} <= set(description_files(folder / "out.toml"))
+    return model
+
+
+def test_collision_shapes_are_drawn_only_where_a_file_has_no_visuals(tmp_path: Path) -> None:
+    """A link of collisions alone may be a safety box, which no viewer of URDF draws."""
+    both = '</visual><collision><geometry><sphere radius=".1"/></geometry></collision>'
+    text = urdf().replace("</visual>", both, 2)
+    model = convert(tmp_path / "some", text.replace("visual", "collision", 2))
+    assert model.geom_group[model.geom_size[:, 0] == 0.1].tolist() == [3, 3]
+    assert (model.geom_contype[model.geom_size[:, 0] == 0.1] == 1).all()
+    assert (model.geom_group == 1).sum() == 4
+    none = convert(tmp_path / "none", text.replace("visual", "collision"))
+    assert (none.geom_group == 0).all()
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.xml"])
+def test_visuals_and_fixed_frames_are_kept(name: str, tmp_path: Path) -> None:
+    model = convert(tmp_path, urdf(), name)
+    assert (model.ngeom, model.njnt) == (5, 5)
+    assert find_gripper(model).how.endswith("TCP: site 'tool0'")
+
+
+def test_continuous_joints_have_no_range(tmp_path: Path) -> None:
+    text = urdf().replace("revolute", "continuous").replace('lower="-2" upper="2"', "")
+    assert not convert(tmp_path, text).jnt_limited.any()
+
+
+def test_a_follower_is_no_joint_of_the_arm(tmp_path: Path) -> None:
+    model = convert(tmp_path, urdf(mimic='<mimic joint="j3" multiplier="-1"/>'))
+    assert model.neq == 1
+    np.testing.assert_allclose(model.eq_data[0, :2], [0, -1])
+
+
+def test_inertias_are_repaired_and_named(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(
+        re.sub("<inertial>.*?</inertial>", "", urdf(ixx=0.05), count=1, flags=re.DOTALL)
+    )
+    file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+    assert "as the file has none: l0; impossible inertia repaired: l1, l2, l3, l4" in note
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.njnt == 5
+    np.testing.assert_allclose(model.body("l1").inertia, 0.07 / 3, rtol=1e-4)
+    negative = (
+        urdf().replace('ixx="0.01"', 'ixx="-1"').replace('<mass value="1"/>', '<mass value="0"/>')
+    )
+    (tmp_path / "arm.urdf").write_text(negative)
+    file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "negative")
+    assert "impossible inertia repaired: l0, l1, l2, l3, l4" in note
+    assert mujoco.MjModel.from_xml_path(str(file)).body("l0").inertia.min() > 0
+
+
+def test_collada_keeps_its_colours_and_packages_are_found(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("collada")
+    boxes = []
+    for i in range(2):
+        box = trimesh.creation.box([10, 10, 10])
+        box.apply_translation([0, 0, 20 * i])
+        box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)))
+        boxes.append(box)
+    text = trimesh.exchange.dae.export_collada(boxes).decode()
+    text = text.replace("<up_axis>", '<unit name="centimetre" meter="0.01"/><up_axis>')
+    for colour in ("1 0 0 1", "0 0 1 1"):
+        text = re.sub(
+            r"<diffuse>\s*<color>.*</color>", f"<diffuse ><color>{colour}</color>", text, count=1
+        )
+    mesh = tmp_path / "arm_description" / "meshes" / "link 1.dae"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text(text)
+    shape = '<mesh filename="package://arm_description/meshes\\link%201.dae" scale="2 2 2"/>'
+    model = convert(tmp_path, urdf(shape), "arm_bringup/urdf/arm.urdf")
+    assert model.ngeom == 2 * 5
+    assert {tuple(rgba) for rgba in model.geom_rgba.round().tolist()} == {
+        (1, 0, 0, 1),
+        (0, 0, 1, 1),
+    }
+    assert model.geom_aabb[:, 3:].max() == pytest.approx(0.1)
+    mesh.write_text("broken")
+    with pytest.raises(UserError, match=r"link 1\.dae.* damaged or of another format"):
+        as_mjcf(tmp_path / "arm_bringup/urdf/arm.urdf", tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:include filename="$(find parts)/macro.xacro"/><xacro:arm radius="$(arg radius)"/>
+  </robot>"""
+
+
+def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> None:
+    pytest.importorskip("xacro")
+    (tmp_path / "arm.urdf.xacro").write_text(XACRO)
+    body = urdf('<sphere radius="${radius}"/>').partition(">")[2].removesuffix("</robot>")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "macro.xacro").write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        f'<xacro:macro name="arm" params="radius">{body}</xacro:macro></robot>'
+    )
+    file, given = tmp_path / "arm.urdf.xacro", {"arguments": ["radius:=.03"]}
+    with pytest.raises(UserError, match=r"Package 'parts' .* --package parts=FOLDER"):
+        as_mjcf(file, tmp_path / "out", **given)
+    packages = {"packages": [f"parts={tmp_path / 'elsewhere'}"]}
+    with pytest.raises(UserError, match=r"radius.* --xacro name:=value"):
+        as_mjcf(file, tmp_path / "out", **packages)
+    model, _ = as_mjcf(file, tmp_path / "out", **given, **packages)
+    assert model == tmp_path / "out" / "arm.xml"
+    np.testing.assert_allclose(mujoco.MjModel.from_xml_path(str(model)).geom_size[:, 0], 0.03)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "words"),
+    [
+        ("<robot", {}, "not valid XML"),
+        (urdf('<mesh filename="none.stl"/>'), {}, "Mesh 'none.stl' .* is not found"),
+        (urdf('<mesh filename="package://no/a.stl"/>'), {}, "--package no=FOLDER"),
+        (urdf('<mesh filename="file:///C:/a.stl"/>'), {}, "Mesh 'file:///C:/a.stl'"),
+        (urdf().replace('link="l3"', 'link="l9"'), {}, "cannot be converted"),
+        (urdf(), {"arguments": ["a:=1"]}, "--xacro needs a .xacro file"),
+        (urdf(), {"packages": ["a"]}, "--package must have the form name=value"),
+    ],
+)
+def test_what_cannot_be_converted_is_refused(
+    text: str, options: dict, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "arm.urdf").write_text(text)
+    with pytest.raises(UserError, match=words):
+        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_folder_is_overwritten(tmp_path: Path) -> None:
+    convert(tmp_path, urdf())
+    with pytest.raises(UserError, match="exists; remove or rename"):
+        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
