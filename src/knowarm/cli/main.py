@@ -17,6 +17,7 @@ from typing import Any
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
+from knowarm.world.description import trust
 
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
@@ -140,6 +141,8 @@ def _flag(argument: Argument, command: str) -> str:
 
 def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
+    # Who names a description in a command trusts it; those that files name are checked.
+    trust([word.rpartition("=")[2] for word in arguments])
     if name in COMMANDS:
         where, about = COMMANDS[name]
         package = "knowarm.cli"
