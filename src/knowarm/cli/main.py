@@ -143,24 +143,31 @@ def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
     # Who names a description in a command trusts it; those that files name are checked.
     trust([word.rpartition("=")[2] for word in arguments])
-    if name in COMMANDS:
-        where, about = COMMANDS[name]
-        package = "knowarm.cli"
-    elif name in DOORS:
-        where, about = DOORS[name]
-        package = "knowarm"
-    else:
+    if name not in {**COMMANDS, **DOORS}:
         raise unknown_name("command", name, [*COMMANDS, *DOORS])
     for flag, (_, register) in OWN.items():
         arguments, import_path = take_option(arguments, flag, "package.module:Name")
         if import_path is not None:
             register(import_path)
-    module, _, attribute = where.partition(":")
-    try:
-        imported = import_module(f"{package}.{module}")
-    except ModuleNotFoundError as error:
-        if error.name != f"{package}.{module.partition('.')[0]}":
-            raise
-        raise UserError(f"`knowarm {name}` is not installed here: it needs {error.name}.") from None
-    command = getattr(imported, attribute)
+    command = find_command(name)
+    _, about = {**COMMANDS, **DOORS}[name]
     return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)
+
+
+def find_command(name: str) -> Any:
+    """Import what defines a command of ``COMMANDS`` or ``DOORS``.
+
+    Raises:
+        UserError: it is a door's, and the door is not installed.
+    """
+    if name in COMMANDS:
+        module, _, attribute = COMMANDS[name][0].partition(":")
+        return getattr(import_module(f"knowarm.cli.{module}"), attribute)
+    module, _, attribute = DOORS[name][0].partition(":")
+    door = f"knowarm.{module.partition('.')[0]}"
+    try:
+        return getattr(import_module(f"knowarm.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        if error.name != door:
+            raise
+        raise UserError(f"`knowarm {name}` is not installed here: it needs {door}.") from None
