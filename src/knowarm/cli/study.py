@@ -34,7 +34,7 @@ from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
-PAUSED = ("stalled", "stopped")  # begun, and not going on
+PAUSED = ("stalled", "stopped", "paused")  # begun, and not going on
 STYLES = {"running": "cyan", "failed": "red", "done": "green", **dict.fromkeys(PAUSED, "yellow")}
 BAD = ("failed", "damaged")  # states that need an action of the user
 
@@ -73,9 +73,13 @@ def status_tables(
     """Return title, table and summary: one row per experiment and one column per seed."""
     left = seconds_left(statuses)
     found = {each.run: each for each in statuses}
-    seeds = study.seeds
-    rows = [[Text(cell), *(_cell(found[cell, s], left) for s in seeds)] for cell in study.cells()]
-    tables = lay_out(["experiment", *(f"seed {seed}" for seed in study.seeds)], rows, room)
+    seeds = study.all_seeds()
+    rows = []
+    for experiment in study.cells():
+        runs = [found.get((experiment, seed)) for seed in seeds]
+        cells = [Text("") if run is None else _cell(run, left) for run in runs]
+        rows.append([Text(experiment), *cells])
+    tables = lay_out(["experiment", *(f"seed {seed}" for seed in seeds)], rows, room)
     title = Text(f"Study {study.name}", style="bold")
     return [title, *tables, Text(summary_line(study, statuses))]
 
@@ -134,7 +138,7 @@ class StudyShow:
         if file.is_file():
             print(file.read_text("utf-8"))
         steps = {config.name: config.total_steps for config in study.runs()}
-        seeds = ", ".join(map(str, study.seeds))
+        seeds = ", ".join(map(str, study.all_seeds()))
         title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
         print_table(title, ["experiment", "steps"], steps.items())
         for evaluation in study.evaluations:
@@ -160,6 +164,8 @@ class StudyRun:
     """Runs at once. Default: as many as cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
+    until_step: Number = None
+    """Save and pause every run at step N; a later command with a larger N, or none, goes on."""
 
     def run(self) -> None:
         """Run the study."""
@@ -174,13 +180,23 @@ class StudyRun:
         is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
         with StopRequest() as should_stop, study_progress(study) as progress:
-            statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
+            statuses = run_study(
+                study,
+                out,
+                until_step=self.until_step,
+                should_stop=should_stop,
+                on_status=progress,
+            )
         for status in (bad := [each for each in statuses if each.state in BAD]):
             print(f"{status.name} {status.state}: {printable(status.detail)}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
         if all(each.state == "done" for each in statuses):
             print(f"Complete: {out}")
+            return
+        if all(each.state in ("done", "paused") for each in statuses):
+            print(f"Paused at step {self.until_step:,} of each run: {out}")
+            print("Run the same command with a larger --until-step, or without, to continue.")
             return
         if any(each.state == "failed" for each in bad):
             print(f"Let failed runs resume with: knowarm study retry {out}, then the same command.")
@@ -189,6 +205,23 @@ class StudyRun:
         if not bad:
             print("Stopped and saved. Run the same command again to continue.")
         sys.exit(1)
+
+
+PROGRESS = ("run", "state", "steps", "of", "best return", "at step", "steps/s")
+
+
+def progress_row(status: RunStatus) -> list[Any]:
+    """Return steps, best interim evaluation and mean speed of a run, as `PROGRESS` names them."""
+    speed = status.step / status.seconds if status.seconds else None
+    return [
+        status.name,
+        status.state,
+        status.step,
+        status.total_steps,
+        status.best_return,
+        status.best_step,
+        speed,
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +235,9 @@ class Status(FolderCommand, TableCommand):
         console = make_console()
         for table in status_tables(study, statuses, console.width):
             console.print(table, crop=False, soft_wrap=isinstance(table, Text))
+        begun = [each for each in statuses if each.step]
+        if begun:
+            print_table("Runs", PROGRESS, [progress_row(each) for each in begun])
         for each in statuses:
             if each.detail and each.state in (*BAD, *PAUSED):
                 print(f"{each.name} {each.state}: {printable(each.detail)}")
@@ -242,12 +278,19 @@ class Pack(FolderCommand):
     """The file. Default: DIR.tar.xz."""
     leave_out: tuple[Part, ...] = ()
     """Parts to leave out, to make it smaller."""
+    with_checkpoints: bool = False
+    """Add the latest checkpoint of each unfinished run, with which it resumes elsewhere."""
 
     def run(self) -> None:
         """Write the file."""
         folder = self.folder if self.folder.name.strip(".") else self.folder.resolve()
         file = self.out or folder.with_name(folder.name + SUFFIX)
-        count = pack_study(self.folder, file, leave_out=self.leave_out)
+        count = pack_study(
+            self.folder,
+            file,
+            leave_out=self.leave_out,
+            with_checkpoints=self.with_checkpoints,
+        )
         for name in runs_beside(open_study(self.folder), self.folder):
             print(f"Left out: {name} is no run of the study.")
         print(f"Wrote {file}: {count:,} files, {file.stat().st_size / 2**20:.1f} MiB")
