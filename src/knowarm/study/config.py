@@ -137,7 +137,7 @@ class StudyConfig:
 
     def _listed(self) -> list[tuple[str, tuple[int, ...]]]:
         """Return the names of the experiments with their seeds, as listed."""
-        listed = []
+        listed: list[tuple[str, tuple[int, ...]]] = []
         for text in self.experiments:
             name, _, seed = text.rpartition("/")
             if name and seed.isdecimal():
