@@ -56,7 +56,7 @@ def run_study(
     out = Path(out)
     if until_step is not None and until_step < 1:
         raise UserError(f"until_step must be at least 1, got {until_step}.")
-    _check_folder(study, out)
+    check_folder(study, out)
     executor = make_executor(study.where, out)
     try:
         with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
@@ -74,7 +74,7 @@ def run_study(
     return statuses
 
 
-def _check_folder(study: StudyConfig, out: Path) -> None:
+def check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written."""
     if (out / STUDY_FILE).exists():
         before = read_study(out)
