@@ -25,8 +25,8 @@ from knowarm.study.config import StudyConfig, read_study, write_study
 from knowarm.study.pack import SUFFIX, pack_study
 from knowarm.world.tasks import register_task
 from knowarm.world.tasks.reward import paper_reward
+from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.state import EpisodeState
-from knowarm.world.tasks.task import Task
 
 EXPERIMENT = "irb120-bm-a3c"
 RADIANS = "benchmarks.a3c_open:RadiansReach"
@@ -41,7 +41,7 @@ CHOICES: dict[str, tuple[str, Mapping[str, Any]]] = {
     "epsilon": ("epsilon .1 of RMSprop", {"algorithm.rmsprop_eps": 0.1}),
     "value": ("half the value loss", {"algorithm.vf_coef": 0.5}),
     "kinematic": ("joints move exactly: ideal compensation", {"env.dynamics": "kinematic"}),
-    "radians": ("the reward's angle in radians", {"env.task.kind": "radians-reach"}),
+    "radians": ("the reward's angle in radians", {"env.task.skill.kind": "radians-reach"}),
     "rewards": ("rewards of a hundredth", {"algorithm.reward_scale": 0.01}),
 }
 """Words and overrides of each choice."""
@@ -52,8 +52,8 @@ MEASURES = ("accuracy", "success", "distance_mean", "angle_mean")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadiansReach(Task):
-    """The paper's task from its near start, with the angle of the reward in radians."""
+class RadiansReach(Skill):
+    """Reaching from the paper's near start, with the angle of the reward in radians."""
 
     area: ClassVar[str] = "near"
     kind: Literal["radians-reach"] = "radians-reach"

@@ -9,7 +9,10 @@ from collections import defaultdict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks import TASKS, task_type
+from knowarm.world.tasks.asked import ASKED
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.skills import SKILLS
+from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.task import Task
 from tests.source_tree import ROOT, dotted, edges, files, imported, modules, package
 
@@ -41,7 +44,7 @@ command line names their commands, and imports them when they are typed."""
 
 REGISTRIES = {
     "world/robots/": set(ROBOTS),
-    "world/tasks/": set(TASKS),
+    "world/tasks/": {*ASKED, *SKILLS},
     "experiment/agents.py": set(AGENTS),
     "experiment/algorithms.py": set(ALGORITHMS),
     "learn/algorithms.py": set(ALGORITHMS),
@@ -49,6 +52,7 @@ REGISTRIES = {
 """Files (or folders) that own names: the registries, and the algorithms' literal tags."""
 
 OTHER_MEANINGS = {
+    "nothing": "",  # scope of knowledge
     "target": "",  # column of evaluations: the episode's object
     "full": "knowledge/",  # KnowledgeConfig.detail
     "partial": "knowledge/",
@@ -206,15 +210,17 @@ def test_modules_are_of_a_readable_length():
 
 
 def special_attributes():
-    """Return the names that some shipped tasks define and their base class does not."""
-    shipped = {name for kind in TASKS for name in dir(task_type(kind)) if name[0] != "_"}
-    fields = {name for kind in TASKS for name in task_type(kind).__dataclass_fields__}
-    return (shipped | fields) - set(dir(Task))
+    """Return the names that only some of the parts of tasks define."""
+    parts = [*ASKED.types(), *SKILLS.types()]
+    names = {name for part in parts for name in dir(part) if name[0] != "_"}
+    fields = {name for part in parts for name in part.__dataclass_fields__}
+    return (names | fields) - {*dir(Task), *dir(Asking), *dir(Skill)}
 
 
 def task_uses(path, tree):
     """Yield where a module depends on which task it has."""
-    classes = {place.replace(":", ".") for place in TASKS.values()}
+    places = [*ASKED.values(), *SKILLS.values()]
+    classes = {place.replace(":", ".") for place in places}
     yield from (f"imports {name}" for name in imported(path, tree) if name in classes)
     special = special_attributes()
     for node in ast.walk(tree):
@@ -232,12 +238,14 @@ def task_uses(path, tree):
 
 def is_overridden(key, value):
     """Return whether an item of a mapping overrides fields of a task."""
-    return ast.unparse(key) == "'task'" and isinstance(value, ast.Dict)
+    names = ("'task'", "'asked'", "'skill'")
+    return ast.unparse(key) in names and isinstance(value, ast.Dict)
 
 
 def is_task(node):
-    """Return whether an expression is called ``task``."""
-    return ast.unparse(node).rpartition(".")[2] in ("task", "_task")
+    """Return whether an expression is called ``task``, or as one of its parts."""
+    whole = ast.unparse(node).removesuffix(".asked").removesuffix(".skill")
+    return whole.rpartition(".")[2] in ("task", "_task")
 
 
 def test_only_tasks_know_which_task_it_is():
@@ -251,17 +259,17 @@ def test_only_tasks_know_which_task_it_is():
 
 
 def test_every_use_of_one_task_is_found():
-    assert {"queries", "objects", "height_m", "nearest"} <= special_attributes()
+    assert {"queries", "objects", "height_m", "hold_steps"} <= special_attributes()
     lines = [
-        "from knowarm.world.tasks.reach import Reach",
-        "from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS, Choose",
-        "env.task.height_m + task.objects",
-        "getattr(config.env.task, 'solid', None)",
+        "from knowarm.world.tasks.skills.reach import Reach",
+        "from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS, AskObject",
+        "env.task.skill.height_m + task.asked.objects",
+        "getattr(config.env.task.skill, 'solid', None)",
         "config.task.visible + setting.objects",
-        "override(env, {'task': {'queries': {'graph': path}}})",
+        "override(env, {'task': {'asked': {'queries': {'graph': path}}}})",
     ]
     found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]
-    assert found == [1, 1, 2, 1, 0, 1]
+    assert found == [1, 1, 2, 1, 0, 2]
 
 
 def test_mutation_testing_names_files_that_exist():

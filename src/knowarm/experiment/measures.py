@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from knowarm.measures import Columns, Measure
 from knowarm.statistics import Interval, bootstrap, wilson
-from knowarm.world.tasks import task_names, task_type
-from knowarm.world.tasks.lift.probe import OUTCOMES
+from knowarm.world.tasks.asked import ASKED
+from knowarm.world.tasks.skills import SKILLS
+from knowarm.world.tasks.skills.lift.probe import OUTCOMES
 
 AGAIN = "Evaluate the run again."
 """Remedy for a damaged file of an evaluation."""
@@ -145,8 +146,11 @@ def find_measure(name: str) -> Measure | None:
     """Return a measure of every evaluation or of a task by its name, or None."""
     if name in MEASURES:
         return MEASURES[name]
-    of_tasks = (each for task in map(task_type, task_names()) for each in task.measures)
-    return next((each for each in of_tasks if each.name == name), None)
+    for part in (*ASKED.types(), *SKILLS.types()):
+        for of_part in part.measures:
+            if of_part.name == name:
+                return cast(Measure, of_part)
+    return None
 
 
 def measure(name: str) -> Measure:

@@ -16,8 +16,8 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.lift.probe import build_trial_scene, lift
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.skills.lift.probe import build_trial_scene, lift
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class LiftProbe(BaseProbe):
         if env.scene.joint_names != robot.joints:
             raise UserError(
                 "A lift test lifts where episodes of a task end that moves the arm only; the task "
-                f"{env.config.task.kind_of()!r} moves the fingers. Leave out the lift test."
+                f"{env.config.task.name!r} moves the fingers. Leave out the lift test."
             )
         build_trial_scene(robot, env.scene.targets[:1])
 

@@ -22,7 +22,7 @@ from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.model import Evaluated, Evaluation, Group, TaskData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
-from knowarm.world.tasks.lift.probe import OUTCOMES
+from knowarm.world.tasks.skills.lift.probe import OUTCOMES
 
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
-from knowarm.world.tasks.lift.model import FINGERS, LiftScene
+from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
 
 PARKED_M = 1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
 

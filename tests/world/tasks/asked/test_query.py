@@ -23,10 +23,10 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.choose.arrangements import Arrangements, arrange
-from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.choose.layouts import support
-from knowarm.world.tasks.choose.query_source import NameQueries
+from knowarm.world.tasks.asked.query.arrangements import Arrangements, arrange
+from knowarm.world.tasks.asked.query.layouts import support
+from knowarm.world.tasks.asked.query.query import AskObject
+from knowarm.world.tasks.asked.query.query_source import NameQueries
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)
@@ -37,13 +37,13 @@ METRICS = ("distance", "reached_object", "is_right_object", "query", "objects", 
 
 
 def small(robot: str = "irb120", **options: Any) -> EnvConfig:
-    defaults: dict[str, Any] = {"task": Choose(), "image_size": 8, "dynamics": "kinematic"}
+    defaults: dict[str, Any] = {"task": AskObject(), "image_size": 8, "dynamics": "kinematic"}
     return EnvConfig(robot=robot, **(defaults | options))
 
 
 def arranged(config: EnvConfig) -> Arrangements:
-    assert isinstance(config.task, Choose)
-    setting, task = setting_of(config), config.task
+    assert isinstance(config.task.asked, AskObject)
+    setting, task = setting_of(config), config.task.asked
     return arrange(setting.scene, setting.facets, task.queries, task.objects, ())
 
 
@@ -167,7 +167,7 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
 
 
 def test_only_the_query_tells_which_object_is_meant() -> None:
-    found = arranged(small(task=Choose(queries=NameQueries())))
+    found = arranged(small(task=AskObject(queries=NameQueries())))
     chosen, table = found.sets, found.table
     assert chosen.balanced
     sets, number = np.unique(chosen.facets, axis=0, return_inverse=True)
@@ -188,7 +188,7 @@ def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
             askable[:, 1:] = False
             return replace(table, askable=askable)
 
-    found = arranged(small(task=Choose(queries=OneAnswer())))
+    found = arranged(small(task=AskObject(queries=OneAnswer())))
     chosen = found.sets
     assert not chosen.balanced
     assert (chosen.facets[np.arange(len(chosen)), chosen.goal] == 0).all()
@@ -262,7 +262,7 @@ def test_the_checkers_pass_without_a_warning(robot: str) -> None:
 
 
 def test_marked_objects_show_the_answer() -> None:
-    env = ArmVectorEnv(small(task=Choose(marked=True)), 4)
+    env = ArmVectorEnv(small(task=AskObject(marked=True)), 4)
     env.reset(seed=0)
     wanted = env.scene.geom_target == env.running.target[:, None]
     assert (env.running.shown.rgba[wanted] == [1, 0, 1, 1]).all()
@@ -273,7 +273,7 @@ def test_marked_objects_show_the_answer() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"task": Choose(objects=3), "targets": ("mug", "jar")}, "names 2"),
+        ({"task": AskObject(objects=3), "targets": ("mug", "jar")}, "names 2"),
         ({"targets": ("mug",) * 4}, "twice"),
     ],
 )
@@ -284,12 +284,12 @@ def test_configs_that_do_not_fit_are_refused(options: dict[str, Any], message: s
 
 def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
     with pytest.raises(UserError, match="between 2 and 6, got 1"):
-        Choose(objects=1)
+        AskObject(objects=1)
 
 
 def test_episodes_of_another_number_of_objects_are_refused() -> None:
     env = ArmVectorEnv(small(), 2)
-    other = small(task=Choose(objects=3))
+    other = small(task=AskObject(objects=3))
     episodes = evaluation_episodes(other, 2, seed=0)
     with pytest.raises(UserError, match="hold 3 objects, and this environment has 4"):
         env.reset(options={"episodes": episodes})
@@ -298,4 +298,4 @@ def test_episodes_of_another_number_of_objects_are_refused() -> None:
 def test_too_many_objects_for_the_rectangle_are_refused() -> None:
     large = ("pan", "watering_can", "teapot", "kettle", "basket", "toolbox")
     with pytest.raises(UserError, match="6 objects do not fit the rectangle"):
-        arranged(small("tiago", targets=large, task=Choose(objects=6)))
+        arranged(small("tiago", targets=large, task=AskObject(objects=6)))

@@ -21,10 +21,10 @@ from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.appearance import MARKED_RGB
 from knowarm.world.scene.scene import Scene, build_scene
-from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
-from knowarm.world.tasks.choose.purpose import Purpose
+from knowarm.world.tasks.asked.part.part import AskPart
+from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from knowarm.world.tasks.sampling import Episodes
-from tests.world.test_choose import PickingAgent
+from tests.world.tasks.asked.test_query import PickingAgent
 
 FEW = tuple(name for name in PARTS if object_of(name) in ("bottle", "brush", "globe"))
 PAPER = 0.10, 17.0
@@ -36,14 +36,14 @@ OPENING_M = 0.064
 
 
 def small(**options: Any) -> EnvConfig:
-    defaults = {"task": Purpose(), "targets": FEW, "image_size": 8, "dynamics": "kinematic"}
+    defaults = {"task": AskPart(), "targets": FEW, "image_size": 8, "dynamics": "kinematic"}
     return EnvConfig(**(defaults | options))
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """Return the parts of the task, for the IRB120."""
-    return scene_of(EnvConfig(task=Purpose()))
+    return scene_of(EnvConfig(task=AskPart()))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_parts_draw_their_object_once(scene):
 
 def test_the_graph_knows_every_part():
     graph = shipped_graph("purposes")
-    assert set(PARTS) == set(Purpose.targets)
+    assert set(PARTS) == set(AskPart.targets)
     facts = {head for head, relation, _ in graph if relation == "graspedFor"}
     assert set(PARTS) <= facts
     assert {object_of(name) for name in facts} >= set(CHOOSE_TARGETS)
@@ -154,7 +154,7 @@ def test_the_other_part_of_the_right_object_is_a_mistake(drawn):
 
 
 def test_the_upper_bound_marks_the_part_alone():
-    config = small(task=Purpose(marked=True), image_size=64)
+    config = small(task=AskPart(marked=True), image_size=64)
     env = ArmVectorEnv(config, 8)
     env.reset(seed=0)
     painted = (env.running.shown.rgba[..., :3] == np.float32(MARKED_RGB)).all(axis=2)

@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from knowarm.arrays import Floats
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.tasks.state import EpisodeState
 
 APPROACH_M = 0.10  # Way of the gripper straight to the goal frame

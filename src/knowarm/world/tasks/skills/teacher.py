@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.tasks.sampling import Episodes, derive, uniforms
+from knowarm.world.tasks.skills.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.tasks.state import EpisodeState
 
 log = logging.getLogger("knowarm.world")

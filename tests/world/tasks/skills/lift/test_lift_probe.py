@@ -13,9 +13,9 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import compose
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.lift import model as lift_model_module
-from knowarm.world.tasks.lift.model import OBJECT_BIT, build_lift_scene
-from knowarm.world.tasks.lift.probe import LIFT_M, WAYPOINTS, lift, plan_lifts
+from knowarm.world.tasks.skills.lift import model as lift_model_module
+from knowarm.world.tasks.skills.lift.model import OBJECT_BIT, build_lift_scene
+from knowarm.world.tasks.skills.lift.probe import LIFT_M, WAYPOINTS, lift, plan_lifts
 
 GANTRY = """
 <mujoco><worldbody><body name="x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>

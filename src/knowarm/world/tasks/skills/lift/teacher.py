@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.tasks.lift.model import SQUEEZE_M
-from knowarm.world.tasks.lift.simulator import LiftSimulator
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.skills.lift.model import SQUEEZE_M
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
+from knowarm.world.tasks.skills.teacher import PRACTICE_NOISE, GoalTable, Teacher
 from knowarm.world.tasks.state import EpisodeState
-from knowarm.world.tasks.teacher import PRACTICE_NOISE, GoalTable, Teacher
 
 APPROACH_M = (0.07, 0.035)  # Distances of the poses of the approach from the grasp frame
 OVER_M = 0.05  # Height of the first pose above the start of the approach

@@ -1,4 +1,4 @@
-"""Episodes of the choose task: which objects stand where, and which question singles out one."""
+"""Episodes with a question: which objects stand where, and which question singles out one."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -10,9 +10,9 @@ from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable, number_parts, with_distractors
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.choose.layouts import LayoutSource, draws
-from knowarm.world.tasks.choose.object_sets import ObjectSets, draw_object_sets
-from knowarm.world.tasks.choose.query_source import QuerySource
+from knowarm.world.tasks.asked.query.layouts import LayoutSource, draws
+from knowarm.world.tasks.asked.query.object_sets import ObjectSets, draw_object_sets
+from knowarm.world.tasks.asked.query.query_source import QuerySource
 from knowarm.world.tasks.sampling import DrawnObjects, Setting, derive, uniforms
 
 _ROUNDS = 6  # Layouts drawn for each set before it counts as too large for the rectangle
@@ -143,7 +143,7 @@ def arrange(
         raise UserError(
             f"{m} objects do not fit the rectangle of robot {scene.robot.name!r} ({x:.2f} x "
             f"{y:.2f} m): only {100 * kept.mean():.0f} % of the sets of objects can stand in it "
-            "without overlapping or hiding each other. Show fewer objects (task.objects), "
+            "without overlapping or hiding each other. Show fewer objects (task.asked.objects), "
             "smaller ones (targets), or enlarge areas.choose of the robot."
         )
     return Arrangements(table, drawn.select(kept), spare[number[kept]])

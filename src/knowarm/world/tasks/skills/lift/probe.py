@@ -13,9 +13,9 @@ from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.ik import InverseKinematics
-from knowarm.world.tasks.lift.model import LiftScene, build_lift_scene
-from knowarm.world.tasks.lift.simulator import LiftSimulator
+from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 
 TIMESTEP_S = 0.002
 CLOSE_STEPS, LIFT_STEPS, HOLD_STEPS = 10, 20, 20  # Control periods of .1 s

@@ -20,10 +20,10 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.lift.lift import FALLEN_M, LOST_M, Lift
-from knowarm.world.tasks.lift.model import TIMESTEP_S, build_lift_scene
-from knowarm.world.tasks.lift.teacher import LiftTeacher
-from knowarm.world.tasks.teacher import COARSE_LEVELS
+from knowarm.world.tasks.skills.lift.lift import FALLEN_M, LOST_M, Lift
+from knowarm.world.tasks.skills.lift.model import TIMESTEP_S, build_lift_scene
+from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
+from knowarm.world.tasks.skills.teacher import COARSE_LEVELS
 from knowarm.world.viewing.watch import _copy_pose
 
 COUNT = 16
@@ -53,7 +53,7 @@ def test_the_oracle_lifts(robot):
     env = make_env(robot)
     result = play(OracleAgent(env), env, evaluation_episodes(env.config, COUNT, 0))
     assert result.success.mean() >= 0.9
-    assert (result.infos["rise"][result.success] >= env.config.task.height_m).all()
+    assert (result.infos["rise"][result.success] >= env.config.task.skill.height_m).all()
     assert result.infos["gripped"][result.success].all()
     assert np.median(result.length) < 70
 
@@ -150,7 +150,7 @@ def test_rewards_rise_from_the_way_to_the_grip_to_the_lift():
     for _ in range(70):
         _, reward, _, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
         held = infos["gripped"] & ~infos["is_success"]
-        rise = (infos["rise"] / task.height_m).clip(0, 1)
+        rise = (infos["rise"] / task.skill.height_m).clip(0, 1)
         np.testing.assert_allclose(reward[held], 1 + 4 * rise[held])
         most = np.maximum(most, reward)
     assert (most == 100).sum() >= 7
@@ -166,9 +166,9 @@ def test_a_lift_has_to_last():
     up = np.zeros(8, dtype=np.int64)
     for _ in range(80):
         _, _, terminated, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
-        up = np.where(infos["gripped"] & (infos["rise"] >= task.height_m), up + 1, 0)
+        up = np.where(infos["gripped"] & (infos["rise"] >= task.skill.height_m), up + 1, 0)
         new = terminated & infos["is_success"] & ~ended
-        assert (up[new] == task.hold_steps).all()
+        assert (up[new] == task.skill.hold_steps).all()
         ended |= terminated
     assert ended.sum() >= 7
 

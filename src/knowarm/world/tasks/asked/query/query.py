@@ -1,55 +1,43 @@
-"""Choose task: several objects are visible, and the arm moves to the one that answers a question.
-
-An episode ends where any of the objects is reached. Otherwise an agent could try all of them in
-turn.
-"""
+"""Asking for an object: several are visible, and one of them answers a query."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Integers, Mask
+from knowarm.arrays import Floats, Integers
 from knowarm.config import check_values, override, within
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.questions import AND, ObjectColour, QuestionTable
-from knowarm.world.objects.families import FAMILIES
-from knowarm.world.tasks.choose.arrangements import SeveralObjects, question_table
-from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
-from knowarm.world.tasks.reward import is_success
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.asked.query.arrangements import SeveralObjects, question_table
+from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState
-from knowarm.world.tasks.task import Task
 
 CHOOSE_TARGETS = (
     *("mug", "bottle", "teapot", "kettle", "pitcher", "wine_glass", "bowl", "vase", "pot", "pan"),
     *("jar", "can", "candle", "lamp", "flashlight", "mallet", "brush", "basket", "bucket"),
     *("watering_can", "clock", "book", "toolbox", "dumbbell", "bell", "globe"),
 )
-"""Objects of the choose task."""
+"""Objects among which is chosen."""
 
 MAX_OBJECTS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choose(Task):
+class AskObject(Asking):
     """Several objects in the rectangle, of which exactly one answers the episode's question."""
 
-    area: ClassVar[str] = "choose"
+    area: ClassVar[str | None] = "choose"
     targets: ClassVar[tuple[str, ...]] = CHOOSE_TARGETS
     colours: ClassVar[Colours | None] = "randomized"
     scopes: ClassVar[frozenset[str]] = frozenset({"query"})
     holds_out: ClassVar[bool] = False
     knowledge_info: ClassVar[str] = "query"
-    # Without progress_coef, grasps of which few objects are examples are learned late.
-    training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "fast": {"total_steps": 2_000_000, "algorithm": {"privileged": {"progress_coef": 1.0}}},
-        "distil": {"total_steps": 300_000},
-    }
     column_meanings: ClassVar[dict[str, str]] = {
         "query": "query of the episode",
         "chosen": "object whose grasp point was nearest to the gripper at the end",
@@ -65,7 +53,7 @@ class Choose(Task):
     )
 
     kind: Literal["choose"] = "choose"
-    """Tag of this task in JSON."""
+    """Tag in JSON."""
     objects: int = 4
     """Objects per episode, 2 to 6, all different."""
     queries: GraphQueries | NameQueries = field(default_factory=GraphQueries)
@@ -76,7 +64,7 @@ class Choose(Task):
 
     def __post_init__(self) -> None:
         check_values(self)
-        within(self, 2, MAX_OBJECTS, "objects", where="Choose.")
+        within(self, 2, MAX_OBJECTS, "objects", where="AskObject.")
 
     @property
     def title(self) -> str:
@@ -110,8 +98,18 @@ class Choose(Task):
         """Name the rows of the knowledge table: one per query."""
         return [query.name for query in self.questions(facets).queries]
 
-    def asking(self, **fields: Any) -> Task:
-        """Return the task with other questions of a graph, by fields of ``GraphQueries``."""
+    def training(self, algorithm: str) -> Mapping[str, Any]:
+        """Train for longer, and let a privileged teacher reward progress."""
+        # Without progress_coef, grasps of which few objects are examples are learned late.
+        progress = {"privileged": {"progress_coef": 1.0}}
+        fields: dict[str, dict[str, Any]] = {
+            "fast": {"total_steps": 2_000_000, "algorithm": progress},
+            "distil": {"total_steps": 300_000},
+        }
+        return fields.get(algorithm, {})
+
+    def asking(self, **fields: Any) -> Self:
+        """Return the same with other questions of a graph, by fields of ``GraphQueries``."""
         if self.graph is None:
             return super().asking(**fields)
         return replace(self, queries=override(self.queries, fields))
@@ -124,31 +122,20 @@ class Choose(Task):
         """Return the number of each episode's query, (n,) int64."""
         return state.question
 
-    def failure(self, state: EpisodeState) -> Mask:
-        """Return whether the gripper has reached an object that does not answer, (n,) bool.
-
-        Its grasp frame has to be within the thresholds of the config, whatever the curriculum's.
-        """
-        nearest = self.nearest(state)
-        distance, angle = state.measure_object(nearest)
-        reached = is_success(distance, angle, state.limits[0], state.limits[1])
-        return np.asarray(reached & (nearest != 0))
-
-    def nearest(self, state: EpisodeState) -> Integers:
+    def nearest(self, state: EpisodeState, points: Floats) -> Integers:
         """Return which visible object's grasp point is nearest to the gripper, (n,) int64."""
-        way = state.grasp_positions() - state.simulator.tcp_position[:, None]
+        way = points - state.simulator.tcp_position[:, None]
         return np.argmin(np.sum(way * way, axis=2), axis=1)
 
-    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
-        """Return the infos of reaching and those of the choice.
+    def infos(self, state: EpisodeState, nearest: Integers) -> dict[str, NDArray[Any]]:
+        """Return the infos of the choice.
 
         ``reached_object`` is the object whose grasp point is nearest to the gripper, (n,) int64;
         ``is_right_object``, whether it answers the question, (n,) bool; ``query``, its name, (n,);
         ``objects`` and ``object_colours``, indices of the visible objects and of their colours,
         the right one first, (n, m) int64; ``object_positions``, their x and y, (n, m, 2) [m].
         """
-        nearest = self.nearest(state)
-        return super().infos(state) | {
+        return {
             "reached_object": state.objects[np.arange(len(nearest)), nearest],
             "is_right_object": nearest == 0,
             "query": state.query_names[state.question],
@@ -180,17 +167,3 @@ class Choose(Task):
         """Describe the question and its answer, as "usedFor drinking: the red mug"."""
         answer = super().describe(state, setting, env_id)
         return f"{self.instruct(state, setting, env_id)}: the {answer}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Families(Choose):
-    """Instances of families, of which exactly one answers the episode's question."""
-
-    targets: ClassVar[tuple[str, ...]] = FAMILIES
-
-    kind: Literal["families"] = "families"  # type: ignore[assignment]
-    """Tag of this task in JSON."""
-    queries: GraphQueries | NameQueries = field(
-        default_factory=partial(GraphQueries, graph="families", hold_out=("S3b", "S3a", "S4", "S2"))
-    )
-    """Where the questions come from, and which objects answer them."""

@@ -7,9 +7,9 @@ from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.ik import InverseKinematics
 from knowarm.world.tasks.reward import measure
-from knowarm.world.tasks.teacher import PRACTICE_NOISE, GoalTable, Teacher
+from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.world.tasks.skills.teacher import PRACTICE_NOISE, GoalTable, Teacher
 
 COUNT = 256
 

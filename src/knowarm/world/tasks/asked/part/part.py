@@ -1,7 +1,7 @@
-"""Purpose task: the query decides which part of which object the gripper goes to.
+"""Asking for a part: the query decides to which part of which object the gripper goes.
 
 Every object has two parts at which it can be grasped, and the facets of a query are parts: only one
-part of one of the visible objects answers. An episode ends where any of them is reached.
+part of one of the visible objects answers.
 """
 
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Integers
+from knowarm.arrays import Floats, Integers
 from knowarm.measures import Measure
 from knowarm.questions import object_of
-from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
+from knowarm.world.tasks.asked.query.query import AskObject
+from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
 
@@ -28,25 +28,26 @@ PURPOSE_TARGETS = (
     *("brush.handle", "brush.block", "clock.rim", "clock.bell", "bell.knob", "bell.handle"),
     *("globe.pin", "globe.stem", "basket.handle", "basket.post"),
 )
-"""Parts of the purpose task, two of each object."""
+"""Parts among which is chosen, two of each object."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Purpose(Choose):
+class AskPart(AskObject):
     """Objects with two parts each, of which exactly one part answers the episode's question."""
 
-    area: ClassVar[str] = "purpose"
+    area: ClassVar[str | None] = "purpose"
     targets: ClassVar[tuple[str, ...]] = PURPOSE_TARGETS
-    column_meanings: ClassVar[dict[str, str]] = Choose.column_meanings | {
+    shares_places: ClassVar[bool] = True
+    column_meanings: ClassVar[dict[str, str]] = AskObject.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }
     measures: ClassVar[tuple[Measure, ...]] = (
-        *Choose.measures,
+        *AskObject.measures,
         Measure("right_object", "part of the right object", "object_correct"),
     )
 
     kind: Literal["purpose"] = "purpose"  # type: ignore[assignment]
-    """Tag of this task in JSON."""
+    """Tag in JSON."""
     objects: int = 2
     """Objects per episode, 2 to 6, all different, with two parts each."""
     queries: GraphQueries | NameQueries = field(
@@ -59,7 +60,7 @@ class Purpose(Choose):
         """Number of parts that an episode shows."""
         return self.objects * PARTS_PER_OBJECT
 
-    def nearest(self, state: EpisodeState) -> Integers:
+    def nearest(self, state: EpisodeState, points: Floats) -> Integers:
         """Return the part whose grasp frame is nearest in units of the thresholds, (n,) int64.
 
         Parts are near each other, and may differ in the angle more than in the distance.

@@ -17,8 +17,8 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Area
 from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
-from knowarm.world.tasks.reach import Reach
 from knowarm.world.tasks.reward import measure
+from knowarm.world.tasks.skills.reach import Reach
 
 starts = pytest.mark.parametrize("start", [Reach(), Reach(start="near")], ids=["far", "near"])
 
@@ -75,9 +75,9 @@ def test_from_the_near_start_the_oracle_is_soon_at_the_object_and_then_turns(rob
 
 
 def test_the_papers_a3c_starts_near_and_everything_else_far():
-    assert experiment_config("irb120-full-a3c").env.task == Reach(start="near")
+    assert experiment_config("irb120-full-a3c").env.task.skill == Reach(start="near")
     for algorithm in ("fast", "distil", "ppo", "a3c-tuned"):
-        assert experiment_config(f"irb120-full-{algorithm}").env.task == Reach()
+        assert experiment_config(f"irb120-full-{algorithm}").env.task.skill == Reach()
 
 
 def test_an_area_changes_what_it_names_and_a_robot_without_a_near_start_is_refused(monkeypatch):

@@ -35,7 +35,7 @@ from knowarm.world.objects.families import (
     look_of,
 )
 from knowarm.world.scene.mjcf import read_mjcf
-from knowarm.world.tasks.choose.choose import Families
+from knowarm.world.tasks.asked.family.family import AskInstance
 
 SPLITS = ("train", "S2", "S3a", "S3b", "S4", "S5")
 
@@ -123,7 +123,7 @@ def test_the_shipped_graph_states_what_the_templates_state():
 
 
 def test_the_script_writes_the_shipped_graph(monkeypatch):
-    scripts = Path(__file__).parents[2] / "scripts"
+    scripts = Path(__file__).parents[4] / "scripts"
     monkeypatch.syspath_prepend(str(scripts))
     monkeypatch.delitem(sys.modules, "draw_families", raising=False)
     import draw_families
@@ -228,7 +228,7 @@ def test_s2_holds_out_a_condition_of_all_instances_of_a_kind(tables):
 
 @pytest.mark.parametrize("split", ["S3a", "S3b"])
 def test_the_oracle_reaches_new_objects(split):
-    env = EnvConfig(task=Families(), image_size=8, dynamics="kinematic")
+    env = EnvConfig(task=AskInstance(), image_size=8, dynamics="kinematic")
     env = replace(env, task=env.task.asking(split=split))
     world = ArmVectorEnv(env, 32)
     result = play(OracleAgent(world), world, evaluation_episodes(env, 32, 0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 from tests.world.helpers import EXAMPLES
 
 
