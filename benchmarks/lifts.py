@@ -67,7 +67,7 @@ def row(robot: str, target: str, places: int) -> dict:
         "places": places,
         "rise_m": float(np.median(lifts.rise)),
         "outcomes": dict(Counter(lifts.outcome.tolist())),
-        "excluded": described.not_liftable.get(target, ""),
+        "excluded": described.cannot_hold.get(target, ""),
     }
 
 

@@ -16,7 +16,9 @@ from knowarm.world.tasks.registry import VARIABLE
 from knowarm.world.tasks.skills import DEFAULT_SKILL, SKILLS
 
 if TYPE_CHECKING:  # Importing this package imports no simulator.
+    from knowarm.measures import Measure
     from knowarm.world.tasks.asked.asked import Asking
+    from knowarm.world.tasks.probe import BaseProbe, ReportTable
     from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
 
@@ -116,6 +118,30 @@ def register_task(import_path: str) -> Any:
         )
     share(VARIABLE, import_path)
     return part
+
+
+def task_probes() -> "list[type[BaseProbe]]":
+    """List the probes that the parts of tasks bring."""
+    probes = [probe for part in _parts() for probe in part.probes]
+    return list(dict.fromkeys(probes))  # subclasses share theirs
+
+
+def task_measures() -> "list[Measure]":
+    """List the measures of all parts of tasks and of their probes."""
+    parts = _parts()
+    measures = [measure for part in parts for measure in part.measures]
+    return measures + [measure for probe in task_probes() for measure in probe.measures]
+
+
+def report_tables() -> "list[ReportTable]":
+    """List the report's tables of all parts of tasks and of their probes."""
+    tables = list(dict.fromkeys(table for part in _parts() for table in part.tables))
+    return tables + [probe.table for probe in task_probes() if probe.table is not None]
+
+
+def _parts() -> list[Any]:
+    """Return the classes of what can be asked and of skills."""
+    return [*ASKED.types(), *SKILLS.types()]
 
 
 def split_name(text: str) -> Iterator[tuple[str, str]]:

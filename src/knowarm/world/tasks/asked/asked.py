@@ -10,6 +10,7 @@ from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.tasks.probe import BaseProbe, ReportTable
 from knowarm.world.tasks.registry import kind_of
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState
@@ -45,6 +46,10 @@ class Asking:
     """What each of the ``columns`` holds."""
     measures: ClassVar[tuple[Measure, ...]] = ()
     """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
+    """What it brings to measure in evaluations of any task, as options of theirs."""
+    tables: ClassVar[tuple[ReportTable, ...]] = ()
+    """Tables of the report of its ``measures``."""
     kind: str = ""
     """Tag in JSON and in the names of experiments, a literal of each class."""
 

@@ -13,6 +13,7 @@ from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.probe import BaseProbe, ReportTable
 from knowarm.world.tasks.registry import kind_of
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Setting
@@ -45,6 +46,10 @@ class Skill:
     """What each of the ``columns`` holds."""
     measures: ClassVar[tuple[Measure, ...]] = ()
     """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
+    """What it brings to measure in evaluations of any task, as options of theirs."""
+    tables: ClassVar[tuple[ReportTable, ...]] = ()
+    """Tables of the report of its ``measures``."""
     kind: str = ""
     """Tag in JSON and in the names of experiments, a literal of each class."""
 

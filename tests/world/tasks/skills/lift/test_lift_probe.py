@@ -218,7 +218,7 @@ def test_an_object_has_its_mass_whatever_its_file_says(tmp_path, gantry, own):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_objects_left_out_exist_and_have_a_reason(name):
-    left_out = ROBOTS[name].not_liftable
+    left_out = ROBOTS[name].cannot_hold
     assert set(left_out) <= set(TARGETS)
     assert all(left_out.values())
     assert {"mug", "bottle", "cereal_box"}.isdisjoint(left_out)

@@ -10,7 +10,6 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.probes import LiftProbe
 from knowarm.world.agents import Batch, OracleAgent, ZeroAgent
 from knowarm.world.agents import open_loop as open_loop_module
 from knowarm.world.agents.play import play
@@ -22,6 +21,7 @@ from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.skills.lift.lift import FALLEN_M, LOST_M, Lift
 from knowarm.world.tasks.skills.lift.model import TIMESTEP_S, build_lift_scene
+from knowarm.world.tasks.skills.lift.probe import LiftProbe
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS
 from knowarm.world.viewing.watch import _copy_pose

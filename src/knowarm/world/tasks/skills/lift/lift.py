@@ -16,8 +16,10 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.skills.lift.probe import LiftProbe
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
 from knowarm.world.tasks.skills.skill import Skill
@@ -61,6 +63,8 @@ class Lift(Skill):
         "gripped": "whether both fingers touched it at the end",
     }
 
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = (LiftProbe,)
+
     kind: Literal["lift"] = "lift"
     """Tag of this skill in JSON."""
 
@@ -84,7 +88,7 @@ class Lift(Skill):
 
     def suits(self, target: str) -> bool:
         """Return whether all shipped grippers can lift an object."""
-        return not any(target in robot.not_liftable for robot in ROBOTS.values())
+        return not any(target in robot.cannot_hold for robot in ROBOTS.values())
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Imitate for longer, with a teacher that lets the student make larger detours."""

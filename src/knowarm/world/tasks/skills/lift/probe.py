@@ -1,18 +1,22 @@
 """Lift test: replay joint paths among solid objects, close the fingers, lift 10 cm and hold."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.cores import available_cores
+from knowarm.errors import UserError
+from knowarm.measures import Columns, Measure
 from knowarm.questions import object_of
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.probe import BaseProbe, Findings, PlayedEpisodes, ReportTable
 from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
@@ -32,6 +36,11 @@ OUTCOMES = {
     "slipped": "it was touched by both fingers, and lost or left low",
 }
 """How a lift can end, in the order in which causes are looked for."""
+
+NOT_REACHED = "not reached"
+"""Lifts of episodes without success."""
+EXCLUDED = "excluded"
+"""Lifts of objects that the robot's ``cannot_hold`` names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,3 +178,87 @@ class LiftTrial:
 def _beside(arm: Floats, fingers: float) -> Floats:
     """Return joint targets of arm (n, J) and fingers, (n, J + 1)."""
     return np.column_stack([arm, np.full(len(arm), fingers)])
+
+
+def _is_among(*outcomes: str) -> Callable[[Columns], Mask]:
+    """Return what selects the episodes with some outcomes."""
+    return lambda episodes: np.isin(episodes["lift"], outcomes)
+
+
+def _measure_outcome(name: str, about: str) -> Measure:
+    """Return the share of an outcome of all lifts."""
+    of_all = _is_among(*OUTCOMES, NOT_REACHED)
+    return Measure(f"lift_{name}", name, "lift", equals=name, among=of_all, about=about)
+
+
+_FAILURES = {name: about for name, about in OUTCOMES.items() if name != "lifted"}
+_MEASURES = (
+    Measure(
+        "lifted",
+        "lifted of all",
+        "lift",
+        equals="lifted",
+        among=_is_among(*OUTCOMES, NOT_REACHED),
+    ),
+    Measure(
+        "grasps", "lifted of the successes", "lift", equals="lifted", among=_is_among(*OUTCOMES)
+    ),
+    *(_measure_outcome(name, about) for name, about in _FAILURES.items()),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftProbe(BaseProbe):
+    """Lift the object where an episode succeeds.
+
+    Its joint path is replayed among solid objects, the fingers close, the arm lifts 10 cm and holds
+    2 s.
+    """
+
+    label: ClassVar[str] = "lift"
+    about: ClassVar[str] = (
+        "Lift the object where an episode succeeds, in a simulation with solid objects."
+    )
+    measures: ClassVar[tuple[Measure, ...]] = _MEASURES
+    column_meanings: ClassVar[dict[str, str]] = {
+        "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
+        "lift_rise_m": "rise of the object's centre of mass in the lift [m]",
+    }
+    table: ClassVar[ReportTable | None] = ReportTable(
+        name="lifts",
+        title="How many successes are grasps",
+        measures=tuple(measure.name for measure in _MEASURES),
+        note="The joint path of every successful episode is replayed among solid objects, the "
+        "fingers close, the arm lifts 10 cm and holds 2 s. Pushed, missed, arm, slipped: how the "
+        "others ended, of all. Objects that the gripper cannot lift are left out of these columns.",
+    )
+    kind: Literal["lift"] = "lift"
+
+    def check(self, scene: Scene, task: str) -> None:
+        """Refuse tasks whose actions move fingers, and robots without fingers."""
+        if scene.joint_names != scene.robot.joints:
+            raise UserError(
+                "A lift test lifts where episodes of a task end that moves the arm only; the task "
+                f"{task!r} moves the fingers. Leave out the lift test."
+            )
+        build_trial_scene(scene.robot, scene.targets[:1])
+
+    def measure(self, played: PlayedEpisodes, findings: Findings) -> None:
+        """Lift the object of every successful episode; add ``lift`` and ``lift_rise_m``, (n,).
+
+        Every episode ends at its first state within the thresholds, so each is lifted at most once.
+        """
+        scene = played.scene
+        episodes = played.episodes
+        count = len(episodes)
+        names = np.array([target.name for target in scene.targets])[episodes.target]
+        excluded = np.isin(names, list(scene.robot.cannot_hold))
+        chosen = np.flatnonzero(played.success & ~excluded)
+        outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
+        rise = np.zeros(count)
+        if len(chosen):
+            paths = played.paths(chosen)
+            lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
+            outcome[chosen] = lifts.outcome
+            rise[chosen] = lifts.rise
+        findings.columns |= {"lift": outcome, "lift_rise_m": rise}
