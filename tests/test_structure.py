@@ -1,6 +1,7 @@
 """Structure of the source: imports, registries, random state, names and lengths of modules."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -58,9 +59,26 @@ OTHER_MEANINGS = {
     "partial": "knowledge/",
     "learned": "policy/",  # PolicyConfig.knowledge_encoder
     "wide": "experiment/run.py",  # field of PolicyConfig
-    "reach": "world/objects/families.py",  # size of a handle
+    "reach": "world/tasks/",  # size of a handle
 }
 """Names of agents and tasks that mean something else in a place."""
+
+SPECIAL_WORDS = {
+    "lift": (),
+    "famil": (
+        "asking/",  # families of relations
+        "svg.py",  # of fonts
+        "knowledge/formats/",  # a shipped graph
+    ),
+    "purpose": (
+        "seeding.py",  # of a stream of random numbers
+        "world/envs/episodes.py",  # of a list of episodes
+        "asking/",  # "for ..." in a sentence
+        "knowledge/formats/",  # a shipped graph
+    ),
+}
+"""Beginnings of words that only `world/tasks/` uses, and where they mean something else. Parts of
+objects are no such word: what a name such as "mug.handle" means is the world's."""
 
 MOST_LINES = 350
 
@@ -270,6 +288,56 @@ def test_every_use_of_one_task_is_found():
     ]
     found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]
     assert found == [1, 1, 2, 1, 0, 2]
+
+
+def words(tree):
+    """Yield the words of identifiers, modules and strings; docstrings are left out."""
+    documented = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        texts = [getattr(node, name, None) for name in ("id", "attr", "name", "arg", "module")]
+        if isinstance(node, ast.Constant) and id(node) not in documented:
+            texts.append(node.value)
+        for text in texts:
+            if isinstance(text, str):
+                apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
+                yield from ((node, word) for word in re.findall(r"[a-z]+", apart))
+
+
+def special_words(path, tree):
+    """Yield where a module names what one part of a task does."""
+    for node, word in words(tree):
+        start = next((start for start in SPECIAL_WORDS if word.startswith(start)), None)
+        if start is not None and not path.startswith(SPECIAL_WORDS[start]):
+            yield f"{getattr(node, 'lineno', '?')}: {word!r}"
+
+
+def test_nothing_outside_tasks_names_what_one_of_them_does():
+    """They bring probes, measures, columns and tables of their own."""
+    offenders = [
+        f"{path}:{use}"
+        for path, tree in modules().items()
+        if not path.startswith("world/tasks/")
+        for use in special_words(path, tree)
+    ]
+    assert not offenders, listed(offenders)
+
+
+def test_every_word_of_one_task_is_found():
+    lines = [
+        "from knowarm.world.tasks.skills.lift.probe import LiftProbe",
+        "Measure('lifted', 'of the successes')",
+        "draw(family=1)",
+        "def purpose(): pass",
+        "'a sentence on lifting'.split(family_name)",
+        "def grip():\n    'Lift.'",
+    ]
+    found = [len([*special_words("experiment/a.py", ast.parse(line))]) for line in lines]
+    assert found == [2, 1, 1, 1, 2, 0]
+    assert not [*special_words("svg.py", ast.parse("draw(font_family=1)"))]
 
 
 def test_mutation_testing_names_files_that_exist():

@@ -16,6 +16,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.grounding import convolutions_of
+from knowarm.perception.looks import attribute_codes, code_matrix, look_of
 from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
@@ -23,18 +24,14 @@ from knowarm.world.config import EnvConfig, questions_of, scene_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
-from knowarm.world.objects.families import (
-    ATTRIBUTES,
-    COLUMNS,
+from knowarm.world.scene.mjcf import read_mjcf
+from knowarm.world.tasks.asked.family.families import (
     FAMILIES,
     INSTANCES,
     KINDS,
-    attribute_codes,
     facts,
     instance,
-    look_of,
 )
-from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.tasks.asked.family.family import AskInstance
 
 SPLITS = ("train", "S2", "S3a", "S3b", "S4", "S5")
@@ -76,7 +73,7 @@ def test_the_name_alone_decides_the_instance():
 
 @pytest.mark.parametrize("name", ["mug-", "vase-x", "mug-x", "mug-1.5"])
 def test_an_unknown_instance_is_refused(name):
-    with pytest.raises(UserError, match="instance of a family"):
+    with pytest.raises(UserError, match="Unknown target"):
         find_targets([name])
 
 
@@ -133,19 +130,22 @@ def test_the_script_writes_the_shipped_graph(monkeypatch):
 
 def test_codes_tell_looks_apart_and_share_attributes():
     names = ["mug-0", "jug-0", "mug-0"]
-    code = attribute_codes(names)
+    code = code_matrix(attribute_codes(names))
     assert (code[0] == code[2]).all()
     assert (code[0] != code[1]).any()
     assert attribute_codes([*names, "mug"]) is None
     looks = [look_of(name) for name in FAMILIES]
-    codes = attribute_codes(FAMILIES)
+    given = attribute_codes(FAMILIES)
+    codes = code_matrix(given)
+    (attributes,) = {code.attributes for code in given}
+    (exclusive,) = {code.exclusive for code in given}
     assert len(np.unique(codes, axis=0)) == len(set(looks))
     assert look_of("wine_glass") == ("wine_glass",)
-    kinds = codes[:, slice(*COLUMNS[2])]
+    kinds = codes[:, attributes + 1 :]
     assert (kinds.sum(axis=1) == 1).all()
     assert kinds.shape == (len(FAMILIES), len(KINDS))
-    assert set(np.unique(codes[:, :ATTRIBUTES])) == {-1.0, 1.0}
-    assert ((codes[:, slice(*COLUMNS[0])] == 1).sum(axis=1) == 1).all()
+    assert set(np.unique(codes[:, :attributes])) == {-1.0, 1.0}
+    assert ((codes[:, :exclusive] == 1).sum(axis=1) == 1).all()
 
 
 @pytest.fixture

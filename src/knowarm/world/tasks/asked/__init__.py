@@ -1,5 +1,6 @@
 """What is asked of an episode: the objects that stand there, and which of them is meant."""
 
+from knowarm.world.description import MAKERS
 from knowarm.world.tasks.registry import Registry
 
 DEFAULT_ASKED = "nothing"
@@ -16,3 +17,5 @@ ASKED = Registry(
     },
 )
 """What can be asked, by ``kind``. To add one, add an entry."""
+
+MAKERS.append("knowarm.world.tasks.asked.family.families:make")

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar, Literal
 
-from knowarm.world.objects.families import FAMILIES
+from knowarm.world.tasks.asked.family.families import FAMILIES
 from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
 

@@ -7,18 +7,16 @@ grasped at its handle, inclined by 45 degrees, and without one at its top, from 
 
 import hashlib
 import tomllib
-from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.errors import unknown_name
 from knowarm.questions import INSTANCE, kind_of
-from knowarm.world.objects.target import COLOURS, Target
+from knowarm.world.objects.target import COLOURS, AttributeCode, Target
 
 _FILE = Path(__file__).with_suffix(".toml")
 _TABLE: dict[str, Any] = tomllib.loads(_FILE.read_text(encoding="utf-8"))
@@ -28,18 +26,12 @@ KINDS = tuple(_TABLE)
 """Kinds that have a template."""
 
 INSTANCES = 20
-"""Instances of each kind in the families task."""
+"""Instances of each kind that are asked for."""
 
 FAMILIES = tuple(f"{kind}{INSTANCE}{i}" for kind in KINDS for i in range(INSTANCES))
-"""Objects of the families task."""
+"""Objects among which is chosen."""
 
 _SHAPES = tuple(dict.fromkeys(kind["shape"] for kind in _TABLE.values()))
-
-ATTRIBUTES = len(_SHAPES) + len(_SIZES)
-"""Number of shapes and parts, of which an object has one shape and any parts."""
-
-COLUMNS = (0, len(_SHAPES)), (len(_SHAPES), ATTRIBUTES), (ATTRIBUTES + 1, None)
-"""First and last column of shapes, parts and kinds in `attribute_codes`; one is left for places."""
 
 FAMILY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "purple")
 
@@ -52,6 +44,7 @@ _FROM_ABOVE = "0 1 0 0"
 def instance(name: str) -> Target:
     """Return the target of an instance's name, such as ``mug-17``."""
     shape = _Shape(name)
+    attributes = (shape.kind["shape"], *shape.parts)
     return Target(
         name=name,
         mjcf=_FILE,
@@ -59,7 +52,8 @@ def instance(name: str) -> Target:
         colours={colour: COLOURS[colour] for colour in FAMILY_COLOURS},
         coloured_geoms=tuple(shape.coloured),
         round_grasp="handle" not in shape.parts,
-        attributes=(shape.kind["shape"], *shape.parts),
+        attributes=attributes,
+        code=_code(kind_of(name), attributes),
     )
 
 
@@ -70,24 +64,21 @@ def facts(name: str) -> dict[str, tuple[str, ...]]:
     return found | {"hasShape": (shape.kind["shape"],), "hasPart": tuple(shape.parts)}
 
 
-def look_of(name: str) -> tuple[str, ...]:
-    """Return the kind, shape and parts of an instance; the name of any other object."""
+def make(name: str) -> Target | None:
+    """Return the target of an instance's name; None for names of other objects."""
     kind = kind_of(name)
-    return (kind, *instance(name).attributes) if kind in KINDS and kind != name else (name,)
+    return instance(name) if kind in KINDS and kind != name else None
 
 
-def attribute_codes(names: Sequence[str]) -> NDArray[np.float32] | None:
-    """Return attributes and kinds of objects, (objects, columns); see `COLUMNS`.
-
-    1 is an attribute that the object has, -1 one that it lacks; the kind is 1 and all others are 0.
-    None unless all are instances of families.
-    """
-    looks = [look_of(name) for name in names]
-    if not all(look[0] in KINDS and len(look) > 1 for look in looks):
-        return None
-    attributes = [[1.0 if each in look else -1.0 for each in (*_SHAPES, *_SIZES)] for look in looks]
-    kinds = [[float(look[0] == kind) for kind in KINDS] for look in looks]
-    return np.concatenate([attributes, np.zeros((len(looks), 1)), kinds], axis=1, dtype=np.float32)
+def _code(kind: str, attributes: tuple[str, ...]) -> AttributeCode:
+    """Return the code of an instance: shapes, of which it has one, parts and kinds."""
+    values = [1.0 if attribute in attributes else -1.0 for attribute in (*_SHAPES, *_SIZES)]
+    kinds = [float(kind == other) for other in KINDS]
+    return AttributeCode(
+        values=(*values, 0.0, *kinds),
+        exclusive=len(_SHAPES),
+        attributes=len(_SHAPES) + len(_SIZES),
+    )
 
 
 class _Shape:
