@@ -20,9 +20,9 @@ from PIL import Image
 from knowarm.statistics import wilson
 from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
-from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
-from knowarm.world.tasks.ik import InverseKinematics
-from knowarm.world.tasks.lift.probe import LiftTrial, build_trial_scene, lift, plan_lifts
+from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
+from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.world.tasks.skills.lift.probe import LiftTrial, build_trial_scene, lift, plan_lifts
 
 SEED = 7
 APPROACH_M, POSES = 0.12, 6  # Way to the grasp frame, and poses on it
@@ -67,7 +67,7 @@ def row(robot: str, target: str, places: int) -> dict:
         "places": places,
         "rise_m": float(np.median(lifts.rise)),
         "outcomes": dict(Counter(lifts.outcome.tolist())),
-        "excluded": described.not_liftable.get(target, ""),
+        "excluded": described.cannot_hold.get(target, ""),
     }
 
 

@@ -18,7 +18,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 
 SEED = 7
 

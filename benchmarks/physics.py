@@ -22,8 +22,9 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.lift.lift import Lift
-from knowarm.world.tasks.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.skills.lift.lift import Lift
+from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.task import Task
 
 SEED = 7
 TIMESTEPS_MS = (1.0, 2.0, 4.0, 10.0)
@@ -48,7 +49,7 @@ class FineLift(Lift):
 def lift_row(robot: str, timestep_ms: float, episodes: int) -> dict[str, Any]:
     """Play the oracle of the lifting task."""
     env = ArmVectorEnv(
-        EnvConfig(robot=robot, task=FineLift().at(timestep_ms), image_size=8), episodes
+        EnvConfig(robot=robot, task=Task(skill=FineLift().at(timestep_ms)), image_size=8), episodes
     )
     assert env.scene.model.opt.timestep == timestep_ms / 1000
     played = play(OracleAgent(env), env, evaluation_episodes(env.config, episodes, SEED))

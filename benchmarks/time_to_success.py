@@ -85,7 +85,7 @@ def refuse_module(experiment: ExperimentConfig) -> None:
 def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentConfig:
     """Return the experiment of the same robot, task, agent and colours with another algorithm."""
     env, agent = experiment.env, experiment.agent
-    return ExperimentName(env.robot, env.task.kind_of(), agent, env.colours, algorithm).config()
+    return ExperimentName(env.robot, env.task.name, agent, env.colours, algorithm).config()
 
 
 def trainer_of(

@@ -18,7 +18,7 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import find_task
 
 DYNAMICS: tuple[Literal["dynamic", "kinematic"], ...] = ("dynamic", "kinematic")
 """Kinds of dynamics to measure."""
@@ -80,7 +80,7 @@ def bench_world(
     config = config or WorldBenchConfig()
     rows = []
     for env_config in env_configs(config):
-        task = env_config.task.kind
+        task = env_config.task.name
         row = {"robot": env_config.robot, "task": task, "dynamics": env_config.dynamics}
         row |= measure_env(env_config, config.num_envs, config.workers, config.seconds)._asdict()
         on_row(row)
@@ -115,7 +115,7 @@ def env_configs(config: WorldBenchConfig) -> list[EnvConfig]:
             for dynamics in DYNAMICS
         ]
         configs.append(
-            EnvConfig(robot=robot, task=task_type("choose")(), image_size=config.image_size)
+            EnvConfig(robot=robot, task=find_task("choose"), image_size=config.image_size)
         )
     return configs
 

@@ -11,7 +11,8 @@ from PIL import Image
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.asked.query.query import AskObject
+from knowarm.world.tasks.task import Task
 
 SIDE, COLUMNS = 200, 6
 
@@ -25,7 +26,7 @@ def main() -> None:
     """Draw a row of large and a row of small images per robot, and a column per episode."""
     rows = []
     for robot in ROBOTS:
-        env = ArmVectorEnv(EnvConfig(robot=robot, task=Choose()), COLUMNS)
+        env = ArmVectorEnv(EnvConfig(robot=robot, task=Task(asked=AskObject())), COLUMNS)
         small, _ = env.reset(seed=0)
         rows.append([enlarged(image, Image.Resampling.LANCZOS) for image in env.render()])
         rows.append([enlarged(image, Image.Resampling.NEAREST) for image in small])

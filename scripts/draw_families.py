@@ -11,9 +11,15 @@ import mujoco
 from PIL import Image, ImageDraw
 
 from knowarm.questions import kind_of
-from knowarm.world.objects.families import FAMILIES, FAMILY_COLOURS, KINDS, facts, instance
 from knowarm.world.objects.target import COLOURS
 from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.tasks.asked.family.families import (
+    FAMILIES,
+    FAMILY_COLOURS,
+    KINDS,
+    facts,
+    instance,
+)
 
 ROOT = Path(__file__).parent.parent
 GRAPH = ROOT / "src/knowarm/knowledge/data/families.ttl"
@@ -21,7 +27,7 @@ TILE, PER_SIDE, COLUMNS = 76, 4, 5
 
 HEADER = """\
 # Facts about the instances of the families task (Apache-2.0), written by
-# scripts/draw_families.py from the templates in src/knowarm/world/objects/families.toml.
+# scripts/draw_families.py from the templates in src/knowarm/world/tasks/asked/family/families.toml.
 
 @prefix : <urn:knowarm:> .
 @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .

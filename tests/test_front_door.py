@@ -272,9 +272,9 @@ def test_play():
     assert single.reset(options={"episodes": episodes[:1]})[0].shape == (8, 8, 3)
 
 
-@example("Families")
+@example("AskInstance")
 def test_families():
-    assert knowarm.EnvConfig(task=knowarm.Families()).targets[:2] == ("mug-0", "mug-1")
+    assert knowarm.EnvConfig(task=knowarm.AskInstance()).targets[:2] == ("mug-0", "mug-1")
 
 
 @example("Lift")
@@ -283,15 +283,15 @@ def test_lift():
     assert env.action_space.shape == (7,)
 
 
-@example("Purpose")
+@example("AskPart")
 def test_purpose():
-    assert knowarm.EnvConfig(task=knowarm.Purpose()).targets[:2] == (
+    assert knowarm.EnvConfig(task=knowarm.AskPart()).targets[:2] == (
         "bottle.stopper",
         "bottle.neck",
     )
 
 
-class Dip(knowarm.Task):
+class Dip(knowarm.Skill):
     """As `Reach`, by the state's own arrays."""
 
     def success(self, state: knowarm.EpisodeState):
@@ -310,15 +310,20 @@ def test_the_state_of_episodes_and_the_robot():
     assert env.running.joint_targets.shape == (2, len(robot.joints))
 
 
-@example("Task", "Reach", "Choose", "TASKS", "register_task", "NameQueries", "GraphQueries")
+@example("Task", "Asking", "AskNothing", "AskObject", "Skill", "Reach", "ASKED", "SKILLS")
+@example("TASKS", "register_task", "NameQueries", "GraphQueries")
 def test_tasks(monkeypatch):
     monkeypatch.setenv("KNOWARM_TASKS", "")
-    assert {"reach", "choose"} <= set(knowarm.TASKS)
-    assert knowarm.register_task("knowarm.world.tasks.reach:Reach") is knowarm.Reach
-    assert issubclass(knowarm.Choose, knowarm.Task)
+    assert {"reach", "choose", "choose-lift"} <= set(knowarm.TASKS)
+    assert {"nothing", "choose"} <= set(knowarm.ASKED)
+    assert {"reach", "lift"} <= set(knowarm.SKILLS)
+    assert knowarm.register_task("knowarm.world.tasks.skills.reach:Reach") is knowarm.Reach
+    assert issubclass(knowarm.AskObject, knowarm.Asking)
+    assert issubclass(knowarm.Reach, knowarm.Skill)
+    assert knowarm.Task() == knowarm.Task(asked=knowarm.AskNothing(), skill=knowarm.Reach())
     env = knowarm.make("irb120", task="choose", num_envs=2, image_size=8)
-    assert env.config.task == knowarm.Choose(queries=knowarm.GraphQueries())
-    asked = knowarm.Choose(objects=3, queries=knowarm.GraphQueries())
+    assert env.config.task.asked == knowarm.AskObject(queries=knowarm.GraphQueries())
+    asked = knowarm.AskObject(objects=3, queries=knowarm.GraphQueries())
     env = knowarm.make("tiago", task=asked, num_envs=2, image_size=8)
     assert env.reset(seed=0)[1]["objects"].shape == (2, 3)
 

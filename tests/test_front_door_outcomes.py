@@ -43,7 +43,7 @@ def ends(agent, env, seed, ask=lambda env, infos: infos):
 def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(name):
     agent = knowarm.load_agent(ZOO / name)
     summary = knowarm.evaluate(agent, episodes=100, probes=(), write=False, **TRAINING).summary
-    env = gymnasium.make(knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.kind))
+    env = gymnasium.make(knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.name))
     alone = []
     for seed in range(24):
         image, info = env.reset(seed=seed)
@@ -88,7 +88,7 @@ def test_another_question_leads_to_another_object():
 
 def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
     agent = knowarm.load_agent(ZOO / CHOOSER)
-    for task in (knowarm.Choose(queries=knowarm.NameQueries()), "purpose"):
+    for task in (knowarm.AskObject(queries=knowarm.NameQueries()), "purpose"):
         _, infos = knowarm.make("irb120", num_envs=2, task=task).reset(seed=0)
         with pytest.raises(knowarm.UserError, match=f"Unknown query.*{CHOOSER}") as error:
             agent.reset(infos)
@@ -98,13 +98,13 @@ def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
 
 def test_episodes_of_other_questions_are_refused():
     env = made(knowarm.load_agent(ZOO / CHOOSER), 2, image_size=8)
-    named = knowarm.EnvConfig(task=knowarm.Choose(queries=knowarm.NameQueries()))
+    named = knowarm.EnvConfig(task=knowarm.AskObject(queries=knowarm.NameQueries()))
     with pytest.raises(knowarm.UserError, match="Unknown query of this environment 'isA"):
         env.reset(options={"episodes": knowarm.evaluation_episodes(named, 2, seed=0)})
 
 
 def test_a_config_with_questions_of_a_graph_is_read_without_another_import():
-    text = json.dumps(to_dict(knowarm.EnvConfig(task=knowarm.Purpose())))
+    text = json.dumps(to_dict(knowarm.EnvConfig(task=knowarm.AskPart())))
     code = (
         "import json, sys\nfrom knowarm.config import from_dict\n"
         "from knowarm.world.config import EnvConfig\n"

@@ -33,7 +33,7 @@ from knowarm.world.config import questions_of
 from knowarm.world.objects.target import COLOURS
 from knowarm.world.robots import find_robot
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks import task_names, task_type
+from knowarm.world.tasks import find_task, task_names
 from tests.report.synthetic_study import Size, Truth, write_study
 from tests.tiny import TINY
 
@@ -79,7 +79,7 @@ def with_an_object():
         table = questions_of(cell.env)
         names = {""} if table is None else {query.name for query in table.queries}
         assert names >= set(cell.episodes.question.tolist()), cell.name
-    print(json.dumps([list(knowarm.TARGETS), {n: task_type(n).targets for n in task_names()}]))
+    print(json.dumps([list(knowarm.TARGETS), {n: find_task(n).targets for n in task_names()}]))
 
 
 def test_an_object(tmp_path):
@@ -104,7 +104,7 @@ def test_an_object(tmp_path):
     ).stdout
     targets, tasks = json.loads(printed.splitlines()[-1])
     assert set(targets) == {*knowarm.TARGETS, "trophy"}
-    assert tasks == {name: list(task_type(name).targets) for name in task_names()}
+    assert tasks == {name: list(find_task(name).targets) for name in task_names()}
 
 
 class LSTMGate(Fusion):

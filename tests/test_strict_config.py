@@ -11,7 +11,7 @@ from knowarm.knowledge import KnowledgeConfig
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.asked.query.query import AskObject
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
         (lambda: EnvConfig(max_episode_steps="many"), "max_episode_steps must be of type int"),
         (lambda: EnvConfig(antialiasing="no"), "EnvConfig.antialiasing must be of type bool"),
         (lambda: EnvConfig(targets=(3,)), r"EnvConfig.targets\[0\] must be of type str, got 3"),
-        (lambda: EnvConfig(task=Choose), "must be a task, such as Reach\\(\\), or its name"),
+        (lambda: EnvConfig(task=AskObject), "must be a task, such as Task\\(\\), or its name"),
         (lambda: EnvConfig(task="chose"), "Did you mean 'choose'"),
         (lambda: VisualRandomization(light="a"), "light must be between 0 and 1, got 'a'"),
         (lambda: PPOConfig(learning_rate="a"), "PPOConfig.learning_rate must be of type float"),
@@ -53,7 +53,7 @@ def test_a_value_of_another_type_is_refused_where_a_config_is_made(make, message
 
 
 def test_a_config_of_an_environment_takes_its_task_by_name():
-    assert EnvConfig(task="choose") == EnvConfig(task=Choose())
+    assert EnvConfig(task="choose") == EnvConfig(task=AskObject())
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

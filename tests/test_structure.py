@@ -1,6 +1,7 @@
 """Structure of the source: imports, registries, random state, names and lengths of modules."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -9,7 +10,10 @@ from collections import defaultdict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks import TASKS, task_type
+from knowarm.world.tasks.asked import ASKED
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.skills import SKILLS
+from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.task import Task
 from tests.source_tree import ROOT, dotted, edges, files, imported, modules, package
 
@@ -41,7 +45,7 @@ command line names their commands, and imports them when they are typed."""
 
 REGISTRIES = {
     "world/robots/": set(ROBOTS),
-    "world/tasks/": set(TASKS),
+    "world/tasks/": {*ASKED, *SKILLS},
     "experiment/agents.py": set(AGENTS),
     "experiment/algorithms.py": set(ALGORITHMS),
     "learn/algorithms.py": set(ALGORITHMS),
@@ -49,14 +53,32 @@ REGISTRIES = {
 """Files (or folders) that own names: the registries, and the algorithms' literal tags."""
 
 OTHER_MEANINGS = {
+    "nothing": "",  # scope of knowledge
     "target": "",  # column of evaluations: the episode's object
     "full": "knowledge/",  # KnowledgeConfig.detail
     "partial": "knowledge/",
     "learned": "policy/",  # PolicyConfig.knowledge_encoder
     "wide": "experiment/run.py",  # field of PolicyConfig
-    "reach": "world/objects/families.py",  # size of a handle
+    "reach": "world/tasks/",  # size of a handle
 }
 """Names of agents and tasks that mean something else in a place."""
+
+SPECIAL_WORDS = {
+    "lift": (),
+    "famil": (
+        "asking/",  # families of relations
+        "svg.py",  # of fonts
+        "knowledge/formats/",  # a shipped graph
+    ),
+    "purpose": (
+        "seeding.py",  # of a stream of random numbers
+        "world/envs/episodes.py",  # of a list of episodes
+        "asking/",  # "for ..." in a sentence
+        "knowledge/formats/",  # a shipped graph
+    ),
+}
+"""Beginnings of words that only `world/tasks/` uses, and where they mean something else. Parts of
+objects are no such word: what a name such as "mug.handle" means is the world's."""
 
 NUMPY_RANDOM = {"Generator", "BitGenerator", "SeedSequence", "PCG64", "Philox", "default_rng"}
 TORCH_DRAWS = {"rand", "randn", "randint", "randperm", "multinomial", "bernoulli", "normal"}
@@ -198,15 +220,17 @@ def test_no_class_name_occurs_twice():
 
 
 def special_attributes():
-    """Return the names that some shipped tasks define and their base class does not."""
-    shipped = {name for kind in TASKS for name in dir(task_type(kind)) if name[0] != "_"}
-    fields = {name for kind in TASKS for name in task_type(kind).__dataclass_fields__}
-    return (shipped | fields) - set(dir(Task))
+    """Return the names that only some of the parts of tasks define."""
+    parts = [*ASKED.types(), *SKILLS.types()]
+    names = {name for part in parts for name in dir(part) if name[0] != "_"}
+    fields = {name for part in parts for name in part.__dataclass_fields__}
+    return (names | fields) - {*dir(Task), *dir(Asking), *dir(Skill)}
 
 
 def task_uses(path, tree):
     """Yield where a module depends on which task it has."""
-    classes = {place.replace(":", ".") for place in TASKS.values()}
+    places = [*ASKED.values(), *SKILLS.values()]
+    classes = {place.replace(":", ".") for place in places}
     yield from (f"imports {name}" for name in imported(path, tree) if name in classes)
     special = special_attributes()
     for node in ast.walk(tree):
@@ -224,12 +248,14 @@ def task_uses(path, tree):
 
 def is_overridden(key, value):
     """Return whether an item of a mapping overrides fields of a task."""
-    return ast.unparse(key) == "'task'" and isinstance(value, ast.Dict)
+    names = ("'task'", "'asked'", "'skill'")
+    return ast.unparse(key) in names and isinstance(value, ast.Dict)
 
 
 def is_task(node):
-    """Return whether an expression is called ``task``."""
-    return ast.unparse(node).rpartition(".")[2] in ("task", "_task")
+    """Return whether an expression is called ``task``, or as one of its parts."""
+    whole = ast.unparse(node).removesuffix(".asked").removesuffix(".skill")
+    return whole.rpartition(".")[2] in ("task", "_task")
 
 
 def test_only_tasks_know_which_task_it_is():
@@ -243,17 +269,67 @@ def test_only_tasks_know_which_task_it_is():
 
 
 def test_every_use_of_one_task_is_found():
-    assert {"queries", "objects", "height_m", "nearest"} <= special_attributes()
+    assert {"queries", "objects", "height_m", "hold_steps"} <= special_attributes()
     lines = [
-        "from knowarm.world.tasks.reach import Reach",
-        "from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS, Choose",
-        "env.task.height_m + task.objects",
-        "getattr(config.env.task, 'solid', None)",
+        "from knowarm.world.tasks.skills.reach import Reach",
+        "from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS, AskObject",
+        "env.task.skill.height_m + task.asked.objects",
+        "getattr(config.env.task.skill, 'solid', None)",
         "config.task.visible + setting.objects",
-        "override(env, {'task': {'queries': {'graph': path}}})",
+        "override(env, {'task': {'asked': {'queries': {'graph': path}}}})",
     ]
     found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]
-    assert found == [1, 1, 2, 1, 0, 1]
+    assert found == [1, 1, 2, 1, 0, 2]
+
+
+def words(tree):
+    """Yield the words of identifiers, modules and strings; docstrings are left out."""
+    documented = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        texts = [getattr(node, name, None) for name in ("id", "attr", "name", "arg", "module")]
+        if isinstance(node, ast.Constant) and id(node) not in documented:
+            texts.append(node.value)
+        for text in texts:
+            if isinstance(text, str):
+                apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
+                yield from ((node, word) for word in re.findall(r"[a-z]+", apart))
+
+
+def special_words(path, tree):
+    """Yield where a module names what one part of a task does."""
+    for node, word in words(tree):
+        start = next((start for start in SPECIAL_WORDS if word.startswith(start)), None)
+        if start is not None and not path.startswith(SPECIAL_WORDS[start]):
+            yield f"{getattr(node, 'lineno', '?')}: {word!r}"
+
+
+def test_nothing_outside_tasks_names_what_one_of_them_does():
+    """They bring probes, measures, columns and tables of their own."""
+    offenders = [
+        f"{path}:{use}"
+        for path, tree in modules().items()
+        if not path.startswith("world/tasks/")
+        for use in special_words(path, tree)
+    ]
+    assert not offenders, listed(offenders)
+
+
+def test_every_word_of_one_task_is_found():
+    lines = [
+        "from knowarm.world.tasks.skills.lift.probe import LiftProbe",
+        "Measure('lifted', 'of the successes')",
+        "draw(family=1)",
+        "def purpose(): pass",
+        "'a sentence on lifting'.split(family_name)",
+        "def grip():\n    'Lift.'",
+    ]
+    found = [len([*special_words("experiment/a.py", ast.parse(line))]) for line in lines]
+    assert found == [2, 1, 1, 1, 2, 0]
+    assert not [*special_words("svg.py", ast.parse("draw(font_family=1)"))]
 
 
 def test_mutation_testing_names_files_that_exist():

@@ -1,9 +1,13 @@
-"""A task of your own: hold the tool centre point 10 cm above the object for ten steps.
+"""A skill of your own: hold the tool centre point 10 cm above the object for ten steps.
 
 From the folder of this file::
 
     knowarm train irb120-full-fast --env.task hover:Hover
     knowarm evaluate runs/irb120-hover-full-fast/0 --tasks hover:Hover
+
+Above the object that answers a query::
+
+    knowarm train irb120-choose-answers-distil --env.task hover:Hover
 """
 
 from collections.abc import Mapping
@@ -14,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.state import EpisodeState
-from knowarm.world.tasks.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover(Task):
+class Hover(Skill):
     """Hold the gripper above the grasp point, in the orientation of the grasp."""
 
     kind: Literal["hover"] = "hover"
-    """Tag of this task in JSON and in the names of experiments."""
+    """Tag of this skill in JSON and in the names of experiments."""
 
     height_m: float = 0.10
     """Height above the grasp point [m]."""
@@ -60,7 +64,7 @@ class Hover(Task):
 
     def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
         """Add the number of steps held."""
-        return super().infos(state) | {"held": state.memory["held"]}
+        return {"held": state.memory["held"]}
 
     def columns(self, setting: Any, infos: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Store the number of steps held at the end of each episode."""

@@ -16,19 +16,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.state import EpisodeState
-from knowarm.world.tasks.task import Task
 
 STEP_S = 0.1
 """Duration of a step [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Steady(Task):
+class Steady(Skill):
     """Reach the goal and stand still there."""
 
     kind: Literal["steady"] = "steady"
-    """Tag of this task in JSON and in the names of experiments."""
+    """Tag of this skill in JSON and in the names of experiments."""
 
     joints: int = 5
     """Number of the arm's joints."""

@@ -56,13 +56,15 @@ World
     play                play a list of episodes with an agent
     OracleAgent         moves to the true goal by inverse kinematics
 Tasks
-    Task                base of tasks; derive your own from it
-    EpisodeState        the running episodes, the argument of a task's methods
-    Reach, Choose       reach one object; reach the object that answers a question
-    Families            as Choose, with objects whose kinds have many instances
-    Lift                close the fingers and lift an object
-    Purpose             reach the part of an object that answers a question
-    TASKS, register_task    tasks by name; add one of your own module
+    Task                what is asked, and what has to be done
+    Asking              base of what is asked; derive your own from it
+    AskNothing, AskObject    one object; the object, of several, that answers a question
+    AskInstance         as AskObject, with objects whose kinds have many instances
+    AskPart             the part of an object that answers a question
+    Skill               base of skills; derive your own from it
+    Reach, Lift         reach an object; close the fingers and lift it
+    EpisodeState        the running episodes, the argument of these methods
+    TASKS, ASKED, SKILLS, register_task    names of tasks; their parts; add one of your own module
     NameQueries, GraphQueries    questions from names, or answered by a graph
     Query, QuestionTable    conditions on an object; questions and the objects that answer them
 Knowledge

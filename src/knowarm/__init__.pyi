@@ -62,16 +62,21 @@ from .world.robots.robot import Robot as Robot
 from .world.scene.appearance import VisualRandomization as VisualRandomization
 from .world.tasks import TASKS as TASKS
 from .world.tasks import register_task as register_task
-from .world.tasks.choose.choose import Choose as Choose
-from .world.tasks.choose.choose import Families as Families
-from .world.tasks.choose.purpose import Purpose as Purpose
-from .world.tasks.choose.query_source import GraphQueries as GraphQueries
-from .world.tasks.choose.query_source import NameQueries as NameQueries
+from .world.tasks.asked.query.query_source import GraphQueries as GraphQueries
+from .world.tasks.asked.query.query_source import NameQueries as NameQueries
 from .world.tasks.held_out import HeldOut as HeldOut
-from .world.tasks.lift.lift import Lift as Lift
-from .world.tasks.reach import Reach as Reach
 from .world.tasks.sampling import Episodes as Episodes
+from .world.tasks.skills.lift.lift import Lift as Lift
+from .world.tasks.skills.reach import Reach as Reach
+from .world.tasks.skills.skill import Skill as Skill
 from .world.tasks.state import EpisodeState as EpisodeState
 from .world.tasks.task import Task as Task
 
 __version__: str
+from .world.tasks.asked import ASKED as ASKED
+from .world.tasks.asked.asked import Asking as Asking
+from .world.tasks.asked.family.family import AskInstance as AskInstance
+from .world.tasks.asked.nothing import AskNothing as AskNothing
+from .world.tasks.asked.part.part import AskPart as AskPart
+from .world.tasks.asked.query.query import AskObject as AskObject
+from .world.tasks.skills import SKILLS as SKILLS

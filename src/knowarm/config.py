@@ -16,7 +16,7 @@ _TYPES, _OWN = "knowarm.config.types", "knowarm.config.own"
 
 
 def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dict[str, Any]:
-    """Return the metadata of a dataclass field whose value is one of several registered configs.
+    """Return the metadata of a dataclass field that holds registered configs: one, or a tuple.
 
     The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
     ``name`` tells them apart in JSON. ``own`` names what other packages can register.
@@ -206,13 +206,25 @@ def _fields(cls: Any) -> dict[str, tuple[bool, _Reader]]:
     return {
         field.name: (
             field.default is missing and field.default_factory is missing,
-            partial(_registered, field.metadata)
-            if _TYPES in field.metadata
-            else _reader(_hints(cls)[field.name]),
+            _field_reader(field.metadata, _hints(cls)[field.name]),
         )
         for field in dataclasses.fields(cls)
         if field.init
     }
+
+
+def _field_reader(metadata: Mapping[str, Any], hint: Any) -> _Reader:
+    """Return what reads a field: one registered config, a tuple of them, or any other type."""
+    if _TYPES not in metadata:
+        return _reader(hint)
+    read = partial(_registered, metadata)
+    return partial(_registered_tuple, read) if get_origin(hint) is tuple else read
+
+
+def _registered_tuple(read: _Reader, value: Any, path: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise UserError(f"{path} must be a list, got {value!r}.")
+    return tuple(read(item, f"{path}[{i}]") for i, item in enumerate(value))
 
 
 @cache

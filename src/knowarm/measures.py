@@ -22,6 +22,8 @@ class Measure:
     """Column of the episodes that it is computed from."""
     statistic: Literal["share", "mean", "average", "std", "max", "count"] = "share"
     """What it is of the column's values; a "share" and a "mean" have a 95 % interval."""
+    equals: str | None = None
+    """Value of the column that is counted, in place of true."""
     among: str | Callable[[Columns], np.ndarray] | None = None
     """Bool column of the episodes that count, or a function that computes it; None: all do."""
     compute: Callable[[Columns], Any] | None = None

@@ -28,9 +28,9 @@ from tests.source_tree import ROOT
 
 TABLE = "irb120, fixed colours"
 PUBLISHED = {
-    "choose-v1": "5af0d38abf233911d998a1ed16dbb49ff0e909829319dfc8b275d9a7f79b06bd",
-    "damaged-graph-v1": "972acd2a307f289ff685d71ecc03477bb60c1ab86aa9617f6adb8f7d507864d4",
-    "reach-v1": "24b01018b599f588776431dec92b8d936f9998397822dcffd018ff8a973874e7",
+    "choose-v1": "03407d9ea3703743a1fab0cf134f470a207d520690830589da9084593b307b40",
+    "damaged-graph-v1": "feef0edf7d7632d47a892cfaeb3c31674ee1c594201da47bbb7faed4517b5e07",
+    "reach-v1": "116b8adf5475328f4d299923464cab0f7beddbd142dae4c89462a30c04b005e9",
 }
 
 

@@ -9,12 +9,12 @@ from knowarm.benchmark.suites import FOLDER, parse_suite, read_suite, suite_name
 from knowarm.config import to_dict
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.choose.query_source import GraphQueries
+from knowarm.world.tasks.asked.query.query import AskObject
+from knowarm.world.tasks.asked.query.query_source import GraphQueries
 from scripts.freeze_suites import freeze
 
 NAMES = suite_names()
-CONFIGS = (EnvConfig, Choose, GraphQueries, VisualRandomization)
+CONFIGS = (EnvConfig, AskObject, GraphQueries, VisualRandomization)
 
 
 def other(value):

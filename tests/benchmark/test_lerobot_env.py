@@ -28,7 +28,7 @@ from lerobot.processor.converters import policy_action_to_transition, transition
 from lerobot.scripts.lerobot_eval import rollout
 
 from knowarm.benchmark.suites import read_suite
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 N = 4

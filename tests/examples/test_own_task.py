@@ -8,7 +8,8 @@ import pytest
 from knowarm.cli.main import _parse, main
 from knowarm.experiment.evaluation_files import read_table
 from knowarm.reading import read_json
-from knowarm.world.tasks import TASKS, VARIABLE
+from knowarm.world.tasks import VARIABLE
+from knowarm.world.tasks.skills import SKILLS
 from tests.tiny import TINY, flags
 
 FOLDER = Path(__file__).parents[2] / "examples" / "own_task"
@@ -20,12 +21,12 @@ def in_its_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.setenv(VARIABLE, "")
     yield
-    TASKS.pop("hover", None)
+    SKILLS.pop("hover", None)
 
 
 def start_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget the task, as a new process does not know it."""
-    TASKS.pop("hover", None)
+    SKILLS.pop("hover", None)
     monkeypatch.setenv(VARIABLE, "")
 
 
@@ -37,7 +38,7 @@ def test_it_is_trained_evaluated_and_reported(
     assert main(["train", "irb120-full-ppo", *options]) == 0
     run = tmp_path / "irb120-hover-full-ppo" / "0"
     assert f"knowarm evaluate {run} --tasks hover:Hover\n" in capsys.readouterr().out
-    assert read_json(run / "config.json")["env"]["task"]["kind"] == "hover"
+    assert read_json(run / "config.json")["env"]["task"]["skill"]["kind"] == "hover"
 
     start_afresh(monkeypatch)
     options = ["--episodes", "4", "--record-films", "1", "--blind-episodes", "0"]

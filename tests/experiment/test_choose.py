@@ -19,8 +19,8 @@ from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
-from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.choose.query_source import GraphQueries, NameQueries
+from knowarm.world.tasks.asked.query.query import AskObject
+from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
 from tests.tiny import CHOOSE_ENV
 
 
@@ -28,16 +28,16 @@ def test_the_image_marks_the_object_for_the_upper_bound_only() -> None:
     for name, agent in AGENTS.items():
         if "choose" in tasks_of(agent):
             config = experiment_config(f"irb120-choose-{name}-fast")
-            assert isinstance(config.env.task, Choose)
-            assert config.env.task.marked == (name == "mask")
-            assert agent.task == ({"marked": True} if name == "mask" else {})
+            assert isinstance(config.env.task.asked, AskObject)
+            assert config.env.task.asked.marked == (name == "mask")
+            assert agent.asked == ({"marked": True} if name == "mask" else {})
 
 
 def test_a_task_may_change_the_settings_of_an_algorithm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     training = {"fast": {"total_steps": 7, "algorithm": {"gamma": 0.5}}}
-    monkeypatch.setattr(Choose, "training", training)
+    monkeypatch.setattr(AskObject, "training", lambda self, algorithm: training.get(algorithm, {}))
     reach, choose = (experiment_config(f"irb120-{name}-fast") for name in ("bm", "choose-bm"))
     assert (choose.total_steps, choose.algorithm) == (7, replace(reach.algorithm, gamma=0.5))
     assert reach.total_steps == ALGORITHMS["fast"].total_steps
@@ -94,7 +94,7 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Ru
 
 def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
     for split in ("S1", "S3", "S5"):
-        task = Choose(queries=GraphQueries(pairs="none", split=split))
+        task = AskObject(queries=GraphQueries(pairs="none", split=split))
         env = EnvConfig(task=task, dynamics="kinematic", image_size=8)
         result = evaluate(OracleAgent, env, episodes=40)
         assert result.summary["choice"] >= 0.97
@@ -102,7 +102,7 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 
 
 def test_a_split_needs_queries_of_a_graph() -> None:
-    env = EnvConfig(task=Choose(queries=NameQueries()))
+    env = EnvConfig(task=AskObject(queries=NameQueries()))
     with pytest.raises(UserError, match="no queries that a graph could answer"):
         evaluate(OracleAgent, env, episodes=4, test=(SplitTest(split="S2"),))
 
@@ -112,7 +112,7 @@ def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:
     graph.write_bytes((Path(__file__).parents[2] / "examples/own_graph/tidy.csv").read_bytes())
     targets = ("mug", "teapot", "bowl", "mallet", "toolbox", "bucket", "lamp", "book", "clock")
     env = EnvConfig(
-        targets=targets, task=Choose(queries=GraphQueries(graph=str(graph), hold_out=()))
+        targets=targets, task=AskObject(queries=GraphQueries(graph=str(graph), hold_out=()))
     )
     before = questions_of(env)
     assert before is not None

@@ -1,4 +1,3 @@
-import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from knowarm.experiment.measures import summarize
 from knowarm.experiment.probes import (
     BlindProbe,
     FilmsProbe,
-    LiftProbe,
     StepsProbe,
     other_questions,
 )
@@ -30,7 +28,6 @@ from knowarm.policy import PolicyAgent
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,
-    ApproachAgent,
     BlindAgent,
     BlindEntry,
     OpenLoopAgent,
@@ -41,8 +38,6 @@ from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.scene import _load_scene
 from knowarm.world.tasks.held_out import HeldOut
 
 ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
@@ -243,34 +238,6 @@ def test_untrained_and_scripted_agents_are_evaluated_alone():
     scripted = evaluate(ZeroAgent(), ENV, config)
     assert "blind" not in untrained.summary.groups
     assert "blind" not in scripted.summary.groups
-
-
-def test_the_lift_test_counts_what_physics_holds():
-    config = EvaluationConfig(episodes=6, distance_m=0.002, angle_deg=1.0, probes=(LiftProbe(),))
-    env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=120)
-    result = evaluate(ApproachAgent, env, config)
-    outcomes = result.episodes["lift"]
-    assert ((outcomes == "not reached") == ~result.episodes["success"]).all()
-    assert ((outcomes == "lifted") == (result.episodes["lift_rise_m"] >= 0.08)).all()
-    summary = result.summary
-    lifted = np.count_nonzero(outcomes == "lifted")
-    assert lifted >= 4
-    assert summary["lifted"] == lifted / 6
-    assert summary["grasps"] == lifted / np.count_nonzero(result.episodes["success"])
-    assert summary.label == "post-training-greedy-lift"
-
-
-def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
-    robot = dataclasses.replace(ROBOTS["irb120"], not_liftable={"mug": "for this test"})
-    monkeypatch.setitem(ROBOTS, "irb120", robot)
-    _load_scene.cache_clear()
-    config = EvaluationConfig(episodes=6, distance_m=9.0, angle_deg=180.0, probes=(LiftProbe(),))
-    env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
-    summary = evaluate(ZeroAgent(), env, config).summary
-    _load_scene.cache_clear()
-    assert "lifted" not in summary.of("target", "mug")
-    assert summary["lifted"] == 0
-    assert summary["lift_missed"] == 1
 
 
 BRIEF = EvaluationConfig(episodes=4, probes=())

@@ -27,7 +27,7 @@ def test_a_name_has_five_parts(text, parts):
     assert name == ExperimentName(*parts)
     assert str(name) == text
     config = experiment_config(text)
-    assert (config.env.robot, config.env.task.kind, config.agent) == parts[:3]
+    assert (config.env.robot, config.env.task.name, config.agent) == parts[:3]
     assert (config.env.colours, config.learner) == parts[3:]
 
 
@@ -89,7 +89,7 @@ def kitchen(tmp_path):
 
 
 def graphs_of(config):
-    return config.knows.graph, config.env.task.queries.graph
+    return config.knows.graph, config.env.task.asked.queries.graph
 
 
 def test_one_graph_is_that_of_the_questions_and_the_knowledge(kitchen):
@@ -97,7 +97,7 @@ def test_one_graph_is_that_of_the_questions_and_the_knowledge(kitchen):
     assert graphs_of(experiment_config(name, graph=kitchen)) == (kitchen, kitchen)
     assert experiment_config("irb120-full-fast", graph=kitchen).knows.graph == kitchen
     control = experiment_config("irb120-choose-bm-fast", graph=kitchen)
-    assert control.env.task.queries.graph == kitchen
+    assert control.env.task.asked.queries.graph == kitchen
     with pytest.raises(UserError, match="does not concern irb120-bm-fast"):
         experiment_config("irb120-bm-fast", graph=kitchen)
     words = [name, "--graph", kitchen]
@@ -106,18 +106,21 @@ def test_one_graph_is_that_of_the_questions_and_the_knowledge(kitchen):
 
 def test_two_graphs_are_taken_only_if_both_are_named(kitchen):
     name = "irb120-choose-subgraph-fast"
-    knows, asks = {"knows": {"graph": kitchen}}, {"env": {"task": {"queries": {"graph": kitchen}}}}
+    knows, asks = (
+        {"knows": {"graph": kitchen}},
+        {"env": {"task": {"asked": {"queries": {"graph": kitchen}}}}},
+    )
     for one in (knows, asks):
         with pytest.raises(UserError, match=r"For both pass graph='.*kitchen\.csv'"):
             experiment_config(name, **one)
         with pytest.raises(UserError, match="For both pass graph"):
             StudyConfig(name="s", experiments=(name,), seeds=(0,), overrides=one)
-    for flag in ("--knows.graph", "--env.task.queries.graph"):
+    for flag in ("--knows.graph", "--env.task.asked.queries.graph"):
         with pytest.raises(UserError, match="For both pass graph"):
             Train.parse("", [name, flag, kitchen])
-    other = {"env": {"task": {"queries": {"graph": "household"}}}}
+    other = {"env": {"task": {"asked": {"queries": {"graph": "household"}}}}}
     assert graphs_of(experiment_config(name, **knows, **other)) == (kitchen, "household")
-    words = [name, "--knows.graph", kitchen, "--env.task.queries.graph", "household"]
+    words = [name, "--knows.graph", kitchen, "--env.task.asked.queries.graph", "household"]
     assert graphs_of(Train.parse("", words).config) == (kitchen, "household")
     words = [name, "--graph", "household", "--knows.graph", kitchen]
     assert graphs_of(Train.parse("", words).config) == (kitchen, "household")

@@ -28,7 +28,7 @@ from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
-from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
+from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO
 from tests.tiny import CHOOSE, CHOOSE_ENV
 

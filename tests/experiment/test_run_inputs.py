@@ -83,12 +83,12 @@ def test_the_edited_graph_of_s5_is_kept(tmp_path):
     edited = tmp_path / "edited.csv"
     edited.write_text(GRAPH)
     config = experiment_config(
-        "irb120-choose-subgraph-fast", env={"task": {"queries": {"edited": str(edited)}}}
+        "irb120-choose-subgraph-fast", env={"task": {"asked": {"queries": {"edited": str(edited)}}}}
     )
     folder = RunFolder.create(tmp_path / "run")
     folder.write_experiment(config)
     edited.unlink()
-    assert Path(folder.experiment().env.task.queries.edited).read_text() == GRAPH
+    assert Path(folder.experiment().env.task.asked.queries.edited).read_text() == GRAPH
 
 
 def test_a_resumed_run_keeps_the_name_of_the_original(run):

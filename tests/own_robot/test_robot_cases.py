@@ -16,8 +16,8 @@ from knowarm.own_robot.servo_check import check_servos
 from knowarm.world.objects import find_targets
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.lift.lift import Lift
-from knowarm.world.tasks.lift.model import build_lift_scene
+from knowarm.world.tasks.skills.lift.lift import Lift
+from knowarm.world.tasks.skills.lift.model import build_lift_scene
 from tests.own_robot.robot_cases import CASES
 
 SIX = "j1, j2, j3, j4, j5, j6; left out: {}; TCP: between the ends"

@@ -9,7 +9,7 @@ from knowarm.own_robot.robot_check import check_agents, check_joints, check_robo
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks.teacher import GoalTable
+from knowarm.world.tasks.skills.teacher import GoalTable
 from tests.world.helpers import EXAMPLES, write_robot
 
 

@@ -15,15 +15,15 @@ from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS
-from knowarm.world.tasks.choose.purpose import Purpose
-from knowarm.world.tasks.choose.query_source import NameQueries
+from knowarm.world.tasks.asked.part.part import AskPart
+from knowarm.world.tasks.asked.query.query_source import NameQueries
 
 
 @pytest.fixture(scope="module")
 def parted():
     """Return a task with two parts per object, and an untrained network for it."""
     names = tuple(name for name in PARTS if object_of(name) in ("bell", "globe", "brush"))
-    task = Purpose(queries=NameQueries())
+    task = AskPart(queries=NameQueries())
     env = EnvConfig(task=task, targets=names, dynamics="kinematic")
     knowledge = np.random.default_rng(0).normal(size=(len(questions_of(env).queries), 6))
     spec = GroundingSpec.of(env, GroundingConfig())

@@ -92,7 +92,8 @@ def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
 def choice_env(*, marked: bool = False) -> dict[str, Any]:
     """The choose task, as ``config.json`` has it."""
     queries = {"kind": "graph", "graph": "objects", "split": "train"}
-    task = {"kind": "choose", "objects": 4, "queries": queries, "marked": marked}
+    asked = {"kind": "choose", "objects": 4, "queries": queries, "marked": marked}
+    task = {"asked": asked, "skill": {"kind": "reach"}}
     return env_of() | {"task": task, "targets": ["mug", "bottle", "cereal_box", "bowl"]}
 
 
@@ -322,7 +323,7 @@ def write_choice(
     folder.mkdir(parents=True)
     rules = {"test": (SplitTest(split=split),), "distance_m": 0.05, "angle_deg": 15.0}
     env, share = choice_env(), generator.binomial(size.episodes, choice) / size.episodes
-    chance = 1 / env["task"]["objects"]
+    chance = 1 / env["task"]["asked"]["objects"]
     beyond = (share - chance) / (1 - chance)
     numbers = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
     numbers |= {"episodes": float(size.episodes), "choice": share, "success_if_chosen": reach}

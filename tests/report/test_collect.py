@@ -377,6 +377,6 @@ def test_only_reaching_learned_from_rewards_is_compared_with_the_paper(tmp_path)
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full") is None
     edit(tmp_path / "reach/0/config.json", **{name: own[name] for name in imitation})
-    edit(tmp_path / "reach/0/config.json", env=env_of() | {"task": {"kind": "lift"}})
+    edit(tmp_path / "reach/0/config.json", env=env_of() | {"task": {"skill": {"kind": "lift"}}})
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full") is None

@@ -170,7 +170,7 @@ def make(doors: Doors, random: Random) -> list[str]:
 
     def asked(order):
         graph.write_text("".join("\t".join(triples[i]) + "\n" for i in order), "utf-8")
-        task = knowarm.Choose(queries=knowarm.GraphQueries(graph=str(graph)))
+        task = knowarm.AskObject(queries=knowarm.GraphQueries(graph=str(graph)))
         seen, infos = knowarm.make("irb120", 2, task=task, image_size=8).reset(seed=seed)
         return [*seen.ravel(), *infos["query"], *infos["distance"]]
 

@@ -5,10 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from knowarm.world.agents import Batch, BlindAgent, FrozenAgent, OpenLoopAgent
+from knowarm.world.agents import Batch, BlindAgent, FrozenAgent, OpenLoopAgent, open_loop
 from knowarm.world.agents.open_loop import (
     ANCHORS,
-    MOST_GROUPS,
     _anchor_goals,
     search_open_loop,
 )
@@ -18,7 +17,7 @@ from knowarm.world.agents.protocol import Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.objects.families import FAMILIES
+from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from tests.world.helpers import EXAMPLES
 
@@ -124,11 +123,12 @@ def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
     np.testing.assert_array_equal(search_open_loop(config, 30), found)
 
 
-def test_many_targets_are_searched_in_groups():
-    config = EnvConfig(targets=FAMILIES[:70])
+def test_many_targets_are_searched_in_groups(monkeypatch):
+    monkeypatch.setattr(open_loop, "MOST_GROUPS", 9)
+    config = EnvConfig(targets=tuple(TARGETS)[:20])
     episodes = evaluation_episodes(config, 70, 0)
     goals = _anchor_goals(OpenLoopScore(config, episodes))
-    assert len(goals) == MOST_GROUPS * len(ANCHORS) ** 2
+    assert len(goals) == 9 * len(ANCHORS) ** 2
     assert len(np.unique(goals, axis=0)) == len(goals)
 
 

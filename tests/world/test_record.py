@@ -15,7 +15,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.viewing.record import record_episode, write_page, write_strip, write_video
 from tests.world.helpers import MakeEnv
 
@@ -101,7 +101,7 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
 
 
 def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
-    env = ArmVectorEnv(EnvConfig(task=Choose(), image_size=16, dynamics="kinematic"), 1)
+    env = ArmVectorEnv(EnvConfig(task=AskObject(), image_size=16, dynamics="kinematic"), 1)
     episodes = evaluation_episodes(env.config, 1, seed=1)
     frames = record_episode(OracleAgent(env), env, episodes)
     assert frames[0].goal.startswith(f"{episodes.question[0]}: the ")

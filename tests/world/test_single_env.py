@@ -108,7 +108,7 @@ def test_continuous_actions_are_joint_steps_in_units_of_the_mpi(robot: str) -> N
 
 
 def test_an_id_and_another_task_are_refused() -> None:
-    assert make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.kind == "choose"
+    assert make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.name == "choose"
     with pytest.raises(UserError, match="names the task 'reach', and task is 'choose'"):
         make("knowarm/IRB120Reach-v0", task="choose")
     with pytest.raises(UserError, match="names the task 'choose', and task is 'reach'"):

@@ -99,8 +99,8 @@ def _run(spec: str) -> Entrant:
 
     def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
         own, other = config.env, cell.env
-        if (own.robot, own.task.kind_of()) != (other.robot, other.task.kind_of()):
-            raise UserError(f"{spec} was trained for {own.robot} and {own.task.kind_of()}.")
+        if (own.robot, own.task.name) != (other.robot, other.task.name):
+            raise UserError(f"{spec} was trained for {own.robot} and {own.task.name}.")
         if facets_of(own) != facets_of(other):
             raise UserError(f"{spec} was trained with other objects or colours.")
         graph = cell.graph or other.task.edited_graph(facets_of(other))

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -35,14 +35,7 @@ from knowarm.experiment.config import Which
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.measures import Numbers, measure
 from knowarm.experiment.other_graphs import target_names
-from knowarm.experiment.probes import (
-    AnyProbe,
-    BaseProbe,
-    BlindProbe,
-    FilmsProbe,
-    LiftProbe,
-    StepsProbe,
-)
+from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Summary
 from knowarm.knowledge.formats import read_graph
@@ -53,14 +46,16 @@ from knowarm.perception.config import Unclear
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks import find_task
+from knowarm.world.tasks import find_task, task_probes
+from knowarm.world.tasks.probe import BaseProbe
 
 ABOUT = """AGENT is a run folder, or a scripted agent of `knowarm list`, which plays in --env:
   knowarm evaluate runs/irb120-full-fast/0
   knowarm evaluate oracle --env.robot tiago --env.task choose"""
 FIRST = (
     *("json", "which", "evaluation.episodes", "evaluation.seed", "evaluation.distance_m"),
-    *("evaluation.angle_deg", "conditions.split", "conditions.graph", "probes.lift"),
+    *("evaluation.angle_deg", "conditions.split", "conditions.graph"),
+    *(f"probes.{probe.kind}" for probe in task_probes()),
     "env.robot",
 )
 """The options that `--help` shows."""
@@ -72,7 +67,7 @@ class EpisodeOptions(EvaluationConfig):
     """Episodes and success criteria; conditions and probes have options of their own."""
 
     test: Annotated[tuple[AnyCondition, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
-    probes: Annotated[tuple[AnyProbe, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
+    probes: Annotated[tuple[BaseProbe, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +120,9 @@ class ConditionOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProbeOptions:
+class RecordOptions:
     """What is recorded and measured; see `knowarm.experiment.probes`."""
 
-    lift: bool = False
-    """Lift the object where an episode succeeds, in a simulation with solid objects."""
     blind_episodes: int = 200
     """Episodes that the blind agents play beside a trained one; 0 plays none."""
     record_steps: bool = True
@@ -142,7 +135,20 @@ class ProbeOptions:
         probes: list[BaseProbe] = [StepsProbe()] if self.record_steps else []
         probes += [FilmsProbe(episodes=self.record_films)] if self.record_films else []
         probes += [BlindProbe(episodes=self.blind_episodes)] if self.blind_episodes else []
-        return [*probes, *([LiftProbe()] if self.lift else [])]
+        return [*probes, *(probe() for probe in task_probes() if getattr(self, probe.kind))]
+
+
+ProbeOptions: type[RecordOptions] = make_dataclass(
+    "ProbeOptions",
+    [
+        (probe.kind, Annotated[bool, tyro.conf.arg(help=probe.about)], field(default=False))
+        for probe in task_probes()
+    ],
+    bases=(RecordOptions,),
+    frozen=True,
+    kw_only=True,
+)
+"""The same with a flag per probe that a part of a task brings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +165,9 @@ class Evaluate(TableCommand):
         default_factory=ConditionOptions
     )
     """Conditions of the test."""
-    probes: Annotated[ProbeOptions, tyro.conf.OmitArgPrefixes] = ProbeOptions()
+    probes: Annotated[ProbeOptions, tyro.conf.OmitArgPrefixes] = field(  # type: ignore[valid-type]
+        default_factory=ProbeOptions
+    )
     """What is recorded and measured."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
@@ -181,7 +189,8 @@ class Evaluate(TableCommand):
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
-        chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
+        options: RecordOptions = self.probes
+        chosen = {"test": self.conditions.test(), "probes": options.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
         report = partial(print, file=sys.stderr, flush=True)
         if is_scripted(self.agent):

@@ -33,7 +33,7 @@ from knowarm.experiment.names import (
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.own import named_by
 from knowarm.reading import read_json, read_toml
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import find_task
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 
@@ -86,7 +86,10 @@ class Train:
         rest, source = take_source(rest, "--knows.source")
         experiment = ExperimentName.parse(name)
         if task is not None:
-            experiment = replace(experiment, task=task_type(task).kind_of())
+            base = find_task(experiment.task)
+            chosen = find_task(task, base)
+            experiment = replace(experiment, task=chosen.name)
+            values["env"] = {"task": chosen.changes()} | values.get("env", {})
         if robot is not None:
             values["env"] = {**values.get("env", {}), "robot": robot}
         if graph is not None:

@@ -88,7 +88,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     scene = scene_of(env)
     if scene.joint_names != scene.robot.joints:
         raise UserError(
-            f"Policies of the task {env.task.kind_of()!r} close fingers, which deployments "
+            f"Policies of the task {env.task.name!r} close fingers, which deployments "
             "cannot do. Export a policy of another task."
         )
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode

@@ -53,10 +53,10 @@ class Agent:
     """What the agent knows, and what computes it."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
-    task: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the task that have other values; only tasks with these fields have the agent."""
-    tasks: tuple[str, ...] = ()
-    """Tasks in which the agent is an experiment; empty for all that its knowledge fits."""
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of what is asked that have other values; only tasks with these have the agent."""
+    asks: tuple[str, ...] = ()
+    """Kinds of what is asked in its experiments; empty for all that its knowledge fits."""
     colour: str | None = None
     """Class of the report's palette that draws the agent in every chart (``c-blue``); None takes
     a spare one."""
@@ -117,7 +117,7 @@ _HOW = {
     "attention": "with attention over its slots",
 }
 _FIXED = PolicyConfig(hidden="fixed")
-_CHOOSE: dict[str, Any] = {"policy": _FIXED, "tasks": ("choose",)}
+_CHOOSE: dict[str, Any] = {"policy": _FIXED, "asks": ("choose",)}
 """Choices of agents for the choose task alone."""
 
 AGENTS: dict[str, Agent] = {
@@ -191,7 +191,7 @@ AGENTS: dict[str, Agent] = {
         "upper bound of the choose task: the image marks the wanted object",
         replace(_GROUNDED, source=Zeros()),
         policy=_FIXED,
-        task={"marked": True},
+        asked={"marked": True},
         colour="c-gold",
     ),
     "subgraph": _subject(

@@ -18,7 +18,7 @@ def asked(env: EnvConfig) -> QuestionTable:
     table = questions_of(env)
     if table is None:
         raise UserError(
-            f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a run "
+            f"The task {env.task.name!r} has no queries that a graph could answer. Take a run "
             "of the choose task."
         )
     return table

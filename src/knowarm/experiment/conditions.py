@@ -117,14 +117,15 @@ class SplitTest(BaseTest):
         """Let the task ask the split's questions, and the agent know the edited graph."""
         edited = {} if self.edited is None else {"edited": self.edited}
         env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
-        if self.split != "S5" or subject.config is None:
+        edited_graph = env.task.edited_graph(facets_of(env))
+        if edited_graph is None or subject.config is None:
             return replace(subject, env=env)
         check_graph(subject.config, env)
-        return replace(subject, env=env, graph=env.task.edited_graph(facets_of(env)))
+        return replace(subject, env=env, graph=edited_graph)
 
     def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """On S5, return whether the chosen object answered before the edit."""
-        if self.split != "S5":
+        """Where the graph is edited, return whether the chosen object answered before."""
+        if env.task.edited_graph(facets_of(env)) is None:
             return {}
         before = answers_before_edit(env)
         asked = zip(episodes["query"], episodes["chosen"], strict=True)

@@ -107,7 +107,7 @@ class ExperimentConfig:
         if not self.knows.fits(task := self.env.task):
             raise UserError(
                 f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "
-                f"{task.kind!r}. Take another agent or task."
+                f"{task.name!r}. Take another agent or task."
             )
 
     @property

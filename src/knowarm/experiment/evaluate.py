@@ -22,7 +22,7 @@ from knowarm.experiment.evaluation_files import (
 )
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
-from knowarm.experiment.probes import Findings, Played
+from knowarm.experiment.probes import Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
@@ -34,6 +34,7 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.probe import Findings
 from knowarm.world.tasks.sampling import Episodes
 
 
@@ -47,7 +48,7 @@ class EvaluationResult:
         steps: columns of ``steps.parquet``, one row per step; None where not recorded.
         films: one (T, H, W, 3) uint8 array for each recorded episode, the agent's observations.
         folder: of the files: ``<run>/evaluation/<label>/`` for a trained agent, else None.
-        meanings: what the columns hold that the task adds.
+        meanings: what the columns hold that the task and the probes add.
     """
 
     summary: Summary
@@ -148,7 +149,7 @@ def evaluate(
     with closing(ArmVectorEnv(subject.env, min(BATCH, config.episodes))) as env:
         agent = agent_for_test(agent, trained, subject, env)
         for probe in config.probes:
-            probe.check(env)
+            probe.check(env.scene, task.name)
         fixed = _episodes(env, config)
         report(f"Playing {len(fixed):,} episodes.")
         if isinstance(agent, AnsweringAgent):
@@ -160,7 +161,11 @@ def evaluate(
         findings = Findings(columns)
         for probe in config.probes:
             probe.measure(played, findings)
-    numbers, groups = summarize(findings.columns, task.measures)
+    measures = [measure for probe in config.probes for measure in probe.measures]
+    numbers, groups = summarize(findings.columns, [*measures, *task.measures])
+    meanings = dict(task.column_meanings)
+    for probe in config.probes:
+        meanings |= probe.column_meanings
     summary = Summary(
         agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
         label=config.folder,
@@ -172,7 +177,7 @@ def evaluate(
     )
     folder = trained.folder.evaluation(config.folder) if trained else None
     measured = EvaluationResult(
-        summary, findings.columns, findings.steps, result.images, folder, task.column_meanings
+        summary, findings.columns, findings.steps, result.images, folder, meanings
     )
     if write and folder is not None:
         measured.write()

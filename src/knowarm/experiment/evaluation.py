@@ -1,14 +1,15 @@
 """Configuration of an evaluation: its episodes, the conditions of the test, and probes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_values, file_name
+from knowarm.config import above_zero, at_least, check_values, file_name, registered
 from knowarm.errors import UserError
 from knowarm.experiment.conditions import AnyCondition, GraphTest, SplitTest, Subject
-from knowarm.experiment.probes import AnyProbe, BlindProbe, FilmsProbe, StepsProbe
+from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe, probe_types
 from knowarm.knowledge.queries.splits import Split
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.probe import BaseProbe
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,9 @@ class EvaluationConfig:
     """Take the most probable action, or sample one."""
     test: tuple[AnyCondition, ...] = ()
     """Conditions that differ from training, in the order in which they apply."""
-    probes: tuple[AnyProbe, ...] = (StepsProbe(), FilmsProbe(), BlindProbe())
+    probes: tuple[BaseProbe, ...] = field(
+        default=(StepsProbe(), FilmsProbe(), BlindProbe()), metadata=registered(probe_types)
+    )
     """What is recorded and measured besides the outcome of the episodes."""
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>`` and the

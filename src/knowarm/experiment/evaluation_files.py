@@ -31,10 +31,8 @@ FURTHER_COLUMNS = {
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
     "covered": ("bool", "whether the right object is among those that may answer"),
-    "lift": ("string", "how the lift of the object ended: see OUTCOMES of the lift test"),
-    "lift_rise_m": ("float64", "rise of the object's centre of mass in the lift [m]"),
 }
-"""Further columns of some evaluations; a task adds its own."""
+"""Further columns of some evaluations; tasks and probes add their own."""
 
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -58,7 +56,7 @@ def episode_types(
 
     Args:
         episodes: the columns.
-        meanings: of those that the task adds.
+        meanings: of those that the task and the probes add.
     """
     known, kinds = EPISODE_COLUMNS | FURTHER_COLUMNS, {"b": "bool", "i": "int64", "f": "float64"}
     return {

@@ -111,7 +111,7 @@ def _run_text(folder: RunFolder) -> str:
     config = folder.experiment()
     lines = [
         f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
-        f"`{config.env.task.kind_of()}`, algorithm "
+        f"`{config.env.task.name}`, algorithm "
         f"`{config.learner}`, {folder.steps_trained:,} steps. "
         "One training seed: no claim about the agent.",
         "",

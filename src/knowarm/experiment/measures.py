@@ -8,15 +8,12 @@ import numpy as np
 
 from knowarm.measures import Columns, Measure
 from knowarm.statistics import Interval, bootstrap, wilson
-from knowarm.world.tasks import task_names, task_type
-from knowarm.world.tasks.lift.probe import OUTCOMES
+from knowarm.world.tasks import task_measures
 
 AGAIN = "Evaluate the run again."
 """Remedy for a damaged file of an evaluation."""
 WIDE_ANGLE_DEG = 20.0
 """Largest angle of ``success_wide`` [deg], unless that of ``success`` is larger."""
-NOT_REACHED, EXCLUDED = "not reached", "excluded"
-"""Lifts of episodes without success, and of objects that the robot's ``not_liftable`` names."""
 
 Number = float | Interval
 Numbers = dict[str, Number]
@@ -74,21 +71,10 @@ def _asks(episodes: Columns) -> Interval | None:
     return _saw(lambda count: count != 1)(episodes) if "covered" in episodes else None
 
 
-def _lifts(outcome: str, of: tuple[str, ...]) -> Callable[[Columns], Interval | None]:
-    """Return the share of an outcome of lifts among some outcomes."""
-
-    def compute(episodes: Columns) -> Interval | None:
-        outcomes = episodes.get("lift", np.array([], str))
-        outcomes = outcomes[np.isin(outcomes, of)]
-        return _share(outcomes == outcome) if len(outcomes) else None
-
-    return compute
-
-
 _points: dict[str, Any] = {"format": "points", "compute": lambda _: None}  # a probe computes it
 _metres: dict[str, Any] = {"format": "number3"}
 _failed = _metres | {"among": lambda episodes: ~episodes["success"]}
-_all_lifts, _CORRECTED = (*OUTCOMES, NOT_REACHED), "corrected for chance"
+_CORRECTED = "corrected for chance"
 
 _ALL = (
     Measure("episodes", "episodes", "return", "count", format="integer"),
@@ -113,13 +99,6 @@ _ALL = (
     Measure("saw_several_answers", "saw several", compute=_saw(lambda count: count > 1)),
     Measure("coverage", "right one among the candidates", "covered"),
     Measure("questions", "asks", compute=_asks, about="not exactly one candidate"),
-    Measure("lifted", "lifted of all", compute=_lifts("lifted", _all_lifts)),
-    Measure("grasps", "lifted of the successes", compute=_lifts("lifted", tuple(OUTCOMES))),
-    *(
-        Measure(f"lift_{name}", name, compute=_lifts(name, _all_lifts), about=about)
-        for name, about in OUTCOMES.items()
-        if name != "lifted"
-    ),
     Measure("difference", "agent minus this [points]", **_points),
     Measure(
         "vision_gain",
@@ -145,8 +124,7 @@ def find_measure(name: str) -> Measure | None:
     """Return a measure of every evaluation or of a task by its name, or None."""
     if name in MEASURES:
         return MEASURES[name]
-    of_tasks = (each for task in map(task_type, task_names()) for each in task.measures)
-    return next((each for each in of_tasks if each.name == name), None)
+    return next((each for each in task_measures() if each.name == name), None)
 
 
 def measure(name: str) -> Measure:
@@ -165,7 +143,7 @@ def summarize(
 
     Args:
         episodes: the columns.
-        measures: those of the task.
+        measures: those of the task and of the probes.
     """
     wanted = [*_ALL, *measures]
     groups = {
@@ -197,6 +175,8 @@ def _compute(of: Measure, episodes: Columns) -> Number | None:
         return of.compute(episodes)
     if (values := episodes.get(of.column)) is None:
         return None
+    if of.equals is not None:
+        values = values == of.equals
     if (among := of.among) is not None:
         values = values[episodes[among] if isinstance(among, str) else among(episodes)]
     return STATISTICS[of.statistic](values) if len(values) else None

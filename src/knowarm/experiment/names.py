@@ -14,8 +14,9 @@ from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS, unknown_robot
-from knowarm.world.tasks import DEFAULT_TASK, find_task, task_names, task_type
+from knowarm.world.tasks import DEFAULT_TASK, combinations, find_task, split_name, task_names
 from knowarm.world.tasks.sampling import Colours
+from knowarm.world.tasks.task import Task
 
 RANDOMIZED = "-dr"
 """Suffix of the agent for randomized colours, in tasks that leave the colours open."""
@@ -25,7 +26,7 @@ RANDOMIZED = "-dr"
 class ExperimentName:
     """Name of an experiment: ``[<robot>-][<task>-]<agent>[-dr]-<algorithm>``.
 
-    ``str`` writes it and `parse` reads it. The parts are names of robots, ``task_names``,
+    ``str`` writes it and `parse` reads it. The parts are names of robots, tasks (`find_task`),
     ``AGENTS`` and ``algorithms``, and the colours of the targets (paper section 4.2.5). An own
     robot is the path of its TOML file, and the name has the file's.
     """
@@ -39,7 +40,7 @@ class ExperimentName:
     def __post_init__(self) -> None:
         for what, value, names in (
             ("robot", self.robot, [*ROBOTS, *KNOWN_ARMS]),
-            ("task", self.task, task_names()),
+            ("task", self.task, combinations()),
             ("agent", self.agent, AGENTS),
             ("algorithm", self.algorithm, algorithms()),
         ):
@@ -47,7 +48,8 @@ class ExperimentName:
                 if what == "robot":
                     raise unknown_robot(value)
                 raise unknown_name(f"{what} of the experiment", value, names)
-        if self.task not in (tasks := tasks_of(AGENTS[self.agent])):
+        if not has_experiment(AGENTS[self.agent], find_task(self.task)):
+            tasks = tasks_of(AGENTS[self.agent])
             raise UserError(
                 f"The agent {self.agent!r} has no experiment of the task {self.task!r}; it has "
                 f"those of {', '.join(tasks)}."
@@ -84,7 +86,7 @@ class ExperimentName:
                 f"{_example(text)!r}; `knowarm list` shows them."
             )
         head, _, tail = middle.partition("-")
-        task, agent = (head, tail) if tail and head in task_names() else (DEFAULT_TASK, middle)
+        task, agent = next(split_name(middle), (DEFAULT_TASK, middle))
         colours = colours_of(task)[0]
         if agent not in AGENTS and agent.endswith(RANDOMIZED):
             agent, colours = agent.removesuffix(RANDOMIZED), "randomized"
@@ -98,7 +100,7 @@ class ExperimentName:
     def config(self, **overrides: Any) -> ExperimentConfig:
         """Return the config of the experiment; overrides as in `experiment_config`."""
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
-        task, knows = override(find_task(self.task), agent.task), agent.knows
+        task, knows = override(find_task(self.task), {"asked": agent.asked}), agent.knows
         policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
         if knows.scope == "query" and task.graph is not None:
             # described by the graph of the questions
@@ -114,7 +116,8 @@ class ExperimentName:
             policy=override(agent.policy, policy, where="policy"),
             algorithm=algorithm.config,
         )
-        config = override(config, task.training.get(self.algorithm, {}))
+        for values in task.training(self.algorithm):
+            config = override(config, values)
         config = override_experiment(config, overrides)
         check_graphs(config, flatten(overrides))
         if "name" in overrides or config.env.robot == self.robot:
@@ -123,21 +126,23 @@ class ExperimentName:
 
 
 def tasks_of(agent: Agent) -> list[str]:
-    """Return the tasks in which an agent is an experiment.
+    """Return the listed tasks of which an agent has experiments."""
+    return [name for name in task_names() if has_experiment(agent, find_task(name))]
 
-    Its knowledge describes something in them, and they have the fields that it changes.
+
+def has_experiment(agent: Agent, task: Task) -> bool:
+    """Return whether an agent has an experiment of a task.
+
+    Its knowledge describes something in it, and what is asked has the fields that it changes.
     """
-    tasks = []
-    for name in agent.tasks or task_names():
-        task = task_type(name)
-        if agent.knows.fits(task) and {field.name for field in fields(task)}.issuperset(agent.task):
-            tasks.append(name)
-    return tasks
+    names = {field.name for field in fields(task.asked)}
+    is_asked = task.asked.kind in agent.asks or not agent.asks
+    return is_asked and names.issuperset(agent.asked) and agent.knows.fits(task)
 
 
 def colours_of(task: str) -> tuple[Colours, ...]:
     """Return the colours that the experiments of a task can have; names leave out the first."""
-    fixed = task_type(task).colours
+    fixed = find_task(task).colours
     return ("fixed", "randomized") if fixed is None else (fixed,)
 
 
@@ -228,9 +233,9 @@ def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
             f"The questions are of the graph {asked}, and the knowledge is of another one. "
             "For both pass ",
             Argument("graph", graph),
-            "; for two graphs name both: env.task.queries.graph and knows.graph.",
+            "; for two graphs name both: env.task.asked.queries.graph and knows.graph.",
         )
 
 
-GRAPH_FIELDS = {"knows.graph", "env.task.queries.graph"}
+GRAPH_FIELDS = {"knows.graph", "env.task.asked.queries.graph"}
 """Fields that `check_graphs` compares."""

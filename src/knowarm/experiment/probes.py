@@ -1,22 +1,24 @@
 """Probes of an evaluation: what is recorded or measured of the episodes besides their outcome."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.config import at_least
-from knowarm.errors import UserError
-from knowarm.experiment.measures import EXCLUDED, NOT_REACHED, Number, Numbers
 from knowarm.statistics import bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.lift.probe import build_trial_scene, lift
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks import task_probes
+from knowarm.world.tasks.probe import BaseProbe, Findings
 from knowarm.world.tasks.sampling import Episodes
 
 
@@ -34,30 +36,21 @@ class Played:
     report: Callable[[str], None] = lambda line: None
     """Receives lines on the progress."""
 
+    @property
+    def scene(self) -> Scene:
+        """Robot and objects."""
+        return self.env.scene
 
-@dataclass
-class Findings:
-    """What probes found: columns of episodes and steps, numbers, and groups of numbers."""
+    @property
+    def success(self) -> Mask:
+        """Which episodes were solved, (n,)."""
+        return self.result.success
 
-    columns: dict[str, np.ndarray]
-    steps: dict[str, np.ndarray] | None = None
-    numbers: dict[str, Number] = field(default_factory=dict)
-    groups: dict[str, Mapping[str, Numbers]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BaseProbe:
-    """Something recorded or measured of the episodes."""
-
-    label: ClassVar[str] = ""
-    """Its part of the name of the evaluation's folder."""
-    kind: str = ""
-
-    def check(self, env: ArmVectorEnv) -> None:
-        """Refuse, before anything is played, an environment that it cannot measure in."""
-
-    def measure(self, played: Played, findings: Findings) -> None:
-        """Add what it measures to what was found."""
+    def paths(self, rows: NDArray[np.intp]) -> list[Floats]:
+        """Return the joint angles of some episodes by step, (T, J) [rad] each."""
+        steps = self.result.steps
+        first = np.searchsorted(steps.episode, np.arange(len(self.episodes) + 1))
+        return [steps.joint_positions[first[i] : first[i + 1]] for i in rows]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,46 +156,6 @@ def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndar
     return np.where(fits.any(0), names[drawn], "")
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiftProbe(BaseProbe):
-    """Lift the object where an episode succeeds.
-
-    Its joint path is replayed among solid objects, the fingers close, the arm lifts 10 cm and holds
-    2 s.
-    """
-
-    label: ClassVar[str] = "lift"
-    kind: Literal["lift"] = "lift"
-
-    def check(self, env: ArmVectorEnv) -> None:
-        """Refuse tasks whose actions move fingers, and robots without fingers."""
-        robot = env.scene.robot
-        if env.scene.joint_names != robot.joints:
-            raise UserError(
-                "A lift test lifts where episodes of a task end that moves the arm only; the task "
-                f"{env.config.task.kind_of()!r} moves the fingers. Leave out the lift test."
-            )
-        build_trial_scene(robot, env.scene.targets[:1])
-
-    def measure(self, played: Played, findings: Findings) -> None:
-        """Lift the object of every successful episode; add ``lift`` and ``lift_rise_m``, (n,).
-
-        Every episode ends at its first state within the thresholds, so each is lifted at most once.
-        """
-        scene, episodes, result = played.env.scene, played.episodes, played.result
-        count = len(episodes)
-        names = np.array([target.name for target in scene.targets])[episodes.target]
-        excluded = np.isin(names, list(scene.robot.not_liftable))
-        chosen = np.flatnonzero(result.success & ~excluded)
-        outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
-        rise = np.zeros(count)
-        if len(chosen):
-            steps = result.steps
-            first = np.searchsorted(steps.episode, np.arange(count + 1))
-            paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
-            lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
-            outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
-        findings.columns |= {"lift": outcome, "lift_rise_m": rise}
-
-
-AnyProbe = StepsProbe | FilmsProbe | BlindProbe | LiftProbe
+def probe_types() -> list[type[BaseProbe]]:
+    """List the probes: those of every evaluation, and those that parts of tasks bring."""
+    return [StepsProbe, FilmsProbe, BlindProbe, *task_probes()]

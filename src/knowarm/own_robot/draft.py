@@ -14,10 +14,10 @@ import numpy as np
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
+from knowarm.own_robot.draft_area import find_area
 from knowarm.own_robot.draft_base import lowest_fixed_m, place_base
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
-from knowarm.own_robot.draft_lift import find_lift_area
 from knowarm.own_robot.draft_reach import find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
@@ -28,7 +28,7 @@ from knowarm.world.objects import find_targets
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
-from knowarm.world.tasks import TASKS, task_type
+from knowarm.world.tasks.skills import SKILLS
 
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6)
 """Changes of the base's height that are tried, of which it must stay above the floor [m]."""
@@ -229,10 +229,10 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         ignore_roll=roll,
         distance_m=min(most_m, max(LEAST_M, round(SCALE * size_m, 2))),
     )
-    for task in map(task_type, TASKS if robot.fingers and not robot.areas else ()):
-        if task.moves_fingers:
-            area, how[task.area] = find_lift_area(robot, draft.toml, task)
-            values |= {"areas": {task.area: area}} if area else {}
+    for skill in SKILLS.types() if robot.fingers and not robot.areas else ():
+        if skill.moves_fingers:
+            area, how[skill.area] = find_area(robot, draft.toml, skill())
+            values |= {"areas": {skill.area: area}} if area else {}
     return draft
 
 

@@ -11,8 +11,8 @@ from knowarm.own_robot.draft_reach import NODES, Layout
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.scene import Scene, target_places
-from knowarm.world.tasks.ik import InverseKinematics
 from knowarm.world.tasks.reward import measure
+from knowarm.world.tasks.skills.ik import InverseKinematics
 
 HOME_OFFSET_RAD, HOME_CANDIDATES = 1.3, 600
 """Largest joint distance of the start pose from a grasp's solution, and number of poses tried."""

@@ -13,7 +13,7 @@ from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 
 YAWS_DEG = (180.0, -135.0, 135.0, -90.0, 90.0)  # Directions of the targets that are tried [deg]
 LARGEST = np.array([0.18, 0.4])

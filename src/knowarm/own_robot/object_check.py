@@ -20,10 +20,11 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import make_renderer
+from knowarm.world.robots import find_robot
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, load_scene, target_places
 from knowarm.world.tasks import find_task
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import InverseKinematics
 
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
 EPISODES, MIN_ORACLE = 60, 0.8  # That the oracle plays, and its least success
@@ -43,7 +44,7 @@ def check_objects(
     """
     try:
         config = EnvConfig(robot=robot, task=find_task(task), targets=tuple(targets), **options)
-        scene = load_scene(config.robot, config.targets, area=config.task.area)
+        scene = load_scene(config.robot, config.targets, area=_area(config))
     except UserError as error:
         return [Check("scene", False, str(error), "Correct what that line names.")]
     # From border to border of the rectangle, (P, 2) [m].
@@ -60,6 +61,11 @@ def check_objects(
     ]
     checks += _check_differences(images)
     return [*checks, *([_check_oracle(config)] if all(check.ok for check in checks) else [])]
+
+
+def _area(config: EnvConfig) -> str:
+    """Return the name of the robot's area in which the task places objects."""
+    return config.task.area_of(find_robot(config.robot))
 
 
 def oracle_success(config: EnvConfig) -> float:
@@ -79,7 +85,7 @@ def _check_oracle(config: EnvConfig) -> Check:
         "oracle",
         bool(share >= MIN_ORACLE),
         f"inverse kinematics succeeds in {100 * share:.0f} % of {EPISODES} episodes",
-        f"Below {100 * MIN_ORACLE:.0f} %: move or shrink areas.{config.task.area} of the robot, "
+        f"Below {100 * MIN_ORACLE:.0f} %: move or shrink areas.{_area(config)} of the robot, "
         "turn the objects with target_yaws_deg, or leave objects out.",
     )
 
@@ -90,7 +96,7 @@ def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.flo
     start = np.repeat(scene.home[None], len(places), axis=0)
     solution = InverseKinematics(scene, ignore_roll=config.ignore_roll).solve(grasp, matrix, start)
     remedy = (
-        f"move or shrink areas.{config.task.area} of the robot, turn the object with "
+        f"move or shrink areas.{_area(config)} of the robot, turn the object with "
         "target_yaws_deg, or raise its grasp."
     )
     return check_reach(scene, config, k, places, start, solution, remedy)

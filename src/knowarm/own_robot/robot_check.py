@@ -27,7 +27,7 @@ from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.mjcf import read_mjcf, surroundings
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.ik import IKSolution, InverseKinematics
+from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
 SAMPLES = 100  # Episodes per check
 MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics

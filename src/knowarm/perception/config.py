@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Literal
 
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
+from knowarm.perception.looks import look_of
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
-from knowarm.world.objects.families import look_of
 
 Unclear = Literal["guess", "seen", "stop", "ask"]
 """What an agent does that sees no answer, or several: move to the most likely place ("guess"), do

@@ -5,10 +5,10 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from knowarm.perception.looks import attribute_codes, code_matrix
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour
 from knowarm.seeding import torch_generator
-from knowarm.world.objects.families import ATTRIBUTES, COLUMNS, attribute_codes
 
 
 class PlaceEncoder(nn.Module):
@@ -17,7 +17,7 @@ class PlaceEncoder(nn.Module):
     A facet's score is the logarithm of the sum over places of exp(object + colour), so that object
     and colour are found at one place. Each convolution has inputs, outputs, kernel and stride.
 
-    Instances of families are scored by their attributes, so that one of an unseen kind has a score,
+    Objects that templates make are scored by their attributes, so that one of a new kind has one,
     too: at a place each attribute has a probability of its own, and a name the product of those of
     its attributes (Lampert et al. 2009, direct prediction), normalized over all names. Normalized
     over the names of training, attributes that only others combine would have no bound.
@@ -26,7 +26,7 @@ class PlaceEncoder(nn.Module):
     facet_parts: Tensor
     """(2, F) buffer, object and colour of each facet; see `number_facets`."""
     code: Tensor | None
-    """(objects, outputs) buffer; see `attribute_codes`. None: each object has its own score."""
+    """(objects, outputs) buffer; see `AttributeCode`. None: each object has its own score."""
 
     def __init__(
         self,
@@ -38,8 +38,12 @@ class PlaceEncoder(nn.Module):
         self.channels = convolutions[-1][1]
         self.register_buffer("facet_parts", parts := number_facets(facets), persistent=False)
         objects, colours = (parts.amax(1) + 1).tolist()
-        code = attribute_codes(list(dict.fromkeys(name for name, _ in facets)))
-        known = None if code is None else torch.from_numpy(code)
+        codes = attribute_codes(list(dict.fromkeys(name for name, _ in facets)))
+        known = None
+        if codes is not None:
+            known = torch.from_numpy(code_matrix(codes))
+            self.attributes = codes[0].attributes
+            self.exclusive = codes[0].exclusive
         self.register_buffer("code", known, persistent=False)
         objects = objects if known is None else known.shape[1]
         self.layers = nn.ModuleList(
@@ -70,8 +74,8 @@ class PlaceEncoder(nn.Module):
         if self.code is None:
             return objects, colours
         # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
-        names = self.code[:, :ATTRIBUTES] @ objects[:, :ATTRIBUTES] / 2
-        place = objects[:, ATTRIBUTES, None].log_softmax(2)
+        names = self.code[:, : self.attributes] @ objects[:, : self.attributes] / 2
+        place = objects[:, self.attributes, None].log_softmax(2)
         return names.log_softmax(1) + place, colours.log_softmax(1)
 
     def facet_scores(self, features: Tensor) -> Tensor:
@@ -112,10 +116,12 @@ class PlaceEncoder(nn.Module):
         (name, colour), rows = self.facet_parts[:, facets], torch.arange(len(places))[:, None]
         objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
         code, score = self.code[name], objects[rows, :, places]  # (n, m, outputs)
-        shape, parts, kind = (slice(*each) for each in COLUMNS)
+        shape = slice(0, self.exclusive)
+        parts = slice(self.exclusive, self.attributes)
+        kind = slice(self.attributes + 1, None)
         return cast(
             Tensor,
-            objects[:, ATTRIBUTES].log_softmax(1).gather(1, places)
+            objects[:, self.attributes].log_softmax(1).gather(1, places)
             + (score[..., shape].log_softmax(2) * (code[..., shape] > 0)).sum(2)
             + nn.functional.logsigmoid(code[..., parts] * score[..., parts]).sum(2)
             + (score[..., kind].log_softmax(2) * code[..., kind]).sum(2)

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from knowarm.perception.config import GroundingSpec
+from knowarm.perception.looks import look_of
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.objects.families import look_of
 from knowarm.world.scene.scene import Scene, project, target_places
 
 ENVS = 256
@@ -111,7 +111,7 @@ def sample_images(env: EnvConfig, spec: GroundingSpec, count: int, seed: int) ->
 def first_facets(scene: Scene, spec: GroundingSpec) -> np.ndarray:
     """Return the facet of each target in its first colour, (targets,) int64; others follow.
 
-    An instance of a family has the facet of the one that looks like it.
+    An object that a template makes has the facet of the one that looks like it.
     """
     first: dict[tuple[str, ...], int] = {}
     for number, (name, _) in enumerate(spec.facets):

@@ -28,9 +28,10 @@ from knowarm.world.robots import ROBOTS
 PREFERRED_LABEL = "post-training-greedy"
 # Suffixes of evaluations other than that of the best model on its training task.
 UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
-# Fields of ``env`` that do not make a different task, and those of ``env.task`` that an agent sets.
+# Fields of ``env`` that do not make a different task, and those of ``env.task.asked`` that an
+# agent sets.
 NOT_THE_TASK = {"renderer", "image_size"}
-NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
+NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.asked}
 # Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps"}
 # Evaluation settings that do not change the agent's numbers.
@@ -230,14 +231,16 @@ def _task_key(run: RunData) -> str:
 def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return what makes the task of an environment."""
     env = {name: value for name, value in env.items() if name not in NOT_THE_TASK}
-    if isinstance(task := env.get("task"), dict):
-        env["task"] = {name: value for name, value in task.items() if name not in NOT_A_TASK}
+    task = env.get("task")
+    if isinstance(task, dict) and isinstance(task.get("asked"), dict):
+        asked = {name: value for name, value in task["asked"].items() if name not in NOT_A_TASK}
+        env["task"] = task | {"asked": asked}
     return env
 
 
 def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
     kept = {name: value for name, value in run.settings.items() if name not in NOT_A_SETTING}
-    env = run.settings["env"] | run.settings["env"]["task"]
+    env = run.settings["env"] | run.settings["env"]["task"]["asked"]
     kept["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
     return {name: value for name, value in flatten(kept).items() if name not in DRAWS}

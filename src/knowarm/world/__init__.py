@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from knowarm.world.envs.single_env import ArmEnv
     from knowarm.world.envs.torch_env import TorchArmVectorEnv
     from knowarm.world.envs.vector_env import ArmVectorEnv
+    from knowarm.world.tasks.asked.asked import Asking
+    from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
+
+    TaskChoice = str | Task | Asking | Skill | None
 
 NAMESPACE = "knowarm"
 """Namespace of the Gymnasium ids."""
@@ -25,7 +29,7 @@ NAMESPACE = "knowarm"
 
 def env_id(robot: str, task: str = "reach") -> str:
     """Return the Gymnasium id of a robot and task, as "knowarm/IRB120Reach-v0"."""
-    return f"{NAMESPACE}/{ROBOTS[robot].gym_name}{task.title()}-v0"
+    return f"{NAMESPACE}/{ROBOTS[robot].gym_name}{task.title().replace('-', '')}-v0"
 
 
 def register_environments() -> None:
@@ -50,14 +54,14 @@ def make(
     robot: str,
     num_envs: None = None,
     device: None = None,
-    task: "str | Task | None" = ...,
+    task: "TaskChoice" = ...,
     **options: Any,
 ) -> "ArmEnv": ...
 
 
 @overload
 def make(
-    robot: str, num_envs: int, device: None = None, task: "str | Task | None" = ..., **options: Any
+    robot: str, num_envs: int, device: None = None, task: "TaskChoice" = ..., **options: Any
 ) -> "ArmVectorEnv": ...
 
 
@@ -66,7 +70,7 @@ def make(
     robot: str,
     num_envs: int,
     device: Literal["cpu", "cuda"],
-    task: "str | Task | None" = ...,
+    task: "TaskChoice" = ...,
     **options: Any,
 ) -> "TorchArmVectorEnv": ...
 
@@ -75,7 +79,7 @@ def make(
     robot: str,
     num_envs: int | None = None,
     device: str | None = None,
-    task: "str | Task | None" = None,
+    task: "TaskChoice" = None,
     **options: Any,
 ) -> Any:
     """Create an environment.
@@ -85,8 +89,8 @@ def make(
             robot.
         num_envs: number of environments; None for a single, unbatched one.
         device: None for NumPy arrays; "cpu" or "cuda" for torch tensors (with ``num_envs``).
-        task: name of a task, ``package.module:Name`` of your own, or a task; None for that of a
-            Gymnasium id, else "reach".
+        task: a task, what is asked, or a skill; the name of a task, or ``package.module:Name`` of
+            your own; None for that of a Gymnasium id, else "reach".
         options: fields of ``EnvConfig``, and arguments of the environment's constructor.
 
     Returns:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from knowarm.config import above_zero, at_least, check_values, registered, within
+from knowarm.config import above_zero, at_least, check_values, within
 from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.objects import find_targets
@@ -12,7 +12,7 @@ from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene, load_scene
-from knowarm.world.tasks import DEFAULT_TASK, find_task, task_names, task_type
+from knowarm.world.tasks import DEFAULT_TASK, find_task
 from knowarm.world.tasks.held_out import HeldOut
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
 from knowarm.world.tasks.sampling import Colours, Setting
@@ -27,12 +27,9 @@ class EnvConfig:
 
     robot: str = DEFAULT_ROBOT
     """A robot that `knowarm list` names, or the TOML file of your own robot."""
-    task: Task = field(
-        default_factory=partial(find_task, DEFAULT_TASK),
-        metadata=registered(lambda: map(task_type, task_names()), "task"),
-    )
-    """What an episode is, what counts as success, reward and infos: ``Reach``, ``Choose``, or a
-    task of your own; in Python also by its name."""
+    task: Task = field(default_factory=partial(find_task, DEFAULT_TASK))
+    """What is asked and what has to be done; in Python also by name, or only one of both, such as
+    ``Lift()``."""
     targets: tuple[str, ...] = ()
     """Names of `knowarm list` or TOML files; objects are drawn from them. Empty: the task's."""
     colours: Colours = "fixed"
@@ -90,14 +87,13 @@ class EnvConfig:
         task = self.task
         if len(self.targets) < task.visible:
             raise UserError(
-                f"{type(task).__name__} shows {task.visible} objects, and EnvConfig.targets names "
+                f"The task {task.name!r} shows {task.visible} objects, and EnvConfig.targets names "
                 f"{len(self.targets)}; all objects of an episode are different. Name more targets "
                 "or show fewer objects."
             )
         if self.dynamics not in task.dynamics:
             raise UserError(
-                f"The task {task.kind_of()!r} cannot be simulated with {self.dynamics} dynamics. "
-                "Take ",
+                f"The task {task.name!r} cannot be simulated with {self.dynamics} dynamics. Take ",
                 Argument("env.dynamics", task.dynamics[0]),
                 ".",
             )
@@ -107,7 +103,7 @@ class EnvConfig:
         ):
             if used and not task.holds_out:
                 raise UserError(
-                    f"EnvConfig.{name} cannot be combined with the task {task.kind_of()!r}, whose "
+                    f"EnvConfig.{name} cannot be combined with the task {task.name!r}, whose "
                     "questions decide what stands in the rectangle. Leave one of them out."
                 )
 

@@ -20,6 +20,10 @@ HOW_TO_GET = (
     "KNOWARM_MENAGERIE to its folder"
 )
 
+MAKERS: list[str] = []
+"""What makes targets that have no file, as ``package.module:name``: functions of a name that return
+a target, or None for a name of others. Parts of tasks add theirs."""
+
 T = TypeVar("T")
 
 

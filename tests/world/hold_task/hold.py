@@ -1,4 +1,4 @@
-"""A task with fingers and two phases, as one outside the package: lift the object and hold it."""
+"""A skill with fingers and two phases, as one outside the package: lift the object and hold it."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,4 +1,4 @@
-"""A task with physics, fingers and a teacher is one class outside the package."""
+"""A skill with physics, fingers and a teacher is one class outside the package."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ PLACE = "tests.world.hold_task.hold:Hold"
 @pytest.fixture
 def hold(monkeypatch):
     monkeypatch.setenv("KNOWARM_TASKS", "")
-    monkeypatch.setitem(knowarm.TASKS, "hold", PLACE)
+    monkeypatch.setitem(knowarm.SKILLS, "hold", PLACE)
     return knowarm.register_task(PLACE)
 
 
@@ -21,7 +21,7 @@ def test_its_teacher_lifts_and_holds(hold):
     episodes = knowarm.evaluation_episodes(env.config, 16, seed=0)
     result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
     assert result.success.mean() >= 0.9
-    assert (result.infos["held"][result.success] == env.config.task.hold_steps).all()
+    assert (result.infos["held"][result.success] == env.config.task.skill.hold_steps).all()
     steps = result.steps
     rewards = steps.reward[steps.episode == int(np.flatnonzero(result.success)[0])]
     assert (np.diff(rewards[-20:]) > 0).all()  # the second phase

@@ -17,14 +17,15 @@ from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks import TASKS, VARIABLE, register_task, task_names, task_type
-from knowarm.world.tasks.reach import Reach
-from knowarm.world.tasks.task import Task
+from knowarm.world.tasks import VARIABLE, register_task, task_names
+from knowarm.world.tasks.skills import SKILLS
+from knowarm.world.tasks.skills.reach import Reach
+from knowarm.world.tasks.skills.skill import Skill
 
 FOLDER = Path(__file__).parents[3] / "examples" / "own_task"
 
 
-class Untagged(Task):
+class Untagged(Skill):
     """Has no field ``kind`` with a literal."""
 
 
@@ -35,10 +36,11 @@ class Twice(Reach):
 @pytest.fixture
 def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(FOLDER))
-    monkeypatch.setitem(TASKS, "hover", "hover:Hover")
-    monkeypatch.setenv(VARIABLE, "other:Task")
-    found = task_type("hover:Hover")
-    assert os.environ[VARIABLE] == "other:Task,hover:Hover"  # child processes know it, too
+    monkeypatch.setitem(SKILLS, "hover", "hover:Hover")
+    reach = "knowarm.world.tasks.skills.reach:Reach"
+    monkeypatch.setenv(VARIABLE, reach)
+    found = register_task("hover:Hover")
+    assert os.environ[VARIABLE] == f"{reach},hover:Hover"  # child processes know it, too
     monkeypatch.setenv(VARIABLE, "")
     yield found
     sys.modules.pop("hover", None)
@@ -88,7 +90,7 @@ def test_it_is_stored_and_read_by_its_tag(hover: Any) -> None:
 
 
 def test_a_task_that_is_not_registered_is_named() -> None:
-    values = to_dict(EnvConfig()) | {"task": {"kind": "hover"}}
+    values = to_dict(EnvConfig()) | {"task": {"skill": {"kind": "hover"}}}
     with pytest.raises(UserError, match="hover"):
         from_dict(EnvConfig, values)
     assert "hover" not in task_names()
@@ -98,7 +100,7 @@ def test_a_task_that_is_not_registered_is_named() -> None:
     ("place", "message"),
     [
         ("no_such_module:Hover", "Cannot import the task 'no_such_module:Hover'"),
-        ("knowarm.world.tasks.reach:Reech", "has no 'Reech'"),
+        ("knowarm.world.tasks.skills.reach:Reech", "has no 'Reech'"),
         ("knowarm.world.config:EnvConfig", "is no task"),
         (":Hover", "is given as package.module:Name, got ':Hover'"),
         (".reach:Reach", "is given as package.module:Name"),

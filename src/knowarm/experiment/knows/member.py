@@ -43,7 +43,7 @@ class Member:
     answers_by_graph: ClassVar[bool] = False
     """Whether that network is given answers of the graph instead of a vector."""
 
-    def fits(self, task: type[Task] | Task) -> bool:
+    def fits(self, task: Task) -> bool:
         """Return whether a task has what this describes."""
         return self.scope in ("nothing", *task.scopes)
 

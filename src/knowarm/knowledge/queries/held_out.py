@@ -65,7 +65,7 @@ class HeldOutQuestions:
         if len({kind_of(name) for name in held}) <= per_episode:
             raise UserError(
                 f"the objects have instances of {per_episode} kinds or fewer, of which some could "
-                "be held out. Take the objects of the task families."
+                "be held out. Take objects with several instances of each kind."
             )
         self._hold("S3a", held)
 

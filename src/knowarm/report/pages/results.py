@@ -22,7 +22,8 @@ from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.model import Evaluated, Evaluation, Group, TaskData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
-from knowarm.world.tasks.lift.probe import OUTCOMES
+from knowarm.world.tasks import report_tables
+from knowarm.world.tasks.probe import ReportTable
 
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
@@ -36,7 +37,8 @@ def result_blocks(task: TaskData) -> list[Block]:
         return []
     parts = (("target", "target"), ("facet", "target and colour"))
     figures = [_parts(task, part, what) for part, what in parts]
-    return [block for block in (_table(task), _vision(task), _lifts(task), *figures) if block]
+    brought = [_brought(task, table) for table in report_tables()]
+    return [block for block in (_table(task), _vision(task), *brought, *figures) if block]
 
 
 def _table(task: TaskData) -> DataTable:
@@ -95,15 +97,14 @@ def _vision(task: TaskData) -> DataTable | None:
     return table_of(task, "vision", title, columns, rows, files(groups), note)
 
 
-def _lifts(task: TaskData) -> DataTable | None:
-    """Show how many successes are grasps, by agent and thresholds of its lift tests."""
-    causes = [f"lift_{name}" for name in OUTCOMES if name != "lifted"]
-    shares = ["success", "lifted", "grasps", *causes]
+def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
+    """Show a table that a part of a task brings, by agent and conditions of the episodes."""
+    shares = ["success", *table.measures]
     tested = [
         (label, Evaluated(group.name, each[group]))
         for group in task.groups
         for (label, _), each in evaluation_sets(task).items()
-        if group in each and "lifted" in each[group][0].summary
+        if group in each and table.measures[0] in each[group][0].summary
     ]
     if not tested:
         return None
@@ -113,14 +114,8 @@ def _lifts(task: TaskData) -> DataTable | None:
         for label, each in tested
     ]
     columns = shared("agent", "seeds", Column("rules", "episodes"), *shares)
-    note = (
-        "The joint path of every successful episode is replayed among solid objects, the fingers "
-        "close, the arm lifts 10 cm and holds 2 s. Pushed, missed, arm, slipped: how the others "
-        "ended, of all. Objects that the gripper cannot lift are left out of these columns."
-    )
-    title = "How many successes are grasps"
     sources = files(each for _, each in tested)
-    return table_of(task, "lifts", title, columns, rows, sources, note)
+    return table_of(task, table.name, table.title, columns, rows, sources, table.note)
 
 
 def conditions(evaluation: Evaluation | None) -> str:

@@ -19,8 +19,8 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.ik import InverseKinematics
 from knowarm.world.tasks.sampling import Episodes, derive
+from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.tasks.state import ACTION_LEVELS
 
 BUDGET = 20_000  # Candidates that a search scores: 13 s on one core with three targets

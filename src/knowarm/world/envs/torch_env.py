@@ -15,8 +15,8 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.base import BaseVectorEnv, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
+from knowarm.world.tasks.skills.teacher import COARSE_LEVELS, Teacher
 from knowarm.world.tasks.state import nearest_levels
-from knowarm.world.tasks.teacher import COARSE_LEVELS, Teacher
 
 
 class TorchArmVectorEnv(BaseVectorEnv[Tensor]):

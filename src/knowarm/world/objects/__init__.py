@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from knowarm.errors import unknown_name
-from knowarm.questions import INSTANCE, PART
-from knowarm.world.description import SUFFIX, read_description
-from knowarm.world.objects.families import KINDS, instance
+from knowarm.own import load
+from knowarm.questions import PART
+from knowarm.world.description import MAKERS, SUFFIX, read_description
 from knowarm.world.objects.target import Target
 
 TARGETS: dict[str, Target] = {
@@ -35,8 +35,19 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
             targets.append(read_description(Path(name), Target))
         elif name in shipped:
             targets.append(shipped[name])
-        elif name.partition(INSTANCE)[0] in KINDS:
-            targets.append(instance(name))
         else:
-            raise unknown_name("target", name, shipped)
+            target = made(name)
+            if target is None:
+                raise unknown_name("target", name, shipped)
+            targets.append(target)
     return tuple(targets)
+
+
+def made(name: str) -> Target | None:
+    """Return an object that has no file, but is made by its name, such as "mug-17"; else None."""
+    for import_path in MAKERS:
+        make = load(import_path, "maker of targets", callable, "a function of a name")
+        target: Target | None = make(name)
+        if target is not None:
+            return target
+    return None

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from knowarm.config import check_values
 from knowarm.errors import UserError
@@ -31,9 +32,21 @@ class Part:
     """Geoms that are the part."""
 
 
+class AttributeCode(NamedTuple):
+    """Attributes and kind of an object among all that its templates know, as numbers."""
+
+    values: tuple[float, ...]
+    """1 for an attribute that it has and -1 for one that it lacks; 0 for the place; 1 for its kind
+    and 0 for the others."""
+    exclusive: int
+    """Number of the first attributes, of which an object has exactly one."""
+    attributes: int
+    """Number of all attributes."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """An object to approach, shown without physics: only objects to lift are solid.
+    """An object to approach, shown without physics unless the task makes it solid.
 
     The MJCF holds one body; its origin is the centre of the bottom, z points up, and +x is the side
     at which it is grasped. A site gives the grasp frame: z is the approach, y the finger opening.
@@ -58,13 +71,15 @@ class Target:
     """Geoms of the part that is grasped, drawn with it where other parts of the same object are
     targets too; the first part draws what belongs to none."""
     mass_kg: float | None = None
-    """Mass where it is lifted [kg], evenly over its shapes; None takes the file's."""
+    """Mass where it is solid [kg], evenly over its shapes; None takes the file's."""
     base_radius_m: float = 0.0
-    """Radius of a flat bottom for lifting, for an object drawn round below [m]; 0 for none."""
+    """Radius of a flat bottom where it is solid, of what is drawn round below [m]; 0 for none."""
     xml: str | None = None
-    """MJCF of an instance of a family, in place of the file's."""
+    """MJCF of an object that a template makes, in place of the file's."""
     attributes: tuple[str, ...] = ()
-    """Shape and parts of such an instance, by which it can be recognized."""
+    """Shape and parts of such an object, by which it can be recognized."""
+    code: AttributeCode | None = None
+    """The same as numbers."""
 
     def __post_init__(self) -> None:
         check_values(self)

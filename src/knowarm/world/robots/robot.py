@@ -104,9 +104,9 @@ class Robot:
     """Values at which joints outside ``joints`` are fixed [rad or m]."""
     fingers: tuple[str, ...] = ()
     """Names of the two fingers in the model, bodies or geoms, drawn open; empty for none. They
-    move only where objects are lifted."""
-    not_liftable: Mapping[str, str] = field(default_factory=dict)
-    """Objects that these fingers cannot lift at their grasp frame, with the reason."""
+    move only in tasks that need it."""
+    cannot_hold: Mapping[str, str] = field(default_factory=dict)
+    """Objects that these fingers cannot hold at their grasp frame, with the reason."""
     base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the model's origin, world [m]."""
     base_yaw_deg: float = 0.0

@@ -1,95 +1,152 @@
 """Tasks: what is drawn for an episode, how actions move the arm, and how the result is judged.
 
-A task is a class derived from `knowarm.world.tasks.task.Task` with one entry in ``TASKS``. One of
-another package is found by its entry point in the group "knowarm.tasks", by the environment
-variable ``KNOWARM_TASKS``, or after `register_task`. Files never name a module: a stored config
-holds the task's ``kind``.
+A task has two parts that are combined freely: what is asked (the folder ``asked``) and what has to
+be done (the folder ``skills``). Its name has those of both, as "choose-lift", without what is the
+default. Files never name a module: a stored config holds the ``kind`` of each part.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.own import installed, load, named_by, share
+from knowarm.own import load, share
+from knowarm.world.tasks.asked import ASKED, DEFAULT_ASKED
+from knowarm.world.tasks.registry import VARIABLE
+from knowarm.world.tasks.skills import DEFAULT_SKILL, SKILLS
 
 if TYPE_CHECKING:  # Importing this package imports no simulator.
+    from knowarm.measures import Measure
+    from knowarm.world.tasks.asked.asked import Asking
+    from knowarm.world.tasks.probe import BaseProbe, ReportTable
+    from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
 
-GROUP = "knowarm.tasks"
-"""Group of the entry points of other packages."""
+TASKS = ("reach", "lift", "choose", "purpose", "families", "choose-lift")
+"""Shipped tasks with Gymnasium ids and listed experiments; `find_task` finds every combination."""
 
-VARIABLE = "KNOWARM_TASKS"
-"""Environment variable with further tasks, as ``package.module:Name`` separated by commas."""
-
-TASKS: dict[str, str] = {
-    "reach": "knowarm.world.tasks.reach:Reach",
-    "lift": "knowarm.world.tasks.lift.lift:Lift",
-    "choose": "knowarm.world.tasks.choose.choose:Choose",
-    "purpose": "knowarm.world.tasks.choose.purpose:Purpose",
-    "families": "knowarm.world.tasks.choose.choose:Families",
-}
-"""Tasks by their ``kind``, as ``package.module:Name``. To add one, add an entry."""
-
-DEFAULT_TASK = "reach"
+DEFAULT_TASK = DEFAULT_SKILL
 """Task unless another one is given; names of experiments leave it out."""
 
 
 def task_names() -> list[str]:
-    """List the names of all tasks: shipped, installed and registered."""
-    for import_path in named_by(VARIABLE):
-        if import_path not in TASKS.values():
-            register_task(import_path)
-    return list(dict.fromkeys([*TASKS, *installed(GROUP)]))
+    """List the names of the listed tasks and of those with a part of another package."""
+    names = [*ASKED.kinds(), *SKILLS.kinds()]
+    names.remove(DEFAULT_ASKED)
+    return list(dict.fromkeys([*TASKS, *names]))
 
 
-def task_type(name: str) -> "type[Task]":
-    """Return the class of a name in ``task_names``, or register ``package.module:Name``."""
-    if ":" in name:
-        return register_task(name)
-    names = task_names()
-    if name not in names:
-        raise unknown_name("task", name, names)
-    return _load((installed(GROUP) | TASKS)[name])
+def combinations() -> dict[str, tuple[str, str]]:
+    """Return the kinds of what is asked and of the skill by the name of their combination."""
+    return {
+        _name(asked, skill): (asked, skill) for asked in ASKED.kinds() for skill in SKILLS.kinds()
+    }
 
 
-def find_task(task: "Task | str") -> "Task":
-    """Return a task, also one that is given by its name or as ``package.module:Name``."""
-    from knowarm.world.tasks.task import Task
-
-    found = task_type(task)() if isinstance(task, str) else task
-    if not isinstance(found, Task):
-        raise UserError(f"task must be a task, such as Reach(), or its name, got {task!r}.")
-    return found
+def _name(asked: str, skill: str) -> str:
+    if asked == DEFAULT_ASKED:
+        return skill
+    return asked if skill == DEFAULT_SKILL else f"{asked}-{skill}"
 
 
-def register_task(import_path: str) -> "type[Task]":
-    """Add a task of your own module to ``TASKS``, by its ``kind``, here and in child processes.
+def find_task(task: "Task | Asking | Skill | str", base: "Task | None" = None) -> "Task":
+    """Return a task.
 
     Args:
-        import_path: where its class is, as ``package.module:Name``.
-
-    Raises:
-        UserError: it cannot be imported, is no task, or has the name of another one.
+        task: a task, or its name; a part of one, or ``package.module:Name`` of a part or task.
+        base: has the other part; None for the defaults.
     """
-    task = _load(import_path)
-    name = task.kind_of()
-    other = (installed(GROUP) | TASKS).get(name, import_path)
-    if other != import_path:
-        raise UserError(
-            f"The task {import_path} has the kind {name!r}, which {other} has already; give its "
-            "field ``kind`` another literal."
-        )
-    TASKS[name] = import_path
-    share(VARIABLE, import_path)
-    return task
-
-
-def _load(import_path: str) -> "type[Task]":
-    """Import a class given as ``package.module:Name``."""
+    from knowarm.world.tasks.asked.asked import Asking
+    from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
 
-    return load(
-        import_path,
-        "task",
-        lambda found: isinstance(found, type) and issubclass(found, Task),
-        "a class derived from knowarm.world.tasks.task.Task",
-    )
+    if isinstance(task, str):
+        part = _named(task)
+    elif isinstance(task, Task | Asking | Skill):
+        part = task
+    else:
+        raise UserError(f"task must be a task, such as Task(), or its name, got {task!r}.")
+    if isinstance(part, Asking):
+        return replace(base or Task(), asked=part)
+    if isinstance(part, Skill):
+        return replace(base or Task(), skill=part)
+    return part
+
+
+def _named(name: str) -> "Task | Asking | Skill":
+    """Return the task of a name, or what ``package.module:Name`` is, with its default fields."""
+    from knowarm.world.tasks.task import Task
+
+    if ":" in name:
+        part = register_task(name)
+        return part() if isinstance(part, type) else part
+    kinds = combinations()
+    if name not in kinds:
+        raise unknown_name("task", name, [*task_names(), *kinds])
+    asked, skill = kinds[name]
+    return Task(asked=ASKED.type_of(asked)(), skill=SKILLS.type_of(skill)())
+
+
+def register_task(import_path: str) -> Any:
+    """Add a skill, something to ask, or both of your own module, here and in child processes.
+
+    Args:
+        import_path: where its class is, as ``package.module:Name``; a task is an instance.
+
+    Returns:
+        What is there.
+
+    Raises:
+        UserError: it cannot be imported, is none of these, or has the kind of another one.
+    """
+    from knowarm.world.tasks.asked.asked import Asking
+    from knowarm.world.tasks.skills.skill import Skill
+    from knowarm.world.tasks.task import Task
+
+    def is_part(found: Any) -> bool:
+        if isinstance(found, type):
+            return issubclass(found, Asking | Skill)
+        return isinstance(found, Task)
+
+    part = load(import_path, "task", is_part, "a class derived from Skill or Asking, or a Task")
+    for registry in (ASKED, SKILLS):
+        registry.add(import_path)
+    for kind in {*ASKED.kinds()} & {*SKILLS.kinds()}:
+        raise UserError(
+            f"Something to ask and a skill have the kind {kind!r}, so that no task can be named "
+            "after it. Give the field ``kind`` of one of them another literal."
+        )
+    share(VARIABLE, import_path)
+    return part
+
+
+def task_probes() -> "list[type[BaseProbe]]":
+    """List the probes that the parts of tasks bring."""
+    probes = [probe for part in _parts() for probe in part.probes]
+    return list(dict.fromkeys(probes))  # subclasses share theirs
+
+
+def task_measures() -> "list[Measure]":
+    """List the measures of all parts of tasks and of their probes."""
+    parts = _parts()
+    measures = [measure for part in parts for measure in part.measures]
+    return measures + [measure for probe in task_probes() for measure in probe.measures]
+
+
+def report_tables() -> "list[ReportTable]":
+    """List the report's tables of all parts of tasks and of their probes."""
+    tables = list(dict.fromkeys(table for part in _parts() for table in part.tables))
+    return tables + [probe.table for probe in task_probes() if probe.table is not None]
+
+
+def _parts() -> list[Any]:
+    """Return the classes of what can be asked and of skills."""
+    return [*ASKED.types(), *SKILLS.types()]
+
+
+def split_name(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the tasks that a text can begin with, the longest first, and the rest after "-"."""
+    for name in sorted(combinations(), key=len, reverse=True):
+        rest = text.removeprefix(f"{name}-")
+        if rest not in (text, ""):
+            yield name, rest

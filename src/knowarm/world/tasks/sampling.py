@@ -117,7 +117,7 @@ class OneObject:
         if number_parts(setting.facets).shape[1] > 1:
             raise UserError(
                 "EnvConfig.targets names several parts of one object, and this task shows one "
-                "object with one grasp. Name one part per object, or take the task Purpose()."
+                "object with one grasp. Name one part per object, or ask for parts."
             )
         self._targets = len(setting.scene.targets)
         self._held_out = held_out

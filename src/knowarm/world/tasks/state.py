@@ -51,7 +51,9 @@ class EpisodeState(Generic[SimulatorT]):
     distance: Floats  #: From gripper to goal, (n,) [m]
     angle: Floats  #: Between gripper and goal frame, (n,) [deg]
     success: Mask  #: Whether the task is solved, (n,)
-    memory: dict[str, NDArray[Any]]  #: Further arrays of the task, (n, ...) each; see `Task.memory`
+    memory: dict[
+        str, NDArray[Any]
+    ]  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
     grasp_rotation: Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
     first_facet: Integers  #: Number in ``facets`` of each target in its first colour, (K,)
 
@@ -70,14 +72,12 @@ class EpisodeState(Generic[SimulatorT]):
         raise NotImplementedError
 
     def measure_object(self, which: Integers) -> tuple[Floats, Floats]:
-        """Measure distance (n,) [m] and angle (n,) [deg] to the grasps of visible objects (n,)."""
+        """Measure distance (n,) [m] and angle (n,) [deg] to the goals of visible objects (n,)."""
         rows = np.arange(len(which))
+        simulator = self.simulator
+        position, matrix = self.goal_frames(self.objects[rows, which], self.positions[rows, which])
         return measure(
-            self.simulator.tcp_position,
-            self.simulator.tcp_matrix,
-            self.grasp_positions()[rows, which],
-            self.grasp_rotation[self.objects[rows, which]],
-            self.ignore_roll,
+            simulator.tcp_position, simulator.tcp_matrix, position, matrix, self.ignore_roll
         )
 
     def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:

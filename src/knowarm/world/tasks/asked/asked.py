@@ -1,0 +1,150 @@
+"""Asking: the objects of an episode, which of them is meant, and what a policy is told of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers
+from knowarm.errors import UserError
+from knowarm.measures import Measure
+from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.tasks.probe import BaseProbe, ReportTable
+from knowarm.world.tasks.registry import kind_of
+from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
+from knowarm.world.tasks.state import EpisodeState
+
+if TYPE_CHECKING:
+    from knowarm.knowledge import KnowledgeGraph
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asking:
+    """Base of what is asked: nothing, so that the one visible object is meant.
+
+    A frozen config; all methods are batched over n episodes. To write your own, derive from this
+    class, add a field ``kind`` with a literal tag, override what differs, and select it with
+    ``EnvConfig(task=...)`` or ``--env.task package.module:Name``.
+    """
+
+    area: ClassVar[str | None] = None
+    """Name in ``Robot.areas`` of the rectangle in which objects stand; None: the skill's."""
+    targets: ClassVar[tuple[str, ...]] = ()
+    """Objects unless ``EnvConfig.targets`` names others; empty: the skill's."""
+    colours: ClassVar[Colours | None] = None
+    """Colours of every experiment; None lets ``EnvConfig.colours`` decide."""
+    scopes: ClassVar[frozenset[str]] = frozenset({"scene", "target"})
+    """Scopes of knowledge that describe something in these episodes."""
+    holds_out: ClassVar[bool] = True
+    """Whether ``EnvConfig.held_out`` and visual distractors can be combined with it."""
+    knowledge_info: ClassVar[str] = "facet"
+    """Info that names the row of the knowledge table for an episode."""
+    shares_places: ClassVar[bool] = False
+    """Whether several targets are one object, at one place."""
+    column_meanings: ClassVar[dict[str, str]] = {}
+    """What each of the ``columns`` holds."""
+    measures: ClassVar[tuple[Measure, ...]] = ()
+    """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
+    """What it brings to measure in evaluations of any task, as options of theirs."""
+    tables: ClassVar[tuple[ReportTable, ...]] = ()
+    """Tables of the report of its ``measures``."""
+    kind: str = ""
+    """Tag in JSON and in the names of experiments, a literal of each class."""
+
+    @property
+    def title(self) -> str:
+        """Words in the titles of a report; none where nothing is asked."""
+        return kind_of(type(self))
+
+    @property
+    def visible(self) -> int:
+        """Number of objects that an episode shows."""
+        return 1
+
+    @property
+    def graph(self) -> str | None:
+        """Path of the graph that answers the questions, or the name of a shipped one, if any."""
+        return None
+
+    @property
+    def paints_goal(self) -> bool:
+        """Whether the image shows the object that is meant in magenta and the others in grey."""
+        return False
+
+    def training(self, algorithm: str) -> Mapping[str, Any]:
+        """Return the fields of an experiment that differ from an algorithm's defaults."""
+        return {}
+
+    def sampler(self, setting: Setting) -> ObjectSampler:
+        """Return what draws the objects of episodes, uniform by default (paper, table 1).
+
+        Raises:
+            UserError: the setting does not fit.
+        """
+        return OneObject(setting)
+
+    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable | None:
+        """Return the questions; None if episodes have none."""
+        return None
+
+    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+        """Name the rows of the knowledge table that ``knowledge_info`` refers to."""
+        return ["/".join(facet) for facet in facets]
+
+    def knowledge_input(self, state: EpisodeState) -> Integers:
+        """Return the row of the knowledge table for each current episode, (n,) int64."""
+        return state.facet
+
+    def asking(self, **fields: Any) -> Self:
+        """Return the same with other questions of a graph, by fields of ``GraphQueries``.
+
+        Raises:
+            UserError: no graph answers questions.
+        """
+        name, value = next(iter(fields.items()))
+        raise UserError(
+            f"The task has no queries that a graph could answer, got {name}={value!r}. Take a run "
+            f"of a task with such queries, or leave {name} out."
+        )
+
+    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> "KnowledgeGraph | None":
+        """Return the graph that answers instead of ``graph``, where answers changed; else None."""
+        return None
+
+    def nearest(self, state: EpisodeState, points: Floats) -> Integers:
+        """Return which of several visible objects the gripper is at, (n,) int64; 0 is meant.
+
+        Args:
+            state: the episodes.
+            points: grasp points of the visible objects, world, (n, m, 3) [m].
+        """
+        raise NotImplementedError
+
+    def infos(self, state: EpisodeState, nearest: Integers) -> dict[str, NDArray[Any]]:
+        """Return further infos of the current state, (n, ...) each; ``nearest`` as above."""
+        return {}
+
+    def columns(
+        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
+
+        Args:
+            setting: what the episodes were drawn from.
+            infos: the infos at the end of N episodes.
+        """
+        return {}
+
+    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Return an episode's goal in words that a policy may know: without the answer to a query.
+
+        Recorded datasets have it as their task.
+        """
+        return self.describe(state, setting, env_id)
+
+    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Describe the goal of one episode, as "red mug"."""
+        target = state.scene.targets[int(state.objects[env_id, 0])]
+        return f"{[*target.colours][int(state.colours[env_id, 0])]} {target.name}"

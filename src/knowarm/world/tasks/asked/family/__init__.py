@@ -1,0 +1,1 @@
+"""Asking for an instance of a family of objects."""

@@ -1,0 +1,1 @@
+"""Asking for the part of an object that serves a purpose."""

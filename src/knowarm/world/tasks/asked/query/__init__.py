@@ -1,0 +1,1 @@
+"""Asking for one of several objects by a query."""

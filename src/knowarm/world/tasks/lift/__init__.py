@@ -1,1 +1,0 @@
-"""Lifting task, the physics of its fingers and objects, its teacher, and the lift test."""

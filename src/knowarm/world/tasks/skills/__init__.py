@@ -1,0 +1,16 @@
+"""Skills: how actions move the arm, what has to be done with an object, and when it is done."""
+
+from knowarm.world.tasks.registry import Registry
+
+DEFAULT_SKILL = "reach"
+"""Skill unless another one is given; names of tasks with a question leave it out."""
+
+SKILLS = Registry(
+    "skills",
+    "knowarm.world.tasks.skills.skill:Skill",
+    {
+        "reach": "knowarm.world.tasks.skills.reach:Reach",
+        "lift": "knowarm.world.tasks.skills.lift.lift:Lift",
+    },
+)
+"""Skills by ``kind``. To add one, add an entry."""

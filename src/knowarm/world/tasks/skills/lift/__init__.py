@@ -1,0 +1,1 @@
+"""Lifting: the skill, the physics of its fingers and objects, its teacher, and the lift test."""

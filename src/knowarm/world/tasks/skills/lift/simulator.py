@@ -1,0 +1,94 @@
+"""Simulator of the lifting task: fingers that move, and solid objects that are free to move."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers, Mask
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
+from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
+
+PARKED_M = 1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
+
+NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
+FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
+_CONTACTS = mujoco.mjtStage.mjSTAGE_ACC.value  # The sensors of touch need the contacts' forces
+
+
+class LiftSimulator(MujocoSimulator):
+    """Physics of n copies of a scene in which objects are lifted; the fingers are the last joint.
+
+    Hidden objects fall far above the robot. Where nothing can be gripped, a control period takes
+    ``free_substeps`` physics steps instead of those of the model's time step.
+    """
+
+    def __init__(
+        self,
+        scene: LiftScene,
+        num_envs: int,
+        num_threads: int = 0,
+        *,
+        free_substeps: int = FREE_SUBSTEPS,
+    ) -> None:
+        model, joints = scene.model, scene.num_joints
+        self._servo_joint = np.arange(joints + 1).clip(max=joints - 1)
+        super().__init__(scene, num_envs, num_threads)
+        self._objects = scene
+        self._free_substeps = free_substeps
+        self._substeps = round(CONTROL_PERIOD_S / model.opt.timestep)
+        self._stage = _CONTACTS
+        self._timestep = self.batch.expand("opt.timestep")
+        self._centre = self.batch.bind("xipos")
+        self._touch = self.batch.bind("sensordata")
+        self._fingers = model.jnt_qposadr[[model.joint(name).id for name in FINGERS]]
+        data = mujoco.MjData(model)
+        for start, rest in zip(scene.object_qpos, scene.rest, strict=True):
+            data.qpos[start : start + 7] = rest
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        self._rest_height = data.xipos[scene.bodies, 2].copy()
+
+    def centre(self, targets: Integers) -> Floats:
+        """Return the centre of mass of one target per environment, world, (n, 3) [m]."""
+        return self._centre[np.arange(self.num_envs), self._objects.bodies[targets]]
+
+    def place(self, targets: Integers) -> Floats:
+        """Return x and y of one target per environment, (n, 2) [m]."""
+        start = self._objects.object_qpos[targets]
+        return self._qpos[np.arange(self.num_envs)[:, None], start[:, None] + np.arange(2)]
+
+    def rise(self, targets: Integers) -> Floats:
+        """Return how far each target's centre of mass is above where it stood, (n,) [m]."""
+        return np.asarray(self.centre(targets)[:, 2] - self._rest_height[targets])
+
+    def touched(self, targets: Integers) -> Mask:
+        """Return whether both fingers touch one target per environment, (n,)."""
+        contacts = self._touch.reshape(self.num_envs, -1, len(FINGERS))
+        return np.asarray((contacts[np.arange(self.num_envs), targets] > 0).all(axis=1))
+
+    def _place_targets(self, ids: NDArray[np.intp], position: Floats, visible: Mask | None) -> None:
+        """Put the targets on their support, or far above, and the second finger as the first."""
+        scene = self._objects
+        self._qpos[ids[:, None], self._fingers] = self._qpos[ids[:, None], self._fingers[:1]]
+        for k, start in enumerate(scene.object_qpos):
+            pose = np.tile(scene.rest[k], (len(ids), 1))
+            pose[:, :2] = position[:, k]
+            if visible is not None:
+                pose[:, 2] += PARKED_M * (k + 1) * ~visible[:, k]
+            self._qpos[ids[:, None], start + np.arange(7)] = pose
+
+    def _set_servos(self, ids: NDArray[np.intp] | slice, joint_targets: Floats) -> None:
+        """Set the servos' targets; that of the second finger follows the first one's."""
+        self._ctrl[ids] = joint_targets[:, self._servo_joint]
+
+    def step(self, joint_targets: Floats) -> None:
+        """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
+        self._set_servos(slice(None), joint_targets)
+        centres = self._centre[:, self._objects.bodies]
+        near = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(axis=1) < NEAR_M
+        grips = near & (joint_targets[:, -1] > 0)
+        for each, count in ((~grips, self._free_substeps), (grips, self._substeps)):
+            if each.any():
+                self._timestep[each] = CONTROL_PERIOD_S / count
+                self.batch.step(ids=np.flatnonzero(each), nstep=count, stage=self._stage)

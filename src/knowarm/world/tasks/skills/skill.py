@@ -1,0 +1,183 @@
+"""Skill: how actions move the arm, what counts as success, what ends an episode, and reward."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers, Mask
+from knowarm.measures import Measure
+from knowarm.world.backend import Dynamics, MujocoSimulator
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.probe import BaseProbe, ReportTable
+from knowarm.world.tasks.registry import kind_of
+from knowarm.world.tasks.reward import is_success, paper_reward
+from knowarm.world.tasks.sampling import Setting
+from knowarm.world.tasks.skills.guides import Guide, ShortestWay, StraightApproach
+from knowarm.world.tasks.skills.teacher import Teacher
+from knowarm.world.tasks.state import EpisodeState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skill:
+    """Base of skills: the arm has to reach the grasp frame of the object that is meant.
+
+    A frozen config; all methods are batched over n episodes. To write your own, derive from this
+    class, add a field ``kind`` with a literal tag, override what differs, and select it with
+    ``EnvConfig(task=...)`` or ``--env.task package.module:Name``.
+    """
+
+    area: ClassVar[str] = "reach"
+    """Name in ``Robot.areas`` of the rectangle in which objects stand, unless what is asked names
+    one; a robot without an area of this name uses its standard rectangle."""
+    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle", "cereal_box")
+    """Objects unless ``EnvConfig.targets`` or what is asked names others."""
+    max_steps: ClassVar[int] = 50
+    """Steps of an episode at most, unless ``EnvConfig.max_episode_steps`` gives others."""
+    dynamics: ClassVar[tuple[str, ...]] = ("dynamic", "kinematic")
+    """Values of ``EnvConfig.dynamics`` with which it can be simulated."""
+    moves_fingers: ClassVar[bool] = False
+    """Whether it needs a robot whose fingers move."""
+    column_meanings: ClassVar[dict[str, str]] = {}
+    """What each of the ``columns`` holds."""
+    measures: ClassVar[tuple[Measure, ...]] = ()
+    """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
+    """What it brings to measure in evaluations of any task, as options of theirs."""
+    tables: ClassVar[tuple[ReportTable, ...]] = ()
+    """Tables of the report of its ``measures``."""
+    kind: str = ""
+    """Tag in JSON and in the names of experiments, a literal of each class."""
+
+    @property
+    def title(self) -> str:
+        """Words in the titles of a report; none for the paper's."""
+        return kind_of(type(self))
+
+    def check(self, asked: Asking) -> None:
+        """Check that it can be done with what is asked.
+
+        Raises:
+            UserError: it cannot.
+        """
+
+    def suits(self, target: str) -> bool:
+        """Return whether it can be done with an object, by name, with the shipped grippers."""
+        return True
+
+    def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
+        """Return the fields of an experiment that differ from an algorithm's defaults."""
+        return {}
+
+    def area_of(self, robot: Robot) -> str:
+        """Return the name of the robot's area in which episodes take place.
+
+        Raises:
+            UserError: the robot has none, and its standard rectangle does not fit.
+        """
+        return self.area
+
+    def areas_to_try(self, robot: Robot) -> Iterable[dict[str, Any]]:
+        """Yield areas, fields of `Area`, of which a drafted robot gets the one that fits best."""
+        return ()
+
+    @staticmethod
+    def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> Scene:
+        """Build the scene; by default objects have no physics."""
+        return build_scene(robot, targets, distractors)
+
+    def simulator(
+        self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
+    ) -> MujocoSimulator:
+        """Make the physics of n environments with a scene of `build_scene`; 0 threads: all cores.
+
+        Methods of the skill find it in ``EpisodeState.simulator``, where its class is that of
+        ``EpisodeState[ItsSimulator]``.
+        """
+        return MujocoSimulator(scene, num_envs, num_threads, dynamics)
+
+    def joint_names(self, robot: Robot) -> tuple[str, ...]:
+        """Name the joints of the actions of a robot, those of the scene."""
+        return robot.joints
+
+    def teacher(self, state: EpisodeState) -> Teacher:
+        """Make what knows the actions that solve running episodes, for imitation."""
+        return Teacher(state)
+
+    def guide(self, state: EpisodeState, seed: int, straight: bool) -> Guide:
+        """Make what guides scripted agents to the solution of running episodes.
+
+        Args:
+            state: the episodes.
+            seed: of the solver of the inverse kinematics.
+            straight: whether the way ends straight along the approach direction.
+        """
+        return (StraightApproach if straight else ShortestWay)(state, seed)
+
+    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+        """Return the arrays (n, ...) that are remembered between steps, as an episode starts.
+
+        They are stored and restored with the environment, and read from ``EpisodeState.memory``.
+        """
+        return {}
+
+    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
+        """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
+        return {}
+
+    def goal(
+        self, scene: Scene, objects: Integers, position: Floats, matrix: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the frame that the gripper has to reach in k episodes.
+
+        Args:
+            scene: robot and objects.
+            objects: index of each episode's object, (k,).
+            position: its grasp point, world, (k, 3) [m].
+            matrix: rotation from its grasp frame to world, row-major, (k, 9).
+        """
+        return position, matrix
+
+    def grasp_positions(self, state: EpisodeState) -> Floats:
+        """Return the grasp points of the visible objects as they are now, world, (n, m, 3) [m]."""
+        return state.grasp_positions()
+
+    def done_to(self, state: EpisodeState, which: Integers) -> Mask:
+        """Return whether it was done to visible objects (n,), (n,) bool; to a wrong one it is lost.
+
+        By default the goal frame of the object has to be within the thresholds of the config,
+        whatever the curriculum's.
+        """
+        distance, angle = state.measure_object(which)
+        return is_success(distance, angle, state.limits[0], state.limits[1])
+
+    def success(self, state: EpisodeState) -> Mask:
+        """Return which episodes are solved, (n,) bool; a solved one ends."""
+        return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
+
+    def failure(self, state: EpisodeState) -> Mask | None:
+        """Return which episodes are lost before the time limit, (n,) bool, or None."""
+        return None
+
+    def reward(self, state: EpisodeState) -> Floats:
+        """Compute the reward of a step, (n,); the paper's by default (table 1)."""
+        return paper_reward(state.distance, state.angle, state.success)
+
+    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+        """Return further infos of the current state, (n, ...) each."""
+        return {}
+
+    def columns(
+        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
+
+        Args:
+            setting: what the episodes were drawn from.
+            infos: the infos at the end of N episodes.
+        """
+        return {}
