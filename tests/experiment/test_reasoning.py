@@ -26,7 +26,6 @@ from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO
@@ -54,27 +53,6 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
     answers = shuffled.knows.answers(shuffled.env, 0, facets_of(shuffled.env))
     assert (answers != satisfies).any()
-
-
-def test_varied_graphs_describe_and_answer_the_queries_of_training():
-    config = experiment_config("irb120-choose-subgraph-fast", env=CHOOSE_ENV)
-    assert config.knows.varied_graphs(config.env, 0) == []
-    two = {"grounding": {"graphs": 2}}
-    config = experiment_config("irb120-choose-reasoner-fast", env=CHOOSE_ENV, knows=two)
-    (table, known), *others = config.knows.varied_graphs(config.env, 0)
-    own = query_answers(config.env, GroundingSpec.of(config.env, config.knows.grounding).facets)
-    assert (table == build(config).table).all()
-    assert all((one == other).all() for one, other in zip(known[:2], own[:2], strict=True))
-    held_out = own.satisfies & ~own.askable
-    assert held_out.any()
-    assert not any((each.askable & held_out).any() for _, each in (*others, (table, known)))
-    assert len(others) == 2
-    asked = [each.reshape(len(each), -1, 3, 50)[:, 0] for each in (table, *(o[0] for o in others))]
-    for each, (changed, answers) in zip(asked[1:], others, strict=True):
-        assert (each == asked[0]).all()  # the same questions
-        assert (changed != table).any()  # with other facts
-        assert (answers.satisfies != known.satisfies).any()  # and answers
-    assert (others[0][1].satisfies != others[1][1].satisfies).any()
 
 
 @pytest.mark.slow(40)
@@ -179,9 +157,8 @@ def test_the_query_enters_through_its_vector_only(name):
     images = image.expand(len(table), -1, -1, -1)
     if config.knows.is_grounded:
         spec = GroundingSpec.of(config.env, config.knows.grounding)
-        reads_facts = config.knows.pooling == "facts"
         slots = parts.embedding.slots_per_row
-        network = GroundingNetwork(spec, table, slots, reads_facts=reads_facts)
+        network = GroundingNetwork(spec, table, slots)
         recognition = config.knows.input(config.env, 0, parts.table, network)
         table = recognition.knowledge
         act = partial(recognition.locate, images)

@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import pickle
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -259,23 +258,6 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(c
     assert differing(train(table), first) == set()
     assert "read from" not in lines[-1]
     assert train(table + 1, should_stop=lambda: True) is None
-
-
-def test_other_graphs_take_the_place_of_the_tasks_in_training_alone(config, empty_cache):
-    parts = build(config)
-    settings = GroundingConfig(images=64, rounds=2, batch=32, shared_rounds=1)
-    answers = query_answers(config.env, GroundingSpec.of(config.env, settings).facets)
-    zeros = np.zeros_like(parts.table)
-
-    def train(*graphs):
-        slots = parts.embedding.slots_per_row
-        return train_grounding(config.env, parts.table, slots, settings, seed=0, graphs=graphs)
-
-    networks = [train(), train((zeros, answers)), train((parts.table, answers), (zeros, answers))]
-    kept = [network.state_dict()["query.2.weight"] for network in networks]
-    assert all((one != other).any() for one, other in pairwise([*kept, kept[0]]))
-    assert all((network.knowledge.numpy() == parts.table).all() for network in networks)
-    assert len([*empty_cache.iterdir()]) == 5  # names and frames once, and their head
 
 
 def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache):

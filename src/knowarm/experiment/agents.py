@@ -101,14 +101,6 @@ _QUERY = _with(QueryVector, QUERY)
 _GROUNDED = _with(GroundedVector, QUERY)
 _WORDS = replace(_GROUNDED, hops=0, colour_share=None)
 _ANSWERS = _with(GraphAnswers, QUERY, grounding=GroundingConfig(naming_coef=1.0))
-_FACTS = replace(
-    _GROUNDED,
-    pooling="facts",
-    relation_words=True,
-    colour_share=None,
-    slot_norm=None,
-    grounding=GroundingConfig(graphs=100),
-)
 _ANALOGY = GraphEmbedding(model="analogy")
 _HOW = {
     "before_fc": "concatenated before the fully connected layer",
@@ -117,8 +109,6 @@ _HOW = {
     "attention": "with attention over its slots",
 }
 _FIXED = PolicyConfig(hidden="fixed")
-_CHOOSE: dict[str, Any] = {"policy": _FIXED, "tasks": ("choose",)}
-"""Choices of agents for the choose task alone."""
 
 AGENTS: dict[str, Agent] = {
     "bm": _agent(
@@ -213,7 +203,8 @@ AGENTS: dict[str, Agent] = {
     "query-analogy": _subject(
         "ANALOGY embeddings of the values of the query",
         replace(_WORDS, source=_ANALOGY, centring=False),
-        **_CHOOSE,  # the graph of the purpose task has no colours and objects to embed
+        policy=_FIXED,
+        tasks=("choose",),  # the graph of the purpose task has no colours and objects to embed
         colour="c-navy",
     ),
     "query-zeros": _zeros(
@@ -239,15 +230,6 @@ AGENTS: dict[str, Agent] = {
         ShuffledGraph(),
         policy=_FIXED,
         colour="c-pink",
-    ),
-    "reasoner": _subject(
-        "a network that learns to read the query's facts", _FACTS, **_CHOOSE, colour="c-orange"
-    ),
-    "reasoner-shuffled": _control(
-        "reasoner: from a graph with permuted tails", _FACTS, ShuffledGraph(), **_CHOOSE
-    ),
-    "reasoner-words": _agent(
-        "capacity_control", "control of reasoner, no facts", replace(_FACTS, hops=0), **_CHOOSE
     ),
     "answers": _subject(
         "the graph answers the query, and the network finds the answer by its name",

@@ -37,9 +37,6 @@ class GroundingConfig:
     channels: int = 64
     """Features of a place, a multiple of 4. Twice as many recognize unseen kinds of objects better
     and cost 2.4 times as much."""
-    graphs: int = 0
-    """Number of graphs with permuted tails that describe and answer the queries of training beside
-    the agent's own, so that a network that reads facts has to."""
     shared_rounds: int = 0
     """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
     objects and seed share; ``rounds`` then train how queries are compared with places. 0: the
@@ -55,8 +52,7 @@ class GroundingConfig:
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
             raise UserError(f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ...")
-        fields = "naming_coef", "graphs", "shared_rounds", "seed"
-        at_least(self, 0, *fields, where="GroundingConfig.")
+        at_least(self, 0, "naming_coef", "shared_rounds", "seed", where="GroundingConfig.")
 
 
 @dataclass(frozen=True, kw_only=True)

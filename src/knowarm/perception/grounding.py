@@ -20,7 +20,6 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.perception.config import GroundingSpec
 from knowarm.perception.encoder import PlaceEncoder
-from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import number_parts
@@ -53,7 +52,6 @@ class GroundingNetwork(nn.Module):
         knowledge: (Q, K) float32, one row per query.
         slots: number of equal parts of a row, one per condition; a part of zeros is none.
         seed: of the initial weights.
-        reads_facts: whether slots hold facts, which attention reads, instead of vectors.
         first_stage: with the frame head of the first stage of a training, which predicts frames
             from the object's place alone; the final one reads the 3 x 3 places around it.
     """
@@ -73,7 +71,6 @@ class GroundingNetwork(nn.Module):
         slots: int,
         *,
         seed: int = 0,
-        reads_facts: bool = False,
         first_stage: bool = False,
     ) -> None:
         convolutions = convolutions_of(spec.config.channels)
@@ -93,12 +90,10 @@ class GroundingNetwork(nn.Module):
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
         self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
-        self.query: nn.Module = _layers(width, 2 * WIDTH, WIDTH)
-        if reads_facts:
-            self.query = FactEncoder(width, WIDTH)
+        self.query = _layers(width, 2 * WIDTH, WIDTH)
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        for layer in (*self.key, *self.query.modules(), *self.frame):
+        for layer in (*self.key, *self.query, *self.frame):
             in_deep_head = self._around and layer in self.frame
             orthogonal(layer, DEEP_HEAD_GAIN if in_deep_head else RELU_GAIN, generator)
         if self._around:  # features differ in scale, and many are zero
@@ -145,7 +140,7 @@ class GroundingNetwork(nn.Module):
             table, slots = tensors["knowledge"], about["slots"]
             if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
                 raise ValueError("its table of knowledge does not fit its slots")
-            network = cls(spec, table, slots, reads_facts="query.fact.weight" in tensors)
+            network = cls(spec, table, slots)
             state = network.state_dict()
             expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
             if {name: value.shape for name, value in tensors.items()} != expected:

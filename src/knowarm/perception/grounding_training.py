@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import BATCH, GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import (
-    DescribedGraph,
     ImageSampler,
     LabelledImages,
     QueryAnswers,
@@ -69,8 +68,6 @@ def train_grounding(
     config: GroundingConfig,
     *,
     seed: int,
-    reads_facts: bool = False,
-    graphs: Sequence[DescribedGraph] = (),
     report: Callable[[str], None] = lambda text: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> GroundingNetwork | None:
@@ -85,29 +82,22 @@ def train_grounding(
         slots: number of parts.
         config: images, rounds and weights of the losses.
         seed: of the run; ``config.seed`` goes first.
-        reads_facts: as `GroundingNetwork`.
-        graphs: describe and answer the queries in place of the task's; a gradient step takes one.
         report: receives a line at the start and after every round.
         should_stop: called at every gradient step; if it returns true, the result is None.
     """
     if config.seed is not None:
         seed, config = config.seed, replace(config, seed=None)
-    options: dict[str, Any] = {"seed": seed, "reads_facts": reads_facts}
-    network = GroundingNetwork(
-        GroundingSpec.of(env, config), knowledge, slots, first_stage=True, **options
-    )
-    answers = query_answers(env, network.spec.facets)
+    spec = GroundingSpec.of(env, config)
+    network = GroundingNetwork(spec, knowledge, slots, seed=seed, first_stage=True)
+    answers = query_answers(env, spec.facets)
     assert answers is not None
+    vectors = torch.from_numpy(knowledge)
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
     def ask() -> tuple[Tensor, QueryAnswers]:
-        described = knowledge, answers
-        if graphs:
-            described = graphs[int(torch.randint(len(graphs), (), generator=generator))]
-        table, known = described
-        rows = torch.randperm(len(knowledge), generator=generator)[:QUERIES]
-        return torch.from_numpy(table)[rows], known.of(rows)
+        rows = torch.randperm(len(vectors), generator=generator)[:QUERIES]
+        return vectors[rows], answers.of(rows)
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16)
@@ -126,16 +116,14 @@ def train_grounding(
         return place, place
 
     asked, seen = ("key.", "query."), ("encoder.", "frame.", "position_")
-    by_queries: list[object] = [knowledge, slots, reads_facts]
-    for table, known in ((knowledge, answers), *graphs):
-        by_queries += [table, known.satisfies.numpy(), known.askable.numpy()]
+    by_queries = [knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()]
     stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
     if config.shared_rounds:
         stages = [
             _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
             _Stage("queries", config.rounds, comparison, asked, by_queries),
         ]
-    images_alone = replace(config, rounds=0, graphs=0) if config.shared_rounds else config
+    images_alone = replace(config, rounds=0) if config.shared_rounds else config
     depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
     for number, stage in enumerate(stages):
         if stage.rounds == 0:
@@ -182,13 +170,7 @@ def train_frame_head(
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
     """
     seen = trained.state_dict()
-    network = GroundingNetwork(
-        trained.spec,
-        trained.knowledge,
-        trained.slots,
-        seed=seed,
-        reads_facts="query.fact.weight" in seen,
-    )
+    network = GroundingNetwork(trained.spec, trained.knowledge, trained.slots, seed=seed)
     network.load_state_dict(
         network.state_dict() | {n: v for n, v in seen.items() if not n.startswith("frame.")}
     )

@@ -42,10 +42,6 @@ class QueryAnswers(NamedTuple):
         return self._replace(satisfies=self.satisfies[queries], askable=self.askable[queries])
 
 
-DescribedGraph = tuple[np.ndarray, QueryAnswers]
-"""Knowledge (Q, K) float32 of queries by a graph, and its answers."""
-
-
 def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnswers | None:
     """Return the answers to a task's queries among some facets; None without queries."""
     table = questions_of(env)

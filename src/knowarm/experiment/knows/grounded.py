@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.answers import answers_by, asked
+from knowarm.experiment.answers import answers_by
 from knowarm.experiment.knows.member import Control, Known, Reasoning
 from knowarm.experiment.knows.vectors import AboutQueries
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import shuffle_tails
-from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.perception.config import GroundingConfig, GroundingSpec
+from knowarm.perception.config import GroundingConfig
 from knowarm.questions import ObjectColour
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
@@ -20,7 +19,6 @@ from knowarm.world.config import EnvConfig
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.experiment.inputs import KnowledgeInput
     from knowarm.perception.grounding import GroundingNetwork
-    from knowarm.perception.images import DescribedGraph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,36 +41,8 @@ class Grounded(AboutQueries):
 
         embedded = self.embed(env, run_seed)
         assert embedded.embedding is not None
-        options: dict[str, Any] = {
-            "seed": run_seed,
-            "reads_facts": self.pooling == "facts",
-            "graphs": how.pop("graphs", None) or self.varied_graphs(env, run_seed),
-        }
         slots = embedded.embedding.slots_per_row
-        return train_grounding(env, embedded.table, slots, self.grounding, **options, **how)
-
-    def described_by(
-        self, graph: KnowledgeGraph, env: EnvConfig, run_seed: int
-    ) -> "DescribedGraph":
-        """Describe and answer the queries of training by a graph; what is held out stays so."""
-        import torch
-
-        from knowarm.perception.images import query_answers
-
-        facets = GroundingSpec.of(env, self.grounding).facets
-        own = query_answers(env, facets)
-        assert own is not None
-        answers = torch.from_numpy(QueryGraph(graph, facets).answers(asked(env).queries))
-        askable = answers & (own.askable | ~own.satisfies)
-        table = self.embed(env, run_seed, graph=graph).table
-        return table, own._replace(satisfies=answers, askable=askable)
-
-    def varied_graphs(self, env: EnvConfig, run_seed: int) -> "list[DescribedGraph]":
-        """Return what `GroundingConfig.graphs` counts: the own graph, and others; or nothing."""
-        count, graph = self.grounding.graphs, self.read_graph()
-        seeds = (derive_seed(run_seed, "placebos", number) for number in range(count))
-        graphs = [graph, *(shuffle_tails(graph, seed) for seed in seeds)] if count else []
-        return [self.described_by(each, env, run_seed) for each in graphs]
+        return train_grounding(env, embedded.table, slots, self.grounding, seed=run_seed, **how)
 
     def reasoning_by(self, reasoning: Reasoning | None, agent: str) -> "Grounded":
         """As `Member.reasoning_by`."""

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
-from knowarm.errors import UserError
 from knowarm.experiment.answers import asked
 from knowarm.experiment.knows.member import Known, Member
 from knowarm.knowledge import KnowledgeGraph
@@ -19,14 +18,6 @@ class FromGraph(Member, KnowledgeConfig):
     """Base of the members with vectors that a graph gives their meaning."""
 
     kind: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.pooling == "facts" and not self.is_grounded:
-            raise UserError(
-                "pooling 'facts' needs a grounding network that reads them: take an agent such as "
-                "reasoner, or another pooling."
-            )
 
     def policy(self, config: PolicyConfig) -> PolicyConfig:
         """As `Member.policy`: it trains vectors whose source gives them no meaning."""
