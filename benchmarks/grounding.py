@@ -17,9 +17,10 @@ from typing import cast
 
 import torch
 
-from knowarm.experiment.knows.grounded import Grounded
+from knowarm.experiment.knows import Grounded
 from knowarm.experiment.names import experiment_config
 from knowarm.perception.agent import FrameRecognition
+from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of
@@ -70,7 +71,12 @@ def main() -> None:
             name = f"{arguments.robot}-choose-{agent}-fast"
             config = experiment_config(name, seed=seed, knows={"grounding": given})
             knows, begin = cast(Grounded, config.knows), time.process_time()
-            network = knows.train_network(config.env, seed)
+            knowledge = knows.known(config.env, seed)
+            assert knowledge.embedding is not None
+            slots = knowledge.embedding.slots_per_row
+            network = train_grounding(
+                config.env, knowledge.table, slots, knows.grounding, seed=seed
+            )
             assert network is not None
             if arguments.out is not None:
                 network.write(arguments.out)
@@ -81,7 +87,7 @@ def main() -> None:
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 graph = env.task.edited_graph(facets_of(env))
-                described = knows.embed(env, seed, graph=graph, trained=config.env)
+                described = knows.known(env, seed, graph=graph, trained=config.env)
                 known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)

@@ -111,6 +111,6 @@ def test_controls_of_agents_with_a_network_or_of_the_user(subject, capacity, con
 
 def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():
     agents = [each for name, each in AGENTS.items() if name.startswith("subgraph-")]
-    fused = [agent for agent in agents if not agent.knows.is_grounded]
+    fused = [agent for agent in agents if agent.knows.grounding is None]
     assert {agent.policy.fusion for agent in fused} == {*FUSIONS} - {"none", "critic"}
     assert len({repr((each.knows, replace(each.policy, fusion="none"))) for each in fused}) == 1

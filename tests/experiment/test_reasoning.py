@@ -18,6 +18,7 @@ from knowarm.experiment.conditions import (
     Subject,
 )
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.knows import reason_by
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.other_graphs import with_graph
@@ -151,15 +152,15 @@ def test_the_query_enters_through_its_vector_only(name):
     """
     config = experiment_config(f"irb120-choose-{name}-fast", env=CHOOSE_ENV)
     parts = build(config)
-    table = torch.from_numpy(parts.table)
+    table = torch.from_numpy(parts.knowledge.table)
     generator = torch.Generator().manual_seed(0)
     image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
     images = image.expand(len(table), -1, -1, -1)
-    if config.knows.is_grounded:
+    if config.knows.grounding is not None:
         spec = GroundingSpec.of(config.env, config.knows.grounding)
-        slots = parts.embedding.slots_per_row
+        slots = parts.knowledge.embedding.slots_per_row
         network = GroundingNetwork(spec, table, slots)
-        recognition = config.knows.input(config.env, 0, parts.table, network)
+        recognition = config.knows.known(config.env, 0, network=network).recognition
         table = recognition.knowledge
         act = partial(recognition.locate, images)
     else:
@@ -180,7 +181,7 @@ def test_the_query_enters_through_its_vector_only(name):
 
 def test_an_empty_graph_is_not_the_intact_one(trained):
     env, facets = trained.config.env, trained.network.spec.facets
-    knows = trained.config.knows.reasoning_by("graph", "subgraph")
+    knows = reason_by(trained.config.knows, "graph", "subgraph")
     assert knows.answers(env, 0, facets).any()
     with pytest.raises(UserError, match="no facets to ask about"):
         knows.answers(env, 0, facets, graph=graph_of([]))

@@ -10,6 +10,7 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import NoKnowledge, fits
 from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
@@ -99,7 +100,9 @@ class ExperimentName:
         """Return the config of the experiment; overrides as in `experiment_config`."""
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
         task, knows = override(find_task(self.task), agent.task), agent.knows
-        policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
+        policy = dict(algorithm.policy)
+        if knows.grounding is not None:
+            policy |= algorithm.grounded
         if knows.scope == "query" and task.graph is not None:
             # described by the graph of the questions
             knows = override(knows, {"graph": task.graph, "aliases": QUERY.aliases})
@@ -130,7 +133,8 @@ def tasks_of(agent: Agent) -> list[str]:
     tasks = []
     for name in agent.tasks or task_names():
         task = task_type(name)
-        if agent.knows.fits(task) and {field.name for field in fields(task)}.issuperset(agent.task):
+        has_fields = {field.name for field in fields(task)}.issuperset(agent.task)
+        if has_fields and fits(agent.knows, task):
             tasks.append(name)
     return tasks
 
@@ -198,7 +202,7 @@ def override_experiment(
     rest = {name: value for name, value in overrides.items() if name != "graph"}
     graph, task = overrides.get("graph"), config.env.task
     both: dict[str, Any] = {}
-    if graph is not None and config.knows.scope != "nothing":
+    if graph is not None and not isinstance(config.knows, NoKnowledge):
         both["knows"] = {"graph": graph}
     if graph is not None and task.graph is not None:
         both["env"] = replace(config.env, task=task.asking(graph=graph))
@@ -221,9 +225,10 @@ def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
         len(named) == 1
         and "graph" not in given
         and asked is not None
-        and not config.knows.is_of_graph(asked)
+        and not isinstance(config.knows, NoKnowledge)
+        and config.knows.graph != asked
     ):
-        graph = asked if "env" in named.pop() else getattr(config.knows, "graph", None)
+        graph = asked if "env" in named.pop() else config.knows.graph
         raise UserError(
             f"The questions are of the graph {asked}, and the knowledge is of another one. "
             "For both pass ",

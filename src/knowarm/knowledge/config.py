@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from knowarm.config import at_least, check_values, fraction, registered
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
+from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.knowledge.vectors.source import OnMissing, Pooling
 from knowarm.knowledge.vectors.words import WordVectors
 
@@ -21,8 +22,6 @@ class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
     _RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
-    scope: ClassVar[Scope] = "scene"
-    """What a row of the table describes; another one in classes that inherit."""
     detail: Detail
     """What a slot describes: "partial" each object without its colours; "full" each object with one
     of its possible colours."""
@@ -79,6 +78,21 @@ class KnowledgeConfig:
         at_least(self, 1, "dim")
         at_least(self, 0, "hops", "max_degree")
         fraction(self, "colour_share")
+
+    @property
+    def scope(self) -> Scope:
+        """What a row of the table describes; another one in classes that inherit."""
+        return "scene"
+
+    @property
+    def rank(self) -> int:
+        """Place among configs by how much of the objects is described, from 1."""
+        return 1 + get_args(Detail).index(self.detail)
+
+    @property
+    def has_content(self) -> bool:
+        """Whether there is a vector that is not all zeros."""
+        return not isinstance(self.source, Zeros)
 
     def graph_name(self, name: str) -> str:
         """Return the graph's name for an object or colour of the task."""

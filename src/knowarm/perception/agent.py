@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.perception.grounding import BATCH, FRAME, GroundingNetwork
+from knowarm.perception.config import FRAME
+from knowarm.perception.grounding import BATCH, GroundingNetwork
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -76,14 +77,8 @@ class FrameRecognition(nn.Module):
         parts = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
         return torch.cat([self.locate(*part) for part in parts])
 
-    def make_env(
-        self, config: EnvConfig, num_envs: int, num_threads: int = 0, **options: Any
-    ) -> TorchArmVectorEnv:
-        """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-        return PerceivingVectorEnv(config, num_envs, self, num_threads=num_threads, **options)
-
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """Make an agent with this knowledge; options as `PolicyAgent`."""
+        """Make an agent that acts on these frames; options as `PolicyAgent`."""
         return PolicyAgent(policy, recognition=self, **options)
 
 

@@ -74,8 +74,8 @@ class AnswerGrounding(FrameRecognition):
         return self._find(images, knowledge)[0]
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """As `FrameRecognition.make_agent`."""
-        return AnsweringAgent(policy, recognition=self, **options)
+        """Make an agent that acts on these frames; options as `AnsweringAgent`."""
+        return AnsweringAgent(policy, self, **options)
 
     def _find(self, images: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
@@ -115,32 +115,47 @@ class AnswerGrounding(FrameRecognition):
 class AnsweringAgent(PolicyAgent):
     """Policy agent that moves to the object that answers by a graph, and says if it sees none.
 
-    Attributes:
+    Its `notes` are "places", where the named objects stand, and "candidates", which of them may
+    answer, (n, m) each.
+
+    Args:
+        policy: as `PolicyAgent`.
         recognition: the answers and where they stand.
         unclear: what to do where no visible object answers, or several do.
         threshold: likelihood from which a visible object counts as an answer; see `calibration`.
             None counts those whose name answers.
-        visible_answers: how many visible objects answer in each environment, (n,) int64.
-        seen: of every reset, places of the named objects and which of them may answer, (n, m). None
-            keeps nothing, as in a server.
+        **options: as `PolicyAgent`.
     """
 
     recognition: AnswerGrounding
-    unclear: Unclear = "guess"
-    threshold: float | None = None
-    visible_answers: np.ndarray
-    seen: list[tuple[np.ndarray, np.ndarray]] | None = None
+
+    def __init__(
+        self,
+        policy: Policy,
+        recognition: AnswerGrounding,
+        *,
+        unclear: Unclear = "guess",
+        threshold: float | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(policy, recognition=recognition, **options)
+        self.unclear = unclear
+        self.threshold = threshold
 
     def recognize(self, images: Tensor) -> Tensor:
-        """As `PolicyAgent.recognize`; counts the visible answers in the images."""
-        known = self.recognition.of_rows(self.rows)
-        parts = zip(images.split(BATCH), known.split(BATCH), strict=True)
-        seen = [self.recognition.see(*part) for part in parts]
-        candidates = torch.cat([each.candidates(self.threshold) for each in seen]).numpy()
-        if self.seen is not None:
-            self.seen.append((torch.cat([each.places for each in seen]).numpy(), candidates))
-        self.visible_answers = candidates.sum(1)
-        return torch.cat([each.frames for each in seen])
+        """As `PolicyAgent.recognize`; notes which objects may answer."""
+        answers = self.recognition.of_rows(self.rows)
+        batches = zip(images.split(BATCH), answers.split(BATCH), strict=True)
+        seen = [self.recognition.see(*batch) for batch in batches]
+        places = torch.cat([batch.places for batch in seen])
+        candidates = torch.cat([batch.candidates(self.threshold) for batch in seen])
+        self.notes = {"places": places.numpy(), "candidates": candidates.numpy()}
+        return torch.cat([batch.frames for batch in seen])
+
+    @property
+    def visible_answers(self) -> np.ndarray:
+        """How many visible objects may answer in each environment, (n,) int64."""
+        return self.notes["candidates"].sum(1)
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """As `PolicyAgent.act`; ``unclear`` decides who stays.

@@ -13,6 +13,9 @@ Unclear = Literal["guess", "seen", "stop", "ask"]
 """What an agent does that sees no answer, or several: move to the most likely place ("guess"), do
 so if it sees any ("seen"), stay ("stop"), or stay and ask which one is meant ("ask")."""
 
+FRAME = 9
+"""Numbers that describe a grasp frame: standardized position, x and z axis."""
+
 LEVEL = 0.9
 """How often the right object is among the candidates, where nothing else is said."""
 

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.perception.config import GroundingSpec
+from knowarm.perception.config import FRAME, GroundingSpec
 from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
@@ -30,8 +30,6 @@ STRIDE = 4
 """Distance of two places in the image [px]."""
 WIDTH = 64
 """Dimensions in which places and queries are compared, D."""
-FRAME = 9
-"""Numbers that describe a grasp frame: standardized position, x and z axis."""
 
 FORMAT, METADATA, ENCODER = "knowarm-grounding-2", "knowarm", "encoder."
 """Format of the file, key of its metadata, and beginning of the names that it leaves out."""
