@@ -89,11 +89,12 @@ class GroundingSpec:
     def check_fits(self, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:
         """Check that the network was made for a task's robot, images and (object, colour) pairs."""
         network = "The grounding network"
-        for what, made, needed in (
+        compared = (
             ("the robot", self.robot, scene_of(env).robot.name),
             ("an image size of", self.image_size, env.image_size),
             ("a number of visible objects of", self.objects, env.task.visible),
-        ):
+        )
+        for what, made, needed in compared:
             if made != needed:
                 text = f"{network} was made for {what} {made}, and this task has {needed}."
                 raise UserError(f"{text} {RETRAIN}")
@@ -115,8 +116,10 @@ def _looks(
     facets: tuple[tuple[str, str], ...], shown: set[tuple[str, str]]
 ) -> tuple[tuple[str, str], ...]:
     """Return the facets of one object per look, of one that is shown if there is any."""
-    named = {name for name, _ in shown}
+    shown_names = {name for name, _ in shown}
+    names = dict.fromkeys(name for name, _ in facets)
     chosen: dict[tuple[str, ...], str] = {}
-    for name in sorted(dict.fromkeys(name for name, _ in facets), key=lambda n: n not in named):
+    for name in sorted(names, key=lambda name: name not in shown_names):
         chosen.setdefault(look_of(name), name)
-    return tuple(facet for facet in facets if facet[0] in set(chosen.values()))
+    kept = set(chosen.values())
+    return tuple(facet for facet in facets if facet[0] in kept)
