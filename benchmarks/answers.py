@@ -30,7 +30,7 @@ from scipy.stats import norm
 
 from knowarm.config import override
 from knowarm.experiment.conditions import DamageTest, Subject
-from knowarm.experiment.knows import GraphAnswers
+from knowarm.experiment.knows import Grounded, read_known_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.other_graphs import target_names, with_graph
 from knowarm.knowledge.config import KnowledgeConfig
@@ -83,15 +83,14 @@ def measure(
     """
     (env, labels), network = task, network_of(trained)
     config, seed = trained.config, trained.config.seed
-    knows = config.knows.reasoning_by(reasoning, config.agent)
+    knows = reason_by(config.knows, reasoning, config.agent)
     if reasoning == "vector":
-        described = knows.embed(env, seed, graph=graph, trained=trained.config.env)
+        described = knows.known(env, seed, graph=graph, trained=trained.config.env)
         known = FrameRecognition(network, described.table)
         frames = known(labels.images, labels.queries)
         return {"right": right_object(trained, labels, frames)}
-    control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
-    answers = cast(GraphAnswers, knows).answers(env, seed, facets, graph=graph, control=control)
+    answers = cast(Grounded, knows).answers(env, seed, facets, graph=graph, reasoning=reasoning)
     known = AnswerGrounding(network, answers)
     parts = zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True)
     seen = [known.see(images, known.of_rows(rows)) for images, rows in parts]
@@ -176,7 +175,7 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
             if key not in graphs:
                 known = Subject(env=env, config=config, graph=edited_graph(env))
                 graphs[key] = override(DamageTest(), damage).prepare(known).graph
-            graph, true = graphs[key], edited_graph(env) or config.knows.read_graph()
+            graph, true = graphs[key], edited_graph(env) or read_known_graph(config.knows)
             if auc is not None:
                 assert graph is not None
                 assert true is not None

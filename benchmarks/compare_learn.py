@@ -115,10 +115,10 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
         # A quarter of the rollout, which would take a minute; the cost per step is the same.
         ppo = replace(ppo, num_envs=config.opengl_envs, rollout_steps=100)
         env = single_environments(
-            replace(chosen.env, renderer="opengl"), parts.table, config.opengl_envs
+            replace(chosen.env, renderer="opengl"), parts.knowledge.table, config.opengl_envs
         )
     else:
-        env = sb3_environments(config, chosen.env, parts.table, ppo)
+        env = sb3_environments(config, chosen.env, parts.knowledge.table, ppo)
     clock = RolloutClock(config.seconds)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     model.learn(10**9, callback=clock)
@@ -139,9 +139,9 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
     """Train RecurrentPPO on KnowArm's vector environment until 80 % success."""
     chosen, ppo = experiment_config(config.experiment), cast(PPOConfig, config.ppo())
     parts = build(chosen)
-    env = sb3_environments(config, chosen.env, parts.table, ppo)
+    env = sb3_environments(config, chosen.env, parts.knowledge.table, ppo)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
-    callback = SuccessCallback(chosen.env, parts.table, config.success_steps)
+    callback = SuccessCallback(chosen.env, parts.knowledge.table, config.success_steps)
     model.learn(10**9, callback=callback)
     return callback.clock.row("sb3", "sb3-contrib, RecurrentPPO, KnowArm's vector environment")
 

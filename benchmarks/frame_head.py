@@ -17,7 +17,7 @@ from typing import cast
 import torch
 
 from knowarm.cores import torch_threads
-from knowarm.experiment.knows.grounded import Grounded
+from knowarm.experiment.knows import Grounded
 from knowarm.experiment.load import load_agent
 from knowarm.perception.config import GroundingConfig
 from knowarm.perception.grounding import BATCH, GroundingNetwork, place_of

@@ -110,7 +110,7 @@ def main() -> None:
         parts = build(replace(config, env=env_config, seed=seed))
         shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
         env = ArmVectorEnv(env_config, 512, 1)
-        starts = draw_starts(env, parts.table, arguments.images + TEST_IMAGES, seed)
+        starts = draw_starts(env, parts.knowledge.table, arguments.images + TEST_IMAGES, seed)
         for fusion in arguments.fusions:
             policy_config = PolicyConfig(
                 fusion=fusion, hidden="fixed", pixel_shift=0.5, pixel_scale=4.0

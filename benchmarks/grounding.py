@@ -4,8 +4,7 @@ Trains the grounding network of each agent, as `knowarm train` does before the f
 prints how often the grasp point that it predicts is nearest to the wanted object's, and how far,
 then, the predicted grasp frame is from the true one (medians, position and z axis). No
 reinforcement learning is involved, so what an agent's knowledge is worth on splits S1 to S5 is
-known in minutes. `--damage` trains with a damaged graph, which describes and answers the queries of
-training; the tests know the true one.
+known in minutes.
 
     python -m benchmarks.grounding --agents subgraph query-words query-onehot subgraph-shuffled
 """
@@ -14,16 +13,15 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import cast, get_args
+from typing import cast
 
 import torch
 
-from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.knows.grounded import Grounded
+from knowarm.experiment.knows import Grounded
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.agent import FrameRecognition
-from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
+from knowarm.perception.grounding_training import train_grounding
+from knowarm.perception.images import LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of
 
@@ -33,7 +31,6 @@ SETTINGS = {
     "rounds": "rounds",
     "shared_rounds": "rounds of names and grasp frames alone, before the queries",
     "batch": "images per gradient step",
-    "graphs": "graphs with permuted tails that describe and answer queries in training",
 }
 """Fields of the grounding config that may be given; else they are the agent's."""
 
@@ -41,16 +38,6 @@ SETTINGS = {
 def with_split(env: EnvConfig, split: str) -> EnvConfig:
     """Return the task that asks the questions of a split."""
     return replace(env, task=env.task.asking(split=split))
-
-
-def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> list[DescribedGraph]:
-    """Return the damaged graph that alone describes and answers queries in training, if any."""
-    if arguments.damage is None:
-        return []
-    knows, names = cast(Grounded, config.knows), config.env.targets
-    share, seed = arguments.damage_share, config.seed
-    graph = damaged(knows.read_graph(), arguments.damage, share, seed, names)
-    return [knows.described_by(graph, config.env, seed)]
 
 
 @torch.no_grad()
@@ -73,8 +60,6 @@ def main() -> None:
     parser.add_argument("--robot", default="irb120")
     for name, about in SETTINGS.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, help=about)
-    parser.add_argument("--damage", choices=get_args(Damage), help="of the graph, in training only")
-    parser.add_argument("--damage-share", type=float, default=0.3)
     parser.add_argument("--test-images", type=int, default=1_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, help="file for the last network")
@@ -86,8 +71,12 @@ def main() -> None:
             name = f"{arguments.robot}-choose-{agent}-fast"
             config = experiment_config(name, seed=seed, knows={"grounding": given})
             knows, begin = cast(Grounded, config.knows), time.process_time()
-            graphs = damaged_graphs(config, arguments)
-            network = knows.train_network(config.env, seed, graphs=graphs)
+            knowledge = knows.known(config.env, seed)
+            assert knowledge.embedding is not None
+            slots = knowledge.embedding.slots_per_row
+            network = train_grounding(
+                config.env, knowledge.table, slots, knows.grounding, seed=seed
+            )
             assert network is not None
             if arguments.out is not None:
                 network.write(arguments.out)
@@ -98,7 +87,7 @@ def main() -> None:
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 graph = env.task.edited_graph(facets_of(env))
-                described = knows.embed(env, seed, graph=graph, trained=config.env)
+                described = knows.known(env, seed, graph=graph, trained=config.env)
                 known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)

@@ -21,7 +21,6 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import Parts, build
-from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
@@ -165,7 +164,7 @@ def ppo_row(config: LearnBenchConfig, name: str = PPO) -> Row:
     """Measure a registered algorithm that learns from minibatches."""
     chosen, ppo = experiment_config(config.experiment), config.ppo(name)
     parts = build(chosen)
-    env = KnowledgeTable(parts.table).make_env(chosen.env, ppo.num_envs, num_threads=config.cores)
+    env = parts.knowledge.make_env(chosen.env, ppo.num_envs, num_threads=config.cores)
     image_seconds = timed(env.renderer, "draw")
     row = train_ppo(
         ppo,
@@ -285,7 +284,7 @@ def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worke
         on_metrics=record,
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
-    make_env = partial(KnowledgeTable(parts.table).make_env, chosen.env)
+    make_env = partial(parts.knowledge.make_env, chosen.env)
     policy = parts.new_policy(config.seed)
     trainer = A3CTrainer(a3c, policy, make_env, seed=config.seed, hooks=hooks)
     trainer.train(UNLIMITED)

@@ -22,7 +22,6 @@ from knowarm.config import above_zero, at_least
 from knowarm.cores import available_cores, processor, torch_threads
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.knows import NoKnowledge
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
@@ -104,7 +103,9 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
 
 def _measurable(config: ExperimentConfig) -> ExperimentConfig:
     """Replace an agent with a grounding network by the baseline agent of the same task."""
-    return replace(config, knows=NoKnowledge()) if config.knows.is_grounded else config
+    if config.knows.grounding is None:
+        return config
+    return replace(config, knows=NoKnowledge())
 
 
 def measure_training(config: ExperimentConfig, seconds: float) -> float:
@@ -127,8 +128,8 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
     config = replace(config, interim=replace(config.interim, episodes=1))
     hooks = Hooks(on_metrics=rows.append, should_stop=is_enough)
     parts = build(config)
-    policy, knowledge = parts.new_policy(config.seed), KnowledgeTable(parts.table)
-    make_trainer(config, policy, knowledge, evaluate_every=NEVER, hooks=hooks).train(NEVER)
+    policy = parts.new_policy(config.seed)
+    make_trainer(config, policy, parts.knowledge, evaluate_every=NEVER, hooks=hooks).train(NEVER)
     first, last = rows[WARM_UP_ROWS - 1], rows[-1]
     return (last["step"] - first["step"]) / (last["wall_time_s"] - first["wall_time_s"])
 

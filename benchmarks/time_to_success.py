@@ -15,7 +15,6 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import ExperimentName, experiment_config
 from knowarm.learn import Hooks, TorchVectorEnv, Trainer
 from knowarm.learn.algorithms import MinibatchConfig
@@ -75,7 +74,7 @@ def refuse_module(experiment: ExperimentConfig) -> None:
     Raises:
         UserError: the agent has a perception module or a grounding network.
     """
-    if experiment.knows.is_grounded:
+    if experiment.knows.grounding is not None:
         raise UserError(
             f"{experiment.name} has a perception module or a grounding network beside its policy, "
             "which benchmarks do not train: choose an agent without one, such as bm or full."
@@ -120,7 +119,7 @@ def time_to_success(
     chosen = with_algorithm(experiment, algorithm)
     config = replace(cast(MinibatchConfig, chosen.algorithm), processes=processes)
     parts = build(chosen)
-    knowledge = KnowledgeTable(parts.table)
+    knowledge = parts.knowledge
     env = knowledge.make_env(chosen.env, config.num_envs, num_threads=processes)
     clock = SuccessClock(most_steps)
     trainer = trainer_of(

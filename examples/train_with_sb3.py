@@ -25,7 +25,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     chosen = knowarm.experiment_config(arguments.experiment)
-    table = chosen.knows.embed(chosen.env, chosen.seed).table
+    table = chosen.knows.known(chosen.env, chosen.seed).table
     shown = {"observe": ("image", "knowledge"), "knowledge": table}
     if arguments.single:
         alone = [lambda: knowarm.ArmEnv(**shown, **vars(chosen.env))] * arguments.envs

@@ -230,7 +230,7 @@ def cosines() -> str:
     side, left, drawings = 46, 164, []
     for name, agent in agents.items():
         config = experiment_config(f"irb120-{agent}-dr-fast")
-        vectors = config.knows.embed(config.env, config.seed).table
+        vectors = config.knows.known(config.env, config.seed).table
         unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         facets = ["/".join(facet) for facet in facets_of(config.env)]
         parts = []

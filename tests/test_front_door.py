@@ -423,25 +423,23 @@ def test_agents(monkeypatch):
     mine = replace(
         knowarm.AGENTS["full"],
         about="full, two hops",
-        knows=knowarm.SceneVector(detail="full", hops=2),
+        knows=knowarm.Vector(detail="full", hops=2),
     )
     assert isinstance(mine, knowarm.Agent)
     monkeypatch.setitem(knowarm.AGENTS, "two-hops", mine)
     assert knowarm.experiment_config("irb120-two-hops-ppo").knows.hops == 2
 
 
-@example(
-    *("NoKnowledge", "SceneVector", "TargetVector", "QueryVector"),
-    *("GroundedVector", "GraphAnswers"),
-)
+@example("NoKnowledge", "Vector", "Grounded")
 def test_what_an_agent_knows():
     known = {name: agent.knows for name, agent in knowarm.AGENTS.items()}
-    assert isinstance(known["bm"], knowarm.NoKnowledge)
-    assert isinstance(known["full"], knowarm.SceneVector)
-    assert isinstance(known["target"], knowarm.TargetVector)
-    assert isinstance(known["subgraph-film"], knowarm.QueryVector)
-    assert isinstance(known["subgraph"], knowarm.GroundedVector)
-    assert isinstance(known["answers"], knowarm.GraphAnswers)
+    assert known["bm"] == knowarm.NoKnowledge()
+    for name, kind in (("full", "scene"), ("target", "target"), ("subgraph-film", "query")):
+        assert isinstance(known[name], knowarm.Vector)
+        assert known[name].kind == kind
+    for name, kind in (("subgraph", "grounded"), ("answers", "answers")):
+        assert isinstance(known[name], knowarm.Grounded)
+        assert known[name].kind == kind
     changed = knowarm.experiment_config(CHOOSE, knows={"hops": 0}).knows
     assert (changed.kind, changed.hops) == ("grounded", 0)
 

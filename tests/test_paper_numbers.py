@@ -247,7 +247,7 @@ def test_the_papers_analysis_of_variance():
 )
 def test_network_widths(experiment, knowledge, hidden):
     config = experiment_config(experiment)
-    assert config.knows.embed(config.env, 0).table.shape[1] == knowledge
+    assert config.knows.known(config.env, 0).table.shape[1] == knowledge
     joints = 7 if experiment.startswith("tiago") else 6
     fusion = config.policy.fusion if knowledge else "none"
     shape = PolicyShape(joints=joints, knowledge_dim=knowledge)

@@ -71,8 +71,7 @@ Knowledge
     read_graph          read a graph from a file
     KnowledgeGraph      triples, entities and relations
     KnowledgeConfig     from a graph to the knowledge vector
-    NoKnowledge, SceneVector, TargetVector, QueryVector, GroundedVector,
-    GraphAnswers        what an agent knows: `ExperimentConfig.knows`
+    NoKnowledge, Vector, Grounded    what an agent knows: `ExperimentConfig.knows`
     scene_embedding     compute the knowledge vector of a scene
     query_embedding     compute the knowledge vectors of queries
     SceneEmbedding      vectors with their slots, coverage and sentences

@@ -19,7 +19,6 @@ from knowarm.errors import UserError, unknown_name
 AND = " and "  # What joins the conditions of a query in its name
 COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
 OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet answers it
-FACTS = 32  # Rows of a slot with pooling "facts": what is described, and at most 31 facts
 PART = "."  # Joins the names of an object and its part: "mug.handle"
 AT_ONCE = 4096  # Questions whose distractors are found at once
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"

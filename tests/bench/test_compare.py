@@ -20,7 +20,7 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
 
     chosen = experiment_config("irb120-full-ppo")
     parts = build(chosen)
-    shown = {"observe": ("image", "knowledge"), "knowledge": parts.table}
+    shown = {"observe": ("image", "knowledge"), "knowledge": parts.knowledge.table}
     env = SB3VecEnv(ArmVectorEnv(chosen.env, 4, **shown))
     config = PPOConfig(num_envs=4, minibatches=2)
     model = recurrent_ppo(parts.new_policy(0), config, env, seed=0)

@@ -116,6 +116,7 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, col
     assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)
     assert {*first, *group} < set(everything)
+    assert not [name for name in everything if name.endswith(".kind")]  # tags of alternatives
     assert main(["train", "irb120-full-fast", "--help", "polcy"]) == 2
     assert "Did you mean 'policy'" in capsys.readouterr().err
 

@@ -67,18 +67,16 @@ QUERIES = [
     ("subject", "content"),
     [
         ("subgraph", ["query-onehot", "query-random", "subgraph-shuffled"]),
-        ("reasoner", ["reasoner-shuffled"]),
         ("query-words", ["query-onehot", "query-random"]),
         pytest.param("query-analogy", ["query-onehot", "query-random"], marks=pytest.mark.slow(28)),
     ],
 )
 def test_controls_of_knowledge_of_the_query(subject, content):
-    smaller = "reasoner-words" if subject == "reasoner" else "query-zeros"
-    assert controls_of(subject, "capacity_control") == [smaller]
+    assert controls_of(subject, "capacity_control") == ["query-zeros"]
     assert controls_of(subject, "content_control") == content
     assert AGENTS[subject].role == "knowledge"
     real = query_embedding(AGENTS[subject].knows, QUERIES)
-    for name in [smaller, *content]:
+    for name in ["query-zeros", *content]:
         control = query_embedding(AGENTS[name].knows, QUERIES)
         assert (control.dim, control.slots) == (real.dim, real.slots)
         assert AGENTS[name].knows.kind == AGENTS[subject].knows.kind
@@ -111,17 +109,8 @@ def test_controls_of_agents_with_a_network_or_of_the_user(subject, capacity, con
     assert controls_of(subject, "content_control") == content
 
 
-def test_facts_need_a_network_that_reads_them():
-    whole = {"relation_words": True, "colour_share": None, "slot_norm": None}
-    for name in ("subgraph-film", "full"):
-        with pytest.raises(UserError, match="pooling 'facts' needs a grounding network"):
-            replace(AGENTS[name].knows, pooling="facts", **whole)
-    config = experiment_config("irb120-choose-reasoner-fast")
-    assert config.knows.pooling == "facts"
-
-
 def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():
     agents = [each for name, each in AGENTS.items() if name.startswith("subgraph-")]
-    fused = [agent for agent in agents if not agent.knows.is_grounded]
+    fused = [agent for agent in agents if agent.knows.grounding is None]
     assert {agent.policy.fusion for agent in fused} == {*FUSIONS} - {"none", "critic"}
     assert len({repr((each.knows, replace(each.policy, fusion="none"))) for each in fused}) == 1

@@ -62,9 +62,9 @@ def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path)
     for agent, follows in (("subgraph", True), ("query-onehot", False)):
         config = experiment_config(f"irb120-choose-{agent}-fast", env=CHOOSE_ENV)
         tested = how.prepare(Subject(env=config.env, config=config))
-        table = build(config).table
+        table = build(config).knowledge.table
         graph, trained = tested.graph, config.env
-        again = config.knows.embed(tested.env, 0, graph=graph, trained=trained).table
+        again = config.knows.known(tested.env, 0, graph=graph, trained=trained).table
         assert again.shape == table.shape
         moved = np.abs(again - table).max(axis=1) > 0.01
         assert moved.any() == follows
@@ -80,9 +80,9 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Ru
     assert network is not None
     tables = []
     make = trained.with_knowledge
-    trained.with_knowledge = lambda known: tables.append(known.knowledge) or make(known)  # type: ignore[method-assign]
+    trained.with_knowledge = lambda known: tables.append(known.table) or make(known)  # type: ignore[method-assign]
     result = evaluate(trained, episodes=8, probes=(), test=(SplitTest(split="S5"),), write=False)
-    assert (tables[0] != network.knowledge).any()
+    assert (tables[0] != network.knowledge.numpy()).any()
     assert (trained.agent.recognition.knowledge == network.knowledge).all()
     wrong = result.episodes["chose_old_answer"]
     assert not (wrong & result.episodes["choice_correct"]).any()

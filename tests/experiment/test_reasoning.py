@@ -18,6 +18,7 @@ from knowarm.experiment.conditions import (
     Subject,
 )
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.knows import reason_by
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.other_graphs import with_graph
@@ -26,7 +27,6 @@ from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO
@@ -54,27 +54,6 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
     answers = shuffled.knows.answers(shuffled.env, 0, facets_of(shuffled.env))
     assert (answers != satisfies).any()
-
-
-def test_varied_graphs_describe_and_answer_the_queries_of_training():
-    config = experiment_config("irb120-choose-subgraph-fast", env=CHOOSE_ENV)
-    assert config.knows.varied_graphs(config.env, 0) == []
-    two = {"grounding": {"graphs": 2}}
-    config = experiment_config("irb120-choose-reasoner-fast", env=CHOOSE_ENV, knows=two)
-    (table, known), *others = config.knows.varied_graphs(config.env, 0)
-    own = query_answers(config.env, GroundingSpec.of(config.env, config.knows.grounding).facets)
-    assert (table == build(config).table).all()
-    assert all((one == other).all() for one, other in zip(known[:2], own[:2], strict=True))
-    held_out = own.satisfies & ~own.askable
-    assert held_out.any()
-    assert not any((each.askable & held_out).any() for _, each in (*others, (table, known)))
-    assert len(others) == 2
-    asked = [each.reshape(len(each), -1, 3, 50)[:, 0] for each in (table, *(o[0] for o in others))]
-    for each, (changed, answers) in zip(asked[1:], others, strict=True):
-        assert (each == asked[0]).all()  # the same questions
-        assert (changed != table).any()  # with other facts
-        assert (answers.satisfies != known.satisfies).any()  # and answers
-    assert (others[0][1].satisfies != others[1][1].satisfies).any()
 
 
 @pytest.mark.slow(40)
@@ -173,16 +152,15 @@ def test_the_query_enters_through_its_vector_only(name):
     """
     config = experiment_config(f"irb120-choose-{name}-fast", env=CHOOSE_ENV)
     parts = build(config)
-    table = torch.from_numpy(parts.table)
+    table = torch.from_numpy(parts.knowledge.table)
     generator = torch.Generator().manual_seed(0)
     image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
     images = image.expand(len(table), -1, -1, -1)
-    if config.knows.is_grounded:
+    if config.knows.grounding is not None:
         spec = GroundingSpec.of(config.env, config.knows.grounding)
-        reads_facts = config.knows.pooling == "facts"
-        slots = parts.embedding.slots_per_row
-        network = GroundingNetwork(spec, table, slots, reads_facts=reads_facts)
-        recognition = config.knows.input(config.env, 0, parts.table, network)
+        slots = parts.knowledge.embedding.slots_per_row
+        network = GroundingNetwork(spec, table, slots)
+        recognition = config.knows.known(config.env, 0, network=network).recognition
         table = recognition.knowledge
         act = partial(recognition.locate, images)
     else:
@@ -203,7 +181,7 @@ def test_the_query_enters_through_its_vector_only(name):
 
 def test_an_empty_graph_is_not_the_intact_one(trained):
     env, facets = trained.config.env, trained.network.spec.facets
-    knows = trained.config.knows.reasoning_by("graph", "subgraph")
+    knows = reason_by(trained.config.knows, "graph", "subgraph")
     assert knows.answers(env, 0, facets).any()
     with pytest.raises(UserError, match="no facets to ask about"):
         knows.answers(env, 0, facets, graph=graph_of([]))

@@ -216,11 +216,11 @@ def test_every_agent_can_be_built(name, task):
     parts = build(config)
     table = questions_of(config.env)
     rows = len(facets_of(config.env)) if table is None else len(table.queries)
-    width = parts.embedding.dim if parts.embedding else 0
-    assert parts.table.shape == (rows, width) or config.policy.wide
+    width = parts.knowledge.embedding.dim if parts.knowledge.embedding else 0
+    assert parts.knowledge.table.shape == (rows, width) or config.policy.wide
     width = parts.new_policy(0).knowledge_width
     assert width == parts.policy_shape.knowledge_dim or config.policy.wide
-    assert np.isfinite(parts.table).all()
+    assert np.isfinite(parts.knowledge.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 
 
@@ -258,7 +258,7 @@ def test_training_seeds_share_neither_actions_nor_minibatches(tmp_path):
 
 def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
     config = short("irb120-random-ppo", total_steps=20)
-    tables = [build(dataclasses.replace(config, seed=seed)).table for seed in range(2)]
+    tables = [build(dataclasses.replace(config, seed=seed)).knowledge.table for seed in range(2)]
     assert not np.array_equal(*tables)
     folder = train(config, tmp_path).folder
     np.testing.assert_array_equal(folder.knowledge(), tables[0])

@@ -29,7 +29,7 @@ def test_the_knowledge_it_was_trained_with_is_what_the_package_builds(name):
     trained = load_agent(ZOO / name)
     assert trained.config.name == name
     parts = build(dataclasses.replace(trained.config))
-    assert parts.table.tobytes() == trained.folder.knowledge().tobytes()
+    assert parts.knowledge.table.tobytes() == trained.folder.knowledge().tobytes()
 
 
 def test_a_checkpoint_of_another_policy_is_refused(tmp_path):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.agents import AGENTS
 from knowarm.knowledge import QUERY, KnowledgeConfig, graph_of, query_embedding, write_graph
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.queries.queries import parse_query
@@ -18,7 +17,7 @@ from knowarm.knowledge.vectors.placebos import (
     WrongObject,
     Zeros,
 )
-from knowarm.questions import FACTS, Condition, Query
+from knowarm.questions import Condition, Query
 from tests.knowledge.choice import CHOICE
 
 ASKED = [
@@ -137,37 +136,6 @@ def test_a_graph_of_the_user(tmp_path):
     assert embedding.sentences == ("used for drinking mug used for drinking", "has color blue")
     with pytest.raises(UserError, match=r"describes none of the 2 conditions.*'contains tea'"):
         query_embedding(config, [Query.of(("contains", "tea")), asked[1]])
-
-
-def test_facts_keep_head_relation_and_tail_of_each_triple():
-    config = AGENTS["reasoner"].knows
-    embedding = query_embedding(config, ASKED)
-    rows = embedding.matrix.reshape(len(embedding.slots), FACTS, 3, 50)
-    drinking = rows[embedding.slots.index(Condition("usedFor", "drinking"))]
-    used = (drinking != 0).any(-1)
-    assert used[0].tolist() == [False, True, True]  # the condition has no head
-    assert used[1:].all(1).sum() == used[1:].any(1).sum() == 9
-    assert np.linalg.norm(drinking[used], axis=1) == pytest.approx(1, abs=1e-5)
-    assert (drinking[1, 1:] == drinking[0, 1:]).all()  # "bottle used for drinking"
-    words = query_embedding(replace(config, hops=0), ASKED).matrix.reshape(rows.shape)
-    assert (words[:, 0] == rows[:, 0]).all()
-    assert not words[:, 1:].any()
-
-
-def test_more_facts_than_a_slot_keeps_are_refused():
-    names = [f"object{number}" for number in range(FACTS)]
-    graph = graph_of([(name, "usedFor", "drinking") for name in names])
-    config = replace(AGENTS["reasoner"].knows, centring=False, on_missing="hash")
-    query_embedding(config, ASKED[:1], graph=graph_of(list(graph)[: FACTS - 1]))
-    with pytest.raises(UserError, match="has 32 facts, and pooling 'facts' keeps 31"):
-        query_embedding(config, ASKED[:1], graph=graph)
-
-
-def test_facts_are_kept_whole():
-    known = AGENTS["reasoner"].knows
-    for changed in ({"slot_norm": 1.0}, {"relation_words": False}):
-        with pytest.raises(UserError, match="pooling 'facts' keeps every label about a query"):
-            replace(known, **changed)
 
 
 def test_one_condition_alone_can_be_described():

@@ -140,12 +140,12 @@ def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
     nothing = np.zeros(answers_of(trained).shape, bool)
     moved = {}
     for unclear in ("stop", "seen", "ask", "guess"):
-        agent = trained.answering(nothing)
-        agent.unclear = unclear
+        agent = trained.answering(nothing, unclear=unclear)
         assert isinstance(agent, AnsweringAgent)
         result = play(agent, env, episodes)
         assert (agent.visible_answers == 0).all()
-        assert agent.seen is None  # a server would fill its memory with them
+        assert len(agent.notes["candidates"]) == 4  # of these episodes alone
+        assert (result.notes["candidates"] == agent.notes["candidates"]).all()
         moved[unclear] = (result.steps.actions != 0).any()
     assert moved == {"stop": False, "seen": False, "ask": False, "guess": True}
 

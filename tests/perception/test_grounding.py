@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import pickle
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +54,9 @@ def config():
 def network(config):
     parts = build(config)
     return GroundingNetwork(
-        GroundingSpec.of(config.env, GroundingConfig()), parts.table, parts.embedding.slots_per_row
+        GroundingSpec.of(config.env, GroundingConfig()),
+        parts.knowledge.table,
+        parts.knowledge.embedding.slots_per_row,
     )
 
 
@@ -189,7 +190,7 @@ def test_names_are_sums_over_places(network, labels):
 def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empty_cache):
     parts = build(config)
     lines = []
-    arguments = (config.env, parts.table, parts.embedding.slots_per_row)
+    arguments = (config.env, parts.knowledge.table, parts.knowledge.embedding.slots_per_row)
     settings = GroundingConfig(images=128, rounds=8, batch=32)
     trained = train_grounding(*arguments, settings, seed=1, report=lines.append)
     assert not any(each.requires_grad for each in trained.parameters())
@@ -213,7 +214,12 @@ def test_a_stopped_training_continues_with_its_round_as_if_it_had_not_been_stopp
 ):
     parts = build(config)
     settings = GroundingConfig(images=64, rounds=3, batch=32, shared_rounds=shared)
-    arguments = (config.env, parts.table, parts.embedding.slots_per_row, settings)
+    arguments = (
+        config.env,
+        parts.knowledge.table,
+        parts.knowledge.embedding.slots_per_row,
+        settings,
+    )
     whole = train_grounding(*arguments, seed=0).to_bytes()
     for file in empty_cache.rglob("*.npz"):
         file.unlink()
@@ -234,7 +240,7 @@ def test_a_stopped_training_continues_with_its_round_as_if_it_had_not_been_stopp
 
 def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):
     parts, lines = build(config), []
-    table, slots = parts.table, parts.embedding.slots_per_row
+    table, slots = parts.knowledge.table, parts.knowledge.embedding.slots_per_row
     settings = GroundingConfig(images=64, rounds=1, batch=32, shared_rounds=1)
 
     def train(knowledge, **options):
@@ -261,23 +267,6 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(c
     assert train(table + 1, should_stop=lambda: True) is None
 
 
-def test_other_graphs_take_the_place_of_the_tasks_in_training_alone(config, empty_cache):
-    parts = build(config)
-    settings = GroundingConfig(images=64, rounds=2, batch=32, shared_rounds=1)
-    answers = query_answers(config.env, GroundingSpec.of(config.env, settings).facets)
-    zeros = np.zeros_like(parts.table)
-
-    def train(*graphs):
-        slots = parts.embedding.slots_per_row
-        return train_grounding(config.env, parts.table, slots, settings, seed=0, graphs=graphs)
-
-    networks = [train(), train((zeros, answers)), train((parts.table, answers), (zeros, answers))]
-    kept = [network.state_dict()["query.2.weight"] for network in networks]
-    assert all((one != other).any() for one, other in pairwise([*kept, kept[0]]))
-    assert all((network.knowledge.numpy() == parts.table).all() for network in networks)
-    assert len([*empty_cache.iterdir()]) == 5  # names and frames once, and their head
-
-
 def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache):
     parts = build(config)
     settings = GroundingConfig(images=32, rounds=0, batch=32, shared_rounds=1)
@@ -289,7 +278,7 @@ def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache
         (config.env, hasty, 0),
         (fewer, settings, 0),
     ):
-        train_grounding(env, parts.table, 1, how, seed=seed)
+        train_grounding(env, parts.knowledge.table, 1, how, seed=seed)
     assert len([*empty_cache.iterdir()]) == 2 * 4  # names and frames, and their head
 
 
@@ -299,7 +288,7 @@ def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
     given = dataclasses.replace(settings, seed=3)
 
     def train(how, seed):
-        return train_grounding(config.env, parts.table, 1, how, seed=seed).state_dict()
+        return train_grounding(config.env, parts.knowledge.table, 1, how, seed=seed).state_dict()
 
     first, again, own = train(given, 0), train(given, 1), train(settings, 3)
     assert len([*empty_cache.iterdir()]) == 2  # network and frame head
@@ -338,8 +327,14 @@ def test_a_slot_of_zeros_is_no_condition(network):
     torch.testing.assert_close(wanted[2], two.query(0 * slot) / WIDTH**0.5)
 
 
+def environments(config, network):
+    """Return training environments whose knowledge is what a network finds."""
+    knowledge = config.knows.known(config.env, config.seed, network=network)
+    return knowledge.make_env(config.env, 6, num_threads=1)
+
+
 def test_the_policy_receives_the_frame_found_in_the_first_image(config, network):
-    env = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
+    env = environments(config, network)
     images, _ = env.reset(seed=0)
     first = FrameRecognition(network)(images, env.knowledge_input)
     assert first.shape == (6, FRAME)
@@ -347,7 +342,7 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
     for _ in range(3):
         env.step(torch.zeros(6, env.scene.num_joints, dtype=torch.int64))
     assert torch.equal(env.knowledge, first)
-    other = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
+    other = environments(config, network)
     other.reset(seed=1)
     state = env.get_state()
     other.set_state(state)
@@ -355,7 +350,7 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
     with pytest.raises(UserError, match="what was recognized"):
         other.set_state({name: value for name, value in state.items() if name != "perceived"})
     parts = build(config)
-    assert parts.table.shape[0] == 49
+    assert parts.knowledge.table.shape[0] == 49
     policy = parts.new_policy(0)
     policy.check_knowledge(first)
     with pytest.raises(UserError, match="expects vectors of 9 float32 numbers"):
@@ -363,7 +358,7 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
 
 
 def test_a_teacher_goes_with_the_true_frame(config, network):
-    env = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
+    env = environments(config, network)
     env.reset(seed=0)
     env.practice_share = 1.0
     env.reset()

@@ -45,6 +45,22 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
             assert (one == two).all()
 
 
+class Numbering(RandomAgent):
+    """Reports the number of the environment in each episode, which no two at once share."""
+
+    def reset(self, batch):
+        super().reset(batch)
+        self.notes = {"number": np.arange(batch.size)}
+
+
+def test_notes_of_an_agent_are_those_of_each_episode(make_env: MakeEnv) -> None:
+    env = make_env(4, image_size=8)
+    episodes = evaluation_episodes(env.config, 6, seed=3)
+    assert play(RandomAgent(0), env, episodes).notes == {}
+    notes = play(Numbering(0), env, episodes).notes
+    assert notes["number"].tolist() == [0, 1, 2, 3, 0, 1]
+
+
 def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> None:
     env = make_env(4)
     episodes = evaluation_episodes(env.config, 6, seed=3)

@@ -14,6 +14,7 @@ import torch
 
 from knowarm.asking.answers import Answers, Words, answer, words
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.knows import read_known_graph
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
@@ -120,7 +121,7 @@ class Asker:
         self.trained, self.facets = trained, trained.network.spec.facets
         self._network, self._names, self._level = trained.network, names, level
         if graph is None:
-            graph = trained.config.knows.read_graph()
+            graph = read_known_graph(trained.config.knows)
             assert graph is not None  # of an agent with a grounding network
         self._graph = graph if isinstance(graph, KnowledgeGraph) else read_graph(graph)
         self._env = ArmVectorEnv(trained.config.env, 1)
@@ -240,8 +241,7 @@ class Asker:
         wanted = answers.satisfies
         if picked is not None:
             wanted, unclear = np.array([facet == picked for facet in self.facets]), "guess"
-        agent = self.trained.answering(wanted[None])
-        agent.unclear, agent.threshold = unclear, self.threshold
+        agent = self.trained.answering(wanted[None], unclear=unclear, threshold=self.threshold)
         film = record_episode(agent, self._env, episode)
         end = self._env.running
         infos = end.config.task.infos(end)

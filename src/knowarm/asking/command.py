@@ -15,8 +15,8 @@ from knowarm.cli.arguments import read_names
 from knowarm.cli.knowledge.options import ObjectOptions
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.errors import UserError, printable
-from knowarm.experiment.answers import meeting
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.other_graphs import meeting
 from knowarm.knowledge.formats import read_graph
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import ObjectColour

@@ -14,6 +14,7 @@ from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
+from knowarm.experiment.knows import NoKnowledge, answers_by_graph
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.run_folder import PERCEPTION_FILE
@@ -113,7 +114,7 @@ def _run(spec: str) -> Entrant:
     uses = {
         "image": True,
         "words": asks,
-        "graph": config.knows.scope != "nothing",
+        "graph": not isinstance(config.knows, NoKnowledge),
         "simulator": config.role == "privileged",
     }
     privileged = privileged_uses(to_dict(config.algorithm))
@@ -121,7 +122,7 @@ def _run(spec: str) -> Entrant:
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
     controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = {}
-    if config.knows.answers_by_graph:
+    if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((trained.folder.checkpoints / "best").glob("*.safetensors"))
     deciding = ("config.json", "provenance.json", "knowledge.safetensors", PERCEPTION_FILE)

@@ -12,6 +12,7 @@ from io import StringIO
 from itertools import groupby
 from pathlib import Path
 from textwrap import fill
+from types import UnionType
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -27,6 +28,7 @@ import tyro
 from docstring_parser import parse_from_object
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from knowarm.config import TAGS
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment import algorithms
 from knowarm.reading import read_text
@@ -188,10 +190,13 @@ def _groups(config: Any, prefix: str = "") -> Iterator[str]:
             yield from _groups(value, f"{prefix}{name}.")
 
 
-def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> type:
+def _showing(
+    config: Any, is_shown: Callable[[str], bool], prefix: str = "", *, is_one_of: bool = False
+) -> type:
     """Return a class like a config's, with its values as defaults, whose help shows some fields.
 
-    Only true flags are shown with their opposite, and tags of alternatives not at all.
+    Only true flags are shown with their opposite, and tags of alternatives not at all: literals of
+    one value, and those of a config that ``is_one_of`` several.
     """
     cls = config if isinstance(config, type) else type(config)
     types = get_type_hints(cls, include_extras=True)
@@ -207,10 +212,10 @@ def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> 
         value = _default(each) if config is cls else getattr(config, name)
         default: Callable[[], Any] = partial(copy, value)
         if is_dataclass(value):
-            kind = default = _showing(value, is_shown, f"{prefix}{name}.")
-        elif not is_shown(prefix + name) or (
-            get_origin(kind) is Literal and len(get_args(kind)) == 1
-        ):
+            inner = f"{prefix}{name}."
+            is_union = get_origin(kind) is UnionType
+            kind = default = _showing(value, is_shown, inner, is_one_of=is_union)
+        elif not is_shown(prefix + name) or _is_tag(name, kind, is_one_of):
             extras.append(tyro.conf.Suppress)
         elif value is False:
             extras.append(tyro.conf.FlagCreatePairsOff)
@@ -222,6 +227,13 @@ def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> 
     options: dict[str, Any] = {"bases": (cls,), "frozen": True, "kw_only": True}
     options["namespace"] = {"__doc__": cls.__doc__}
     return make_dataclass(cls.__name__, shown, **options)
+
+
+def _is_tag(name: str, kind: Any, is_one_of: bool) -> bool:
+    """Return whether a field only tells a config from others."""
+    if get_origin(kind) is not Literal:
+        return False
+    return len(get_args(kind)) == 1 or (is_one_of and name in TAGS)
 
 
 def _default(given: Field[Any]) -> Any:

@@ -20,7 +20,6 @@ from knowarm.cli.arguments import (
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.answers import meeting
 from knowarm.experiment.conditions import (
     AnyCondition,
     BaseTest,
@@ -34,7 +33,7 @@ from knowarm.experiment.conditions import (
 from knowarm.experiment.config import Which
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.measures import Numbers, measure
-from knowarm.experiment.other_graphs import target_names
+from knowarm.experiment.other_graphs import meeting, target_names
 from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Summary
@@ -189,8 +188,8 @@ class Evaluate(TableCommand):
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
-        options: RecordOptions = self.probes
-        chosen = {"test": self.conditions.test(), "probes": options.probes()}
+        recorded: RecordOptions = self.probes
+        chosen = {"test": self.conditions.test(), "probes": recorded.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
         report = partial(print, file=sys.stderr, flush=True)
         if is_scripted(self.agent):

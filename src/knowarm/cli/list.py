@@ -56,10 +56,11 @@ class List(TableCommand):
                 print(f"To get the missing files: {HOW_TO_GET}.\n")
         if self.kind == "agents":
             grounded = "; grounded by the simulator's labels in training"
-            rows = [
-                [name, agent.role, agent.about + grounded * agent.knows.is_grounded]
-                for name, agent in AGENTS.items()
-            ]
+            rows = []
+            for name, agent in AGENTS.items():
+                is_grounded = agent.knows.grounding is not None
+                about = agent.about + grounded if is_grounded else agent.about
+                rows.append([name, agent.role, about])
             print_table("Agents", ["agent", "role", "description"], rows)
             rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
             title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"

@@ -3,18 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
-from knowarm.experiment.knows import (
-    GraphAnswers,
-    GroundedVector,
-    Knows,
-    NoKnowledge,
-    QueryVector,
-    SceneVector,
-    TargetVector,
-)
-from knowarm.knowledge import FULL, FULL_PLUS, QUERY, KnowledgeConfig
+from knowarm.experiment.knows import Grounded, Knows, NoKnowledge, Vector
+from knowarm.knowledge import FULL, FULL_PLUS, QUERY
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -27,8 +19,6 @@ from knowarm.knowledge.vectors.placebos import (
 )
 from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
-
-T = TypeVar("T")
 
 Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
 """Purpose of an agent in a comparison:
@@ -90,25 +80,14 @@ def _fused(subject: str, knows: Knows, **how: str) -> dict[str, Agent]:
     }
 
 
-def _with(kind: type[T], knowledge: KnowledgeConfig, **fields: Any) -> T:
-    """Return a member of a kind with the choices of a knowledge config, some of them changed."""
-    return kind(**{**vars(knowledge), **fields})
-
-
-_FULL, _FULL_PLUS = _with(SceneVector, FULL), _with(SceneVector, FULL_PLUS)
-_TARGET, _TARGET_PLUS = _with(TargetVector, FULL), _with(TargetVector, FULL_PLUS)
-_QUERY = _with(QueryVector, QUERY)
-_GROUNDED = _with(GroundedVector, QUERY)
+_FULL = Vector(**vars(FULL))
+_FULL_PLUS = Vector(**vars(FULL_PLUS))
+_TARGET = replace(_FULL, kind="target")
+_TARGET_PLUS = replace(_FULL_PLUS, kind="target")
+_QUERY = Vector(kind="query", **vars(QUERY))
+_GROUNDED = Grounded(**vars(QUERY))
 _WORDS = replace(_GROUNDED, hops=0, colour_share=None)
-_ANSWERS = _with(GraphAnswers, QUERY, grounding=GroundingConfig(naming_coef=1.0))
-_FACTS = replace(
-    _GROUNDED,
-    pooling="facts",
-    relation_words=True,
-    colour_share=None,
-    slot_norm=None,
-    grounding=GroundingConfig(graphs=100),
-)
+_ANSWERS = replace(_GROUNDED, kind="answers", grounding=GroundingConfig(naming_coef=1.0))
 _ANALOGY = GraphEmbedding(model="analogy")
 _HOW = {
     "before_fc": "concatenated before the fully connected layer",
@@ -117,8 +96,6 @@ _HOW = {
     "attention": "with attention over its slots",
 }
 _FIXED = PolicyConfig(hidden="fixed")
-_CHOOSE: dict[str, Any] = {"policy": _FIXED, "asks": ("choose",)}
-"""Choices of agents for the choose task alone."""
 
 AGENTS: dict[str, Agent] = {
     "bm": _agent(
@@ -213,7 +190,8 @@ AGENTS: dict[str, Agent] = {
     "query-analogy": _subject(
         "ANALOGY embeddings of the values of the query",
         replace(_WORDS, source=_ANALOGY, centring=False),
-        **_CHOOSE,  # the graph of the purpose task has no colours and objects to embed
+        policy=_FIXED,
+        asks=("choose",),  # the graph of the purpose task has no colours and objects to embed
         colour="c-navy",
     ),
     "query-zeros": _zeros(
@@ -239,15 +217,6 @@ AGENTS: dict[str, Agent] = {
         ShuffledGraph(),
         policy=_FIXED,
         colour="c-pink",
-    ),
-    "reasoner": _subject(
-        "a network that learns to read the query's facts", _FACTS, **_CHOOSE, colour="c-orange"
-    ),
-    "reasoner-shuffled": _control(
-        "reasoner: from a graph with permuted tails", _FACTS, ShuffledGraph(), **_CHOOSE
-    ),
-    "reasoner-words": _agent(
-        "capacity_control", "control of reasoner, no facts", replace(_FACTS, hops=0), **_CHOOSE
     ),
     "answers": _subject(
         "the graph answers the query, and the network finds the answer by its name",
@@ -283,7 +252,7 @@ def controls_of(subject: str, role: Role) -> list[str]:
         other: Any = control.knows
         if policy != agent.policy or own.kind != other.kind:
             return False
-        fields = ["detail", "dim", *(["grounding"] if own.is_grounded else [])]
+        fields = ["detail", "dim", "grounding"]
         if role == "content_control":
             if replace(other, source=own.source) == own:
                 return True

@@ -1,16 +1,13 @@
 """Parts of an experiment, built from its config: environments, knowledge, policy, trainer."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import INTERIM_SEED, ExperimentConfig, InterimConfig
-from knowarm.experiment.inputs import KnowledgeInput
-from knowarm.knowledge import Embedding
+from knowarm.experiment.knows import Knowledge
 from knowarm.learn import Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.agents.play import EpisodeResults, play
@@ -21,7 +18,7 @@ from knowarm.world.tasks.state import ACTION_LEVELS
 
 
 def interim_evaluation(
-    config: EnvConfig, interim: InterimConfig, knowledge: KnowledgeInput
+    config: EnvConfig, interim: InterimConfig, knowledge: Knowledge
 ) -> Callable[[Policy], dict[str, float]]:
     """Make the environments, draw the episodes, and return the function that plays them."""
     env = ArmVectorEnv(config, interim.episodes)
@@ -57,7 +54,7 @@ def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, flo
 def make_trainer(
     config: ExperimentConfig,
     policy: Policy,
-    knowledge: KnowledgeInput,
+    knowledge: Knowledge,
     **options: Any,
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
@@ -72,10 +69,8 @@ def make_trainer(
 class Parts:
     """The knowledge of an experiment and the configuration of its policy."""
 
-    embedding: Embedding | None
-    """None without knowledge."""
-    table: np.ndarray
-    """(F, K) float32, the knowledge vector of each facet, or of each query."""
+    knowledge: Knowledge
+    """Without a grounding network, which is trained later."""
     policy_config: PolicyConfig
     policy_shape: PolicyShape
 
@@ -87,18 +82,31 @@ class Parts:
 def build(config: ExperimentConfig) -> Parts:
     """Compute the knowledge table of an experiment and the shape of its policy; nothing simulates.
 
-    It has a row per query in a task with queries, else per facet.
+    The table has a row per query in a task with queries, else per facet.
     """
-    knows, env = config.knows, config.env
-    embedded, policy = knows.embed(env, config.seed), knows.policy(config.policy)
-    width, slots = knows.input_sizes(embedded)
+    env = config.env
+    knowledge = config.knows.known(env, config.seed)
+    policy = _policy_config(config.policy, knowledge)
     shape = PolicyShape(
         joints=len(env.task.joint_names(robot_of(env))),
         levels=len(ACTION_LEVELS),
         image_size=env.image_size,
-        knowledge_dim=width,
-        knowledge_slots=slots,
+        knowledge_dim=knowledge.width,
+        knowledge_slots=knowledge.slots,
     )
-    is_read = knows.is_grounded or not (policy.wide or policy.fusion == "none")
-    table = embedded.table if is_read else embedded.table[:, :0]
-    return Parts(embedded.embedding, table, policy, shape)
+    if policy.wide or policy.fusion == "none":
+        knowledge = knowledge.unread()
+    return Parts(knowledge, policy, shape)
+
+
+def _policy_config(config: PolicyConfig, knowledge: Knowledge) -> PolicyConfig:
+    """Return the choices of a policy with some knowledge.
+
+    It trains vectors whose source gives them no meaning.
+    """
+    if knowledge.embedding is None:
+        return replace(config, fusion="none")
+    encoder = knowledge.embedding.config.source.encoder
+    if encoder == "identity":
+        return config
+    return replace(config, knowledge_encoder=encoder)

@@ -10,7 +10,7 @@ import numpy as np
 from knowarm.config import at_least, fraction
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.knows import Reasoning
+from knowarm.experiment.knows import Reasoning, read_known_graph
 from knowarm.experiment.other_graphs import (
     answers_before_edit,
     check_graph,
@@ -184,7 +184,9 @@ class DamageTest(BaseTest):
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent know the damaged and repaired graph."""
         trained, names = subject.trained, target_names(subject.env)
-        graph = trained.knows.read_graph() if subject.graph is None else subject.graph
+        graph = subject.graph
+        if graph is None:
+            graph = read_known_graph(trained.knows)
         if graph is None:
             raise UserError(
                 f"A damage test changes a graph, and agent {trained.agent!r} has none. Leave it "

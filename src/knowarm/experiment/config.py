@@ -8,7 +8,7 @@ from knowarm.config import at_least, check_values, file_name, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
-from knowarm.experiment.knows import Knows
+from knowarm.experiment.knows import Knows, fits
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
@@ -104,10 +104,10 @@ class ExperimentConfig:
         check_values(self)
         at_least(self, 1, "total_steps", "checkpoint_every_steps")
         file_name(self, "name")
-        if not self.knows.fits(task := self.env.task):
+        if not fits(self.knows, self.env.task):
             raise UserError(
                 f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "
-                f"{task.name!r}. Take another agent or task."
+                f"{self.env.task.name!r}. Take another agent or task."
             )
 
     @property

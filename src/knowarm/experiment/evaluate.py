@@ -20,12 +20,12 @@ from knowarm.experiment.evaluation_files import (
     write_film,
     write_table,
 )
+from knowarm.experiment.knows import answers_by_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
 from knowarm.experiment.probes import Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import Summary
-from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.calibration import covered
 from knowarm.policy import PolicyAgent
 from knowarm.reading import write_json, writing
@@ -152,10 +152,8 @@ def evaluate(
             probe.check(env.scene, task.name)
         fixed = _episodes(env, config)
         report(f"Playing {len(fixed):,} episodes.")
-        if isinstance(agent, AnsweringAgent):
-            agent.seen = []
         result = play(agent, env, fixed, record_images=config.films, report=report)
-        columns = episode_columns(agent, result, env, config)
+        columns = episode_columns(subject, result, env, config)
         is_trained = trained is not None and trained.which != "untrained"
         played = Played(agent, env, fixed, result, config.seed, is_trained, report)
         findings = Findings(columns)
@@ -241,33 +239,37 @@ def agent_for_test(
 
 def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     """Return a trained agent with what it knows in a test."""
-    config, env, graph, by = subject.trained, subject.env, subject.graph, subject.reasoning
-    knows = config.knows.reasoning_by(by, config.agent)
-    if (subject.unclear != "guess" or subject.level is not None) and not knows.answers_by_graph:
+    config = subject.trained
+    env = subject.env
+    reasoning = subject.reasoning
+    knows = reason_by(config.knows, reasoning, config.agent)
+    is_unclear = subject.unclear != "guess" or subject.level is not None
+    if is_unclear and not answers_by_graph(knows):
         raise UserError(
             f"unclear={subject.unclear!r} and level are for agents that answer by a graph, and "
             f"{config.agent!r} does not. Leave them out, or reason by the graph."
         )
-    same = graph is None and by is None and config is trained.config
-    if same and not knows.answers_by_graph:
+    is_own = subject.graph is None and reasoning is None and config is trained.config
+    if is_own and not answers_by_graph(knows):
         return trained.agent
-    table = trained.table
-    if not same or facets_of(env) != facets_of(config.env):
-        table = knows.embed(env, config.seed, graph=graph, trained=config.env).table
-    knowledge = knows.input(
+    table = None
+    if is_own and facets_of(env) == facets_of(config.env):
+        table = trained.table
+    knowledge = knows.known(
         env,
         config.seed,
-        table,
-        trained.network,
-        graph=graph,
-        control=by if by in ("graph-shuffled", "colours") else None,
+        table=table,
+        graph=subject.graph,
+        trained=config.env,
+        network=trained.network,
+        reasoning=reasoning,
     )
-    agent = trained.with_knowledge(knowledge)
-    if isinstance(agent, AnsweringAgent):
-        agent.unclear = subject.unclear
-        if subject.level is not None:
-            agent.threshold = trained.threshold(subject.level)
-    return agent
+    options: dict[str, Any] = {}
+    if is_unclear:
+        options["unclear"] = subject.unclear
+    if subject.level is not None:
+        options["threshold"] = trained.threshold(subject.level)
+    return trained.with_knowledge(knowledge, **options)
 
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
@@ -286,7 +288,7 @@ def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) ->
 
 
 def episode_columns(
-    agent: AgentProtocol, result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
+    subject: Subject, result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.parquet``, (n,) each."""
     count, wide = len(result.length), max(WIDE_ANGLE_DEG, config.angle_deg)
@@ -308,13 +310,11 @@ def episode_columns(
     columns |= env.config.task.columns(env.running.setting, result.infos)
     for condition in config.test:
         columns |= condition.columns(env.config, columns)
-    if isinstance(agent, AnsweringAgent) and agent.seen is not None:
-        # The last batch repeats its last episode.
-        places, candidates = (
-            np.concatenate(each)[:count] for each in zip(*agent.seen, strict=True)
-        )
+    if "candidates" in result.notes:  # of an agent that answers by a graph
+        places = result.notes["places"]
+        candidates = result.notes["candidates"]
         columns["visible_answers"] = candidates.sum(1)
-        if agent.threshold is not None:
+        if subject.level is not None:
             right = result.infos["object_positions"][:, 0]
             size = env.config.image_size
             columns["covered"] = covered(places, candidates, env.scene, right, size)

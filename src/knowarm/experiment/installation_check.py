@@ -58,9 +58,9 @@ def _versions() -> str:
 
 def _knowledge() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    assert parts.embedding is not None
-    share = 100 * parts.embedding.describe().coverage["share"]
-    return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
+    assert parts.knowledge.embedding is not None
+    share = 100 * parts.knowledge.embedding.describe().coverage["share"]
+    return f"vector of {parts.knowledge.embedding.dim} numbers, {share:.0f} % of labels covered"
 
 
 def _world() -> str:
@@ -78,7 +78,7 @@ def _world() -> str:
 
 def _policy() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    policy, knowledge = parts.new_policy(0), torch.from_numpy(parts.table[:1])
+    policy, knowledge = parts.new_policy(0), torch.from_numpy(parts.knowledge.table[:1])
     image, start = torch.zeros(1, 64, 64, 3, dtype=torch.uint8), torch.ones(1, dtype=torch.bool)
     logits, _, _ = policy.step(image, knowledge, policy.initial_state(1), start)
     if not bool(torch.isfinite(logits).all()):

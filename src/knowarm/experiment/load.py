@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.inputs import KnowledgeInput
+from knowarm.experiment.knows import Knowledge
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
@@ -101,18 +101,24 @@ class TrainedAgent:
         assert self.network is not None
         return calibrated_threshold(self.network, self.config.env, level, self.config.seed)
 
-    def with_knowledge(self, knowledge: KnowledgeInput) -> PolicyAgent:
-        """Return an agent with this policy and other knowledge."""
-        own = {"greedy": self.agent.greedy, "generator": self.agent.generator}
-        return knowledge.make_agent(self.policy, **own)
+    def with_knowledge(self, knowledge: Knowledge, **options: Any) -> PolicyAgent:
+        """Return an agent with this policy and other knowledge; options as its class."""
+        return knowledge.make_agent(self.policy, **self._actions, **options)
 
-    def answering(self, answers: np.ndarray) -> AnsweringAgent:
+    def answering(self, answers: np.ndarray, **options: Any) -> AnsweringAgent:
         """Return an agent with this policy and network that answers queries by (Q, F) answers.
 
-        Those tell whether each facet of the network answers each query.
+        Those tell whether each facet of the network answers each query. Options as
+        `AnsweringAgent`.
         """
         assert self.network is not None
-        return cast(AnsweringAgent, self.with_knowledge(AnswerGrounding(self.network, answers)))
+        recognition = AnswerGrounding(self.network, answers)
+        return AnsweringAgent(self.policy, recognition, **self._actions, **options)
+
+    @property
+    def _actions(self) -> dict[str, Any]:
+        """How the agent chooses its actions."""
+        return {"greedy": self.agent.greedy, "generator": self.agent.generator}
 
 
 def load_agent(
@@ -163,10 +169,10 @@ def load_agent(
         )
     policy.eval()
     network: GroundingNetwork | None = None
-    if perception is not None or config.knows.is_grounded:
+    if perception is not None or config.knows.grounding is not None:
         given = perception and given_network(config, perception)
         network = given or stored_network(config, folder)
-    known = config.knows.input(config.env, config.seed, table, network)
+    knowledge = config.knows.known(config.env, config.seed, table=table, network=network)
     generator = torch.Generator().manual_seed(seed)
-    agent = known.make_agent(policy, greedy=greedy, generator=generator)
+    agent = knowledge.make_agent(policy, greedy=greedy, generator=generator)
     return TrainedAgent(agent, policy, table, network, config, folder, step, which)

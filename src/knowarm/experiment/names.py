@@ -10,6 +10,7 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import NoKnowledge, fits
 from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
@@ -100,8 +101,11 @@ class ExperimentName:
     def config(self, **overrides: Any) -> ExperimentConfig:
         """Return the config of the experiment; overrides as in `experiment_config`."""
         agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
-        task, knows = override(find_task(self.task), {"asked": agent.asked}), agent.knows
-        policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
+        task = override(find_task(self.task), {"asked": agent.asked})
+        knows = agent.knows
+        policy = dict(algorithm.policy)
+        if knows.grounding is not None:
+            policy |= algorithm.grounded
         if knows.scope == "query" and task.graph is not None:
             # described by the graph of the questions
             knows = override(knows, {"graph": task.graph, "aliases": QUERY.aliases})
@@ -137,7 +141,7 @@ def has_experiment(agent: Agent, task: Task) -> bool:
     """
     names = {field.name for field in fields(task.asked)}
     is_asked = task.asked.kind in agent.asks or not agent.asks
-    return is_asked and names.issuperset(agent.asked) and agent.knows.fits(task)
+    return is_asked and names.issuperset(agent.asked) and fits(agent.knows, task)
 
 
 def colours_of(task: str) -> tuple[Colours, ...]:
@@ -203,7 +207,7 @@ def override_experiment(
     rest = {name: value for name, value in overrides.items() if name != "graph"}
     graph, task = overrides.get("graph"), config.env.task
     both: dict[str, Any] = {}
-    if graph is not None and config.knows.scope != "nothing":
+    if graph is not None and not isinstance(config.knows, NoKnowledge):
         both["knows"] = {"graph": graph}
     if graph is not None and task.graph is not None:
         both["env"] = replace(config.env, task=task.asking(graph=graph))
@@ -226,9 +230,10 @@ def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
         len(named) == 1
         and "graph" not in given
         and asked is not None
-        and not config.knows.is_of_graph(asked)
+        and not isinstance(config.knows, NoKnowledge)
+        and config.knows.graph != asked
     ):
-        graph = asked if "env" in named.pop() else getattr(config.knows, "graph", None)
+        graph = asked if "env" in named.pop() else config.knows.graph
         raise UserError(
             f"The questions are of the graph {asked}, and the knowledge is of another one. "
             "For both pass ",

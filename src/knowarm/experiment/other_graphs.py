@@ -1,6 +1,7 @@
 """Other graphs of the questions than that of training."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import compress
 
@@ -8,10 +9,11 @@ import numpy as np
 
 from knowarm.config import override
 from knowarm.errors import UserError
-from knowarm.experiment.answers import asked, described
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import NoKnowledge, asked, described
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph, write_graph
+from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.world.cache import cache_file
 from knowarm.world.config import EnvConfig, facets_of
 
@@ -19,7 +21,9 @@ from knowarm.world.config import EnvConfig, facets_of
 def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
     """Refuse another graph of the questions for an agent whose knowledge is of a third one."""
     questions = env.task.graph
-    if questions is not None and not config.knows.is_of_graph(questions):
+    if questions is None or isinstance(config.knows, NoKnowledge):
+        return
+    if config.knows.graph != questions:
         raise UserError(
             f"This test changes the graph of the questions ({questions}); the policy was trained "
             "with knowledge from another one. Train with knows.graph set to that of the questions."
@@ -70,6 +74,38 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_graph(KnowledgeGraph(*everything, nodes=graph.nodes, labels=labels), file)
     return str(file)
+
+
+def meeting(
+    graph: KnowledgeGraph, objects: Collection[str], names: Mapping[str, str] | None = None
+) -> dict[str, list[str]]:
+    """Return how the objects that a policy recognizes and those that a graph describes meet.
+
+    Args:
+        graph: the graph; it describes what is the head of a triple and the tail of none.
+        objects: what the policy recognizes.
+        names: the graph's names for objects, where they differ by more than their spelling.
+    """
+    recognized: dict[int, str] = {}
+    missing = []
+    for name in dict.fromkeys(objects):
+        entity = None
+        with suppress(AmbiguousNameError):
+            entity = graph.find_entity((names or {}).get(name, name))
+        if entity is None:
+            missing.append(name)
+        else:
+            recognized[entity] = name
+    described_only = []
+    for entity in np.setdiff1d(graph.heads, graph.tails).tolist():
+        is_blank = graph.names[entity].startswith("_:")
+        if entity not in recognized and not is_blank:
+            described_only.append(graph.names.short(entity))
+    return {
+        "recognized and described": [*recognized.values()],
+        "recognized only": missing,
+        "described only": described_only,
+    }
 
 
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:

@@ -15,12 +15,14 @@ from knowarm.experiment.provenance import provenance
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
     RunFolder,
+    check_network,
     network_for_training,
 )
 from knowarm.experiment.run_inputs import with_inputs
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.grounding_training import train_grounding
 from knowarm.policy import Policy
 from knowarm.reading import digest, write_json
 from knowarm.world.config import facets_of
@@ -92,7 +94,8 @@ def train(
             )
     network = network_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
-    config.knows.check_network(network, None if resume else parts.table, config.agent)
+    if network is not None and not resume:
+        check_network(config, network, parts.knowledge.table)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
         return _train_locked(config, parts, network, path, resume, should_stop, until_step)
 
@@ -112,7 +115,7 @@ def _train_locked(
     if resume:
         folder.write_experiment(config)
     if continued:
-        parts = replace(parts, table=folder.knowledge())
+        parts = replace(parts, knowledge=replace(parts.knowledge, table=folder.knowledge()))
     policy = parts.new_policy(config.seed)
 
     last = config.total_steps
@@ -125,19 +128,30 @@ def _train_locked(
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts, policy):
             progress.line(line)
-        if config.knows.is_grounded and network is None:
+        grounding = config.knows.grounding
+        embedding = parts.knowledge.embedding
+        if grounding is not None and embedding is not None and network is None:
             folder.write_experiment(config)  # can resume
-            network = config.knows.train_network(
-                config.env, config.seed, report=progress.line, should_stop=should_stop
+            network = train_grounding(
+                config.env,
+                parts.knowledge.table,
+                embedding.slots_per_row,
+                grounding,
+                seed=config.seed,
+                report=progress.line,
+                should_stop=should_stop,
             )
             if network is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
                 return Run(folder, stopped)
         logs = RunLogs(folder, progress)
+        knowledge = config.knows.known(
+            config.env, config.seed, table=parts.knowledge.table, network=network
+        )
         trainer = make_trainer(
             config,
             policy,
-            config.knows.input(config.env, config.seed, parts.table, network),
+            knowledge,
             evaluate_every=config.evaluate_every,
             hooks=Hooks(
                 on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
@@ -179,10 +193,11 @@ def announcements(parts: Parts, policy: Policy) -> list[str]:
     counts = policy.parameter_counts()
     groups = ", ".join(f"{name} {n:,}" for name, n in counts.items() if name != "total" and n)
     lines = [f"{counts['total']:,} parameters ({groups})"]
-    embedding = parts.embedding
-    if embedding is None or not parts.table.shape[1]:
+    embedding = parts.knowledge.embedding
+    numbers = parts.knowledge.table.shape[1]
+    if embedding is None or numbers == 0:
         return [*lines, "no knowledge vector"]
-    lines.append(f"knowledge: {parts.table.shape[1]} numbers, norm {embedding.norm:.3f}")
+    lines.append(f"knowledge: {numbers} numbers, norm {embedding.norm:.3f}")
     if embedding.constant:
         lines.append(
             "the knowledge vector is the same in every episode: a constant input, which the "
@@ -216,6 +231,7 @@ def _describe(
     network: GroundingNetwork | None,
 ) -> None:
     """Write provenance, knowledge table, grounding network and config before the first step."""
+    embedding = parts.knowledge.embedding
     perception = None
     if network is not None:
         perception = {"digest": digest(network.to_bytes()), **to_dict(network.spec)}
@@ -224,12 +240,12 @@ def _describe(
         parameter_counts=policy.parameter_counts(),
         policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
         facets=facets_of(config.env),
-        knowledge=parts.embedding and parts.embedding.describe(),
+        knowledge=embedding and embedding.describe(),
         perception=perception,
         algorithm=to_dict(config.algorithm),
     )
     write_json(folder.path / "provenance.json", to_dict(about))
-    folder.write_knowledge(parts.table)
+    folder.write_knowledge(parts.knowledge.table)
     folder.write_experiment(config)
 
 

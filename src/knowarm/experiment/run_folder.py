@@ -30,6 +30,7 @@ from knowarm.config import differences, from_dict, to_dict
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.experiment.knows import answers_by_graph
 from knowarm.experiment.provenance import CHANGING, Provenance, provenance
 from knowarm.experiment.run_inputs import copy_input, is_copy_of, with_inputs
 from knowarm.experiment.summary import Summary
@@ -271,9 +272,23 @@ def network_for_training(
     return network
 
 
+def check_network(config: ExperimentConfig, network: GroundingNetwork, table: np.ndarray) -> None:
+    """Check that a given network compares the places of an image with an agent's vectors.
+
+    One that is given the answers of a graph compares none.
+    """
+    if answers_by_graph(config.knows) or np.array_equal(network.knowledge.numpy(), table):
+        return
+    raise UserError(
+        "The given grounding network was trained with other knowledge of the queries than the "
+        f"agent {config.agent!r} has. Give one of the same agent and graph, or leave perception "
+        "out."
+    )
+
+
 def given_network(config: ExperimentConfig, path: Path | str) -> GroundingNetwork:
     """Read the network that is given for an experiment, which must use one."""
-    if not config.knows.is_grounded:
+    if config.knows.grounding is None:
         raise UserError(
             f"Agent {config.agent!r} has no grounding network: leave perception out, or take an "
             "agent that has one, such as answers."

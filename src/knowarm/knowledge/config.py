@@ -2,15 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from knowarm.config import at_least, check_values, fraction, registered
-from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
+from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.knowledge.vectors.source import OnMissing, Pooling
 from knowarm.knowledge.vectors.words import WordVectors
-from knowarm.questions import FACTS
 
 Detail = Literal["partial", "full"]
 Scope = Literal["nothing", "scene", "target", "query"]
@@ -23,8 +22,6 @@ class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
     _RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
-    scope: ClassVar[Scope] = "scene"
-    """What a row of the table describes; another one in classes that inherit."""
     detail: Detail
     """What a slot describes: "partial" each object without its colours; "full" each object with one
     of its possible colours."""
@@ -55,8 +52,7 @@ class KnowledgeConfig:
     """Words for a relation instead of its label, in pairs: isMadeOf "made of"."""
     pooling: Pooling = "mean"
     """How the vectors of a sentence become one: their mean (the paper's), or a mean weighted by
-    a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017). "facts" keeps head, relation and
-    tail of each fact, 32 rows per slot, for a network that learns to read them."""
+    a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017)."""
     centring: bool = False
     """Whether the mean vector of the whole graph's labels is subtracted from each word (and the
     mean of all colours from a colour that has a share of its own)."""
@@ -82,17 +78,21 @@ class KnowledgeConfig:
         at_least(self, 1, "dim")
         at_least(self, 0, "hops", "max_degree")
         fraction(self, "colour_share")
-        whole = self.relation_words and self.colour_share is None
-        if self.pooling == "facts" and not (whole and self.slot_norm is None):
-            raise UserError(
-                "pooling 'facts' keeps every label about a query: it needs relation_words=True, "
-                "colour_share=None and slot_norm=None."
-            )
 
     @property
-    def slot_dim(self) -> int:
-        """Numbers per slot."""
-        return self.dim * (3 * FACTS if self.pooling == "facts" else 1)
+    def scope(self) -> Scope:
+        """What a row of the table describes; another one in classes that inherit."""
+        return "scene"
+
+    @property
+    def rank(self) -> int:
+        """Place among configs by how much of the objects is described, from 1."""
+        return 1 + get_args(Detail).index(self.detail)
+
+    @property
+    def has_content(self) -> bool:
+        """Whether there is a vector that is not all zeros."""
+        return not isinstance(self.source, Zeros)
 
     def graph_name(self, name: str) -> str:
         """Return the graph's name for an object or colour of the task."""

@@ -21,7 +21,6 @@ from knowarm.knowledge.vectors.source import (
     Request,
     SentencePart,
     VectorLookup,
-    join_facts,
     pool,
 )
 from knowarm.questions import Condition, ObjectColour, Query
@@ -260,7 +259,7 @@ def _embed(
 ) -> _Embedded:
     """Compute slots by the config's source, from the config's graph or the given one."""
     source, coverage = config.source, Coverage()
-    matrix, sentences = np.zeros((len(slots), config.slot_dim), np.float32), ("",) * len(slots)
+    matrix, sentences = np.zeros((len(slots), config.dim), np.float32), ("",) * len(slots)
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
         graph = read_graph(config.graph) if graph is None else graph
@@ -301,9 +300,6 @@ def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) 
     hue_centre = _centre(lookup, described.hues) if config.centring and several else 0.0
     rows = []
     for parts, hue_part, other_parts in zip(*described[:3], strict=True):
-        if config.pooling == "facts":
-            rows.append(join_facts([lookup.find(part, coverage) for part in parts], centre))
-            continue
         labels = parts if config.colour_share is None else other_parts
         vector = pool([lookup.find(p, coverage) for p in labels], config.pooling, centre)
         if hue_part is not None and config.colour_share is not None:

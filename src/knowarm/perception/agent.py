@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.perception.grounding import BATCH, FRAME, GroundingNetwork
+from knowarm.perception.config import FRAME
+from knowarm.perception.grounding import BATCH, GroundingNetwork
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -36,7 +37,8 @@ class FrameRecognition(nn.Module):
     ) -> None:
         super().__init__()
         self.network = network
-        knowledge = network.knowledge if knowledge is None else knowledge
+        if knowledge is None:
+            knowledge = network.knowledge
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
 
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
@@ -45,10 +47,11 @@ class FrameRecognition(nn.Module):
 
     def true_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
         """Return the frames that the simulator knows of episodes (n,)."""
-        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
-        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
-        network = self.network
-        return network.standardized(*(torch.from_numpy(x).to(network.knowledge) for x in numbers))
+        matrix = episodes.goal_matrix[ids].reshape(-1, 3, 3)
+        axes = matrix[..., [0, 2]].swapaxes(-1, -2).reshape(-1, 6)
+        like = self.network.knowledge
+        position = torch.from_numpy(episodes.goal_position[ids]).to(like)
+        return self.network.standardized(position, torch.from_numpy(axes).to(like))
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Score the places of images (n, H, W, 3) uint8, (n, places)."""
@@ -73,17 +76,11 @@ class FrameRecognition(nn.Module):
     @torch.inference_mode()
     def forward(self, images: Tensor, rows: Tensor) -> Tensor:
         """Find the frames of episodes of some rows, in batches; see `locate`."""
-        parts = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
-        return torch.cat([self.locate(*part) for part in parts])
-
-    def make_env(
-        self, config: EnvConfig, num_envs: int, num_threads: int = 0, **options: Any
-    ) -> TorchArmVectorEnv:
-        """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-        return PerceivingVectorEnv(config, num_envs, self, num_threads=num_threads, **options)
+        batches = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
+        return torch.cat([self.locate(*batch) for batch in batches])
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """Make an agent with this knowledge; options as `PolicyAgent`."""
+        """Make an agent that acts on these frames; options as `PolicyAgent`."""
         return PolicyAgent(policy, recognition=self, **options)
 
 
@@ -133,9 +130,10 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         knowledge = self._perceived.clone()
         if self.has_teacher:
             knowledge[ids] = self._recognition.true_frames(self.running, ids.cpu().numpy())
+        elif self._recognition.depends_on_rows:
+            knowledge[ids] = self._recognition(images[ids], self.knowledge_input[ids])
         else:
-            rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
-            knowledge[ids] = self._recognition(images[ids], rows)
+            knowledge[ids] = self._recognition(images[ids], ids)
         self._perceived = knowledge
         return images
 
@@ -150,10 +148,14 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndar
     if not agent.policy.uses_knowledge:
         return {}
     images = torch.as_tensor(image[None])
-    given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
-    arrays = {"knowledge": given[0]}
-    if (recognition := agent.recognition) is not None:
+    knowledge = agent.knowledge
+    if knowledge is None:
+        knowledge = agent.recognize(images)
+    arrays = {"knowledge": knowledge[0]}
+    recognition = agent.recognition
+    if recognition is not None:
         scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
-        share = scores[0].softmax(0)
-        arrays["recognition"] = share.reshape(round(len(share) ** 0.5), -1)
+        likelihood = scores[0].softmax(0)
+        side = round(len(likelihood) ** 0.5)
+        arrays["recognition"] = likelihood.reshape(side, -1)
     return {name: value.numpy() for name, value in arrays.items()}

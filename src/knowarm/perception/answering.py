@@ -59,9 +59,9 @@ class AnswerGrounding(FrameRecognition):
         named, places = self._name(by_place)
         at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
         part = self.network.part_of
-        same = part[:, None] == part[named][:, None]  # of the named part of an object, (n, F, m)
-        shares = at_place.masked_fill(~same, -torch.inf).softmax(1)
-        likelihood = (shares * knowledge[:, :, None]).sum(1)
+        is_same = part[:, None] == part[named][:, None]  # facet is of the named part, (n, F, m)
+        likelihoods = at_place.masked_fill(~is_same, -torch.inf).softmax(1)
+        likelihood = (likelihoods * knowledge[:, :, None]).sum(1)
         answering = knowledge.gather(1, named) >= 0.5
         return SeenAnswers(frames, scores, named, places, answering, likelihood)
 
@@ -74,8 +74,8 @@ class AnswerGrounding(FrameRecognition):
         return self._find(images, knowledge)[0]
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """As `FrameRecognition.make_agent`."""
-        return AnsweringAgent(policy, recognition=self, **options)
+        """Make an agent that acts on these frames; options as `AnsweringAgent`."""
+        return AnsweringAgent(policy, self, **options)
 
     def _find(self, images: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
@@ -88,9 +88,11 @@ class AnswerGrounding(FrameRecognition):
         answering = by_place + counted.log()[:, :, None]
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
-        at_place = place[:, None, None].expand(-1, answering.shape[1], 1)
-        cell = self.network.cells(place, answering.gather(2, at_place)[..., 0].argmax(1))
-        return self.network.frames(features, cell[:, None])[:, 0], scores, by_place
+        index = place[:, None, None].expand(-1, answering.shape[1], 1)
+        facet = answering.gather(2, index)[..., 0].argmax(1)
+        cell = self.network.cells(place, facet)
+        frames = self.network.frames(features, cell[:, None])[:, 0]
+        return frames, scores, by_place
 
     def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
         """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
@@ -98,49 +100,69 @@ class AnswerGrounding(FrameRecognition):
         With this network it is right more often than the m best facets of the image as a whole. All
         parts of an object are named at the best place of any.
         """
-        rows, left = torch.arange(len(by_place)), by_place.clone()
+        rows = torch.arange(len(by_place))
+        scores = by_place.clone()
         parts = torch.from_numpy(number_parts(self.network.spec.facets))
         objects = torch.from_numpy(number_objects(self.network.spec.facets, whole=True))
-        named = []
+        facets = []
+        places = []
         for _ in range(self.network.spec.objects // self.network.parts):
-            best = left.flatten(1).argmax(1)
-            facet, place = best // left.shape[2], best % left.shape[2]
-            named.append((parts[facet], place[:, None].expand(-1, parts.shape[1])))
-            left[rows, :, place] = -torch.inf
-            left.masked_fill_((objects == objects[facet][:, None])[:, :, None], -torch.inf)
-        facets, places = (torch.cat(each, dim=1) for each in zip(*named, strict=True))
-        return facets, places
+            best = scores.flatten(1).argmax(1)
+            facet = best // scores.shape[2]
+            place = best % scores.shape[2]
+            facets.append(parts[facet])
+            places.append(place[:, None].expand(-1, parts.shape[1]))
+            # Neither the place nor the object is named again.
+            scores[rows, :, place] = -torch.inf
+            is_same = objects == objects[facet][:, None]
+            scores.masked_fill_(is_same[:, :, None], -torch.inf)
+        return torch.cat(facets, dim=1), torch.cat(places, dim=1)
 
 
 class AnsweringAgent(PolicyAgent):
     """Policy agent that moves to the object that answers by a graph, and says if it sees none.
 
-    Attributes:
+    Its `notes` are "places", where the named objects stand, and "candidates", which of them may
+    answer, (n, m) each.
+
+    Args:
+        policy: as `PolicyAgent`.
         recognition: the answers and where they stand.
         unclear: what to do where no visible object answers, or several do.
         threshold: likelihood from which a visible object counts as an answer; see `calibration`.
             None counts those whose name answers.
-        visible_answers: how many visible objects answer in each environment, (n,) int64.
-        seen: of every reset, places of the named objects and which of them may answer, (n, m). None
-            keeps nothing, as in a server.
+        **options: as `PolicyAgent`.
     """
 
     recognition: AnswerGrounding
-    unclear: Unclear = "guess"
-    threshold: float | None = None
-    visible_answers: np.ndarray
-    seen: list[tuple[np.ndarray, np.ndarray]] | None = None
+
+    def __init__(
+        self,
+        policy: Policy,
+        recognition: AnswerGrounding,
+        *,
+        unclear: Unclear = "guess",
+        threshold: float | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(policy, recognition=recognition, **options)
+        self.unclear = unclear
+        self.threshold = threshold
 
     def recognize(self, images: Tensor) -> Tensor:
-        """As `PolicyAgent.recognize`; counts the visible answers in the images."""
-        known = self.recognition.of_rows(self.rows)
-        parts = zip(images.split(BATCH), known.split(BATCH), strict=True)
-        seen = [self.recognition.see(*part) for part in parts]
-        candidates = torch.cat([each.candidates(self.threshold) for each in seen]).numpy()
-        if self.seen is not None:
-            self.seen.append((torch.cat([each.places for each in seen]).numpy(), candidates))
-        self.visible_answers = candidates.sum(1)
-        return torch.cat([each.frames for each in seen])
+        """As `PolicyAgent.recognize`; notes which objects may answer."""
+        answers = self.recognition.of_rows(self.rows)
+        batches = zip(images.split(BATCH), answers.split(BATCH), strict=True)
+        seen = [self.recognition.see(*batch) for batch in batches]
+        places = torch.cat([batch.places for batch in seen])
+        candidates = torch.cat([batch.candidates(self.threshold) for batch in seen])
+        self.notes = {"places": places.numpy(), "candidates": candidates.numpy()}
+        return torch.cat([batch.frames for batch in seen])
+
+    @property
+    def visible_answers(self) -> np.ndarray:
+        """How many visible objects may answer in each environment, (n,) int64."""
+        return self.notes["candidates"].sum(1)
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """As `PolicyAgent.act`; ``unclear`` decides who stays.

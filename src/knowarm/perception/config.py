@@ -13,6 +13,9 @@ Unclear = Literal["guess", "seen", "stop", "ask"]
 """What an agent does that sees no answer, or several: move to the most likely place ("guess"), do
 so if it sees any ("seen"), stay ("stop"), or stay and ask which one is meant ("ask")."""
 
+FRAME = 9
+"""Numbers that describe a grasp frame: standardized position, x and z axis."""
+
 LEVEL = 0.9
 """How often the right object is among the candidates, where nothing else is said."""
 
@@ -37,9 +40,6 @@ class GroundingConfig:
     channels: int = 64
     """Features of a place, a multiple of 4. Twice as many recognize unseen kinds of objects better
     and cost 2.4 times as much."""
-    graphs: int = 0
-    """Number of graphs with permuted tails that describe and answer the queries of training beside
-    the agent's own, so that a network that reads facts has to."""
     shared_rounds: int = 0
     """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
     objects and seed share; ``rounds`` then train how queries are compared with places. 0: the
@@ -55,8 +55,7 @@ class GroundingConfig:
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
             raise UserError(f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ...")
-        fields = "naming_coef", "graphs", "shared_rounds", "seed"
-        at_least(self, 0, *fields, where="GroundingConfig.")
+        at_least(self, 0, "naming_coef", "shared_rounds", "seed", where="GroundingConfig.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +89,12 @@ class GroundingSpec:
     def check_fits(self, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:
         """Check that the network was made for a task's robot, images and (object, colour) pairs."""
         network = "The grounding network"
-        for what, made, needed in (
+        compared = (
             ("the robot", self.robot, scene_of(env).robot.name),
             ("an image size of", self.image_size, env.image_size),
             ("a number of visible objects of", self.objects, env.task.visible),
-        ):
+        )
+        for what, made, needed in compared:
             if made != needed:
                 text = f"{network} was made for {what} {made}, and this task has {needed}."
                 raise UserError(f"{text} {RETRAIN}")
@@ -116,8 +116,10 @@ def _looks(
     facets: tuple[tuple[str, str], ...], shown: set[tuple[str, str]]
 ) -> tuple[tuple[str, str], ...]:
     """Return the facets of one object per look, of one that is shown if there is any."""
-    named = {name for name, _ in shown}
+    shown_names = {name for name, _ in shown}
+    names = dict.fromkeys(name for name, _ in facets)
     chosen: dict[tuple[str, ...], str] = {}
-    for name in sorted(dict.fromkeys(name for name, _ in facets), key=lambda n: n not in named):
+    for name in sorted(names, key=lambda name: name not in shown_names):
         chosen.setdefault(look_of(name), name)
-    return tuple(facet for facet in facets if facet[0] in set(chosen.values()))
+    kept = set(chosen.values())
+    return tuple(facet for facet in facets if facet[0] in kept)

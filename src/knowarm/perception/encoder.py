@@ -36,16 +36,17 @@ class PlaceEncoder(nn.Module):
     ) -> None:
         super().__init__()
         self.channels = convolutions[-1][1]
-        self.register_buffer("facet_parts", parts := number_facets(facets), persistent=False)
-        objects, colours = (parts.amax(1) + 1).tolist()
-        codes = attribute_codes(list(dict.fromkeys(name for name, _ in facets)))
-        known = None
+        self.register_buffer("facet_parts", number_facets(facets), persistent=False)
+        objects, colours = (self.facet_parts.amax(1) + 1).tolist()
+        names = dict.fromkeys(name for name, _ in facets)
+        codes = attribute_codes(list(names))
+        code = None
         if codes is not None:
-            known = torch.from_numpy(code_matrix(codes))
+            code = torch.from_numpy(code_matrix(codes))
             self.attributes = codes[0].attributes
             self.exclusive = codes[0].exclusive
-        self.register_buffer("code", known, persistent=False)
-        objects = objects if known is None else known.shape[1]
+            objects = code.shape[1]
+        self.register_buffer("code", code, persistent=False)
         self.layers = nn.ModuleList(
             nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2)
             for inputs, outputs, kernel, stride in convolutions
@@ -70,7 +71,8 @@ class PlaceEncoder(nn.Module):
 
         Those of a code are log-probabilities: of object and place, and of the colour there.
         """
-        objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
+        objects = self.objects(features).flatten(2)
+        colours = self.colours(features).flatten(2)
         if self.code is None:
             return objects, colours
         # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
@@ -82,9 +84,13 @@ class PlaceEncoder(nn.Module):
         """Score the facets over all places of `features`: (n, F) float32."""
         objects, colours = self.logits(features)
         # The sum over places of exp(object + colour) of all pairs is a product of two matrices.
-        most = [scores.amax((1, 2), keepdim=True) for scores in (objects, colours)]
-        sums = (objects - most[0]).exp() @ (colours - most[1]).exp().transpose(1, 2)
-        scores = sums.clamp(min=torch.finfo(sums.dtype).tiny).log() + most[0] + most[1]
+        largest_object = objects.amax((1, 2), keepdim=True)
+        largest_colour = colours.amax((1, 2), keepdim=True)
+        of_objects = (objects - largest_object).exp()
+        of_colours = (colours - largest_colour).exp()
+        sums = of_objects @ of_colours.transpose(1, 2)
+        tiny = torch.finfo(sums.dtype).tiny
+        scores = sums.clamp(min=tiny).log() + largest_object + largest_colour
         return scores[:, *self.facet_parts]
 
     def facet_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
@@ -113,23 +119,27 @@ class PlaceEncoder(nn.Module):
         Names do not need the kind; learning to tell kinds apart improves the features.
         """
         assert self.code is not None
-        (name, colour), rows = self.facet_parts[:, facets], torch.arange(len(places))[:, None]
-        objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
-        code, score = self.code[name], objects[rows, :, places]  # (n, m, outputs)
+        name, colour = self.facet_parts[:, facets]
+        rows = torch.arange(len(places))[:, None]
+        objects = self.objects(features).flatten(2)
+        colours = self.colours(features).flatten(2)
+        code = self.code[name]  # (n, m, outputs)
+        score = objects[rows, :, places]
         shape = slice(0, self.exclusive)
         parts = slice(self.exclusive, self.attributes)
         kind = slice(self.attributes + 1, None)
-        return cast(
-            Tensor,
-            objects[:, self.attributes].log_softmax(1).gather(1, places)
-            + (score[..., shape].log_softmax(2) * (code[..., shape] > 0)).sum(2)
-            + nn.functional.logsigmoid(code[..., parts] * score[..., parts]).sum(2)
-            + (score[..., kind].log_softmax(2) * code[..., kind]).sum(2)
-            + colours.log_softmax(1)[rows, colour, places],
-        )
+        of_place = objects[:, self.attributes].log_softmax(1).gather(1, places)
+        of_shape = (score[..., shape].log_softmax(2) * (code[..., shape] > 0)).sum(2)
+        of_parts = nn.functional.logsigmoid(code[..., parts] * score[..., parts]).sum(2)
+        of_kind = (score[..., kind].log_softmax(2) * code[..., kind]).sum(2)
+        of_colour = colours.log_softmax(1)[rows, colour, places]
+        return cast(Tensor, of_place + of_shape + of_parts + of_kind + of_colour)
 
 
 def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:
     """Return object and colour of each facet, (2, F) int64, numbered by first appearance."""
-    columns = [(names, list(dict.fromkeys(names))) for names in zip(*facets, strict=True)]
-    return torch.tensor([[order.index(name) for name in names] for names, order in columns])
+    numbers = []
+    for names in zip(*facets, strict=True):
+        order = list(dict.fromkeys(names))
+        numbers.append([order.index(name) for name in names])
+    return torch.tensor(numbers)

@@ -18,9 +18,8 @@ from torch import Tensor, nn
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.perception.config import GroundingSpec
+from knowarm.perception.config import FRAME, GroundingSpec
 from knowarm.perception.encoder import PlaceEncoder
-from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import number_parts
@@ -31,11 +30,13 @@ STRIDE = 4
 """Distance of two places in the image [px]."""
 WIDTH = 64
 """Dimensions in which places and queries are compared, D."""
-FRAME = 9
-"""Numbers that describe a grasp frame: standardized position, x and z axis."""
 
-FORMAT, METADATA, ENCODER = "knowarm-grounding-2", "knowarm", "encoder."
-"""Format of the file, key of its metadata, and beginning of the names that it leaves out."""
+FORMAT = "knowarm-grounding-2"
+"""Format of the file."""
+METADATA = "knowarm"
+"""Key of the file's metadata."""
+ENCODER = "encoder."
+"""Beginning of names of parameters, which the file leaves out."""
 REMEDY = "Restore the file, or take perception.safetensors of another run."
 BATCH = 256
 """Most images that are processed at once."""
@@ -53,7 +54,6 @@ class GroundingNetwork(nn.Module):
         knowledge: (Q, K) float32, one row per query.
         slots: number of equal parts of a row, one per condition; a part of zeros is none.
         seed: of the initial weights.
-        reads_facts: whether slots hold facts, which attention reads, instead of vectors.
         first_stage: with the frame head of the first stage of a training, which predicts frames
             from the object's place alone; the final one reads the 3 x 3 places around it.
     """
@@ -73,41 +73,41 @@ class GroundingNetwork(nn.Module):
         slots: int,
         *,
         seed: int = 0,
-        reads_facts: bool = False,
         first_stage: bool = False,
     ) -> None:
-        convolutions = convolutions_of(spec.config.channels)
         super().__init__()
         self.spec = spec
-        self.encoder = PlaceEncoder(spec.facets, convolutions, seed)
         self.slots = slots
+        self.encoder = PlaceEncoder(spec.facets, convolutions_of(spec.config.channels), seed)
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
         self.register_buffer("position_mean", torch.zeros(3))
         self.register_buffer("position_std", torch.ones(3))
-        channels, width = self.encoder.channels, self.knowledge.shape[1] // slots
-        parts = torch.from_numpy(number_parts(spec.facets))
-        self.parts = parts.shape[1]
-        own = torch.arange(len(parts))[:, None]
-        self.register_buffer("part_of", (parts == own).int().argmax(1), persistent=False)
-        self._around = int(not first_stage)
-        inputs = channels * (1 + 2 * self._around) ** 2 + 2
-        hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
+        parts_of_object = torch.from_numpy(number_parts(spec.facets))  # of the object of each facet
+        self.parts = parts_of_object.shape[1]
+        facet = torch.arange(len(parts_of_object))[:, None]
+        part_of = (parts_of_object == facet).int().argmax(1)
+        self.register_buffer("part_of", part_of, persistent=False)
+        channels = self.encoder.channels
         self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
-        self.query: nn.Module = _layers(width, 2 * WIDTH, WIDTH)
-        if reads_facts:
-            self.query = FactEncoder(width, WIDTH)
+        self.query = _layers(self.knowledge.shape[1] // slots, 2 * WIDTH, WIDTH)
+        # Places on each side of the object's that the frame head reads, and its hidden layers.
+        self._around = 0 if first_stage else 1
+        hidden = [2 * WIDTH] if first_stage else [4 * WIDTH, 4 * WIDTH]
+        inputs = channels * (1 + 2 * self._around) ** 2 + 2
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        for layer in (*self.key, *self.query.modules(), *self.frame):
-            in_deep_head = self._around and layer in self.frame
-            orthogonal(layer, DEEP_HEAD_GAIN if in_deep_head else RELU_GAIN, generator)
-        if self._around:  # features differ in scale, and many are zero
+        for layer in (*self.key, *self.query):
+            orthogonal(layer, RELU_GAIN, generator)
+        for layer in self.frame:
+            orthogonal(layer, RELU_GAIN if first_stage else DEEP_HEAD_GAIN, generator)
+        if not first_stage:  # features differ in scale, and many are zero
             self.frame.insert(0, Standardize(inputs))
 
     def to_bytes(self) -> bytes:
         """Return the content of the network's file."""
-        state = {name.removeprefix(ENCODER): value for name, value in self.state_dict().items()}
-        tensors = {name: value.contiguous().cpu() for name, value in state.items()}
+        tensors = {}
+        for name, value in self.state_dict().items():
+            tensors[name.removeprefix(ENCODER)] = value.contiguous().cpu()
         about = {"format": FORMAT, "seen": to_dict(self.spec), "slots": self.slots}
         # One entry: safetensors writes several in an order that varies.
         return save(tensors, {METADATA: json.dumps(about)})
@@ -128,9 +128,7 @@ class GroundingNetwork(nn.Module):
         """Build a network from the content of its file; the path is for messages."""
         with reading(path, REMEDY):
             tensors = load(data)
-            (length,) = struct.unpack_from("<Q", data)
-            metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
-            about = json.loads(metadata.get(METADATA, "{}"))
+            about = _metadata(data)
             if about.get("format") != FORMAT:
                 raise UnreadableFileError(
                     f"{path} holds no grounding network (format {about.get('format')!r}, expected "
@@ -142,16 +140,19 @@ class GroundingNetwork(nn.Module):
                 raise ValueError(one_line(error)) from error
             if not spec.facets or len(set(spec.facets)) != len(spec.facets):
                 raise ValueError("it names no facets, or one twice")
-            table, slots = tensors["knowledge"], about["slots"]
+            table = tensors["knowledge"]
+            slots = about["slots"]
             if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
                 raise ValueError("its table of knowledge does not fit its slots")
-            network = cls(spec, table, slots, reads_facts="query.fact.weight" in tensors)
+            network = cls(spec, table, slots)
             state = network.state_dict()
             expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
-            if {name: value.shape for name, value in tensors.items()} != expected:
+            shapes = {name: value.shape for name, value in tensors.items()}
+            if shapes != expected:
                 raise ValueError("its arrays do not fit the facets that it names")
-            if not all(v.is_floating_point() and v.isfinite().all() for v in tensors.values()):
-                raise ValueError("it contains non-finite values")
+            for value in tensors.values():
+                if not value.is_floating_point() or not value.isfinite().all():
+                    raise ValueError("it contains non-finite values")
             network.load_state_dict({name: tensors[name.removeprefix(ENCODER)] for name in state})
         return network.eval().requires_grad_(False)
 
@@ -181,29 +182,34 @@ class GroundingNetwork(nn.Module):
         Returns:
             (n, m, 9) float32: standardized position, x and z axis.
         """
-        places, part = cells // self.parts, cells % self.parts
-        return self.frames_of(self.frame_inputs(features, places), part)
+        inputs = self.frame_inputs(features, cells // self.parts)
+        return self.frames_of(inputs, cells % self.parts)
 
     def frames_of(self, inputs: Tensor, part: Tensor) -> Tensor:
         """Predict frames (..., 9) of the parts (...) int64 from `frame_inputs` (..., D)."""
-        frames = self.frame(inputs).unflatten(-1, (-1, FRAME))
-        own = part[..., None, None].expand(*part.shape, 1, FRAME)
-        return cast(Tensor, frames.gather(-2, own)[..., 0, :])
+        frames = self.frame(inputs).unflatten(-1, (-1, FRAME))  # of all parts
+        index = part[..., None, None].expand(*part.shape, 1, FRAME)
+        return cast(Tensor, frames.gather(-2, index)[..., 0, :])
 
     def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
         """Return what frames at places (n, m) are predicted from: features, and where they are.
 
         The inputs (n, m, D) start with the features of 3 x 3 places; in the first stage of one.
         """
-        side, channels, around = features.shape[-1], features.shape[1], self._around
-        width, line = side + 2 * around, torch.arange(1 + 2 * around, device=places.device)
-        corner = places // side * width + places % side
-        index = corner[..., None] + (line[:, None] * width + line).flatten()  # (n, m, k)
+        channels = features.shape[1]
+        side = features.shape[-1]
+        around = self._around
+        width = side + 2 * around  # of the features with a border of zeros
         padded = nn.functional.pad(features, (around,) * 4).flatten(2)
-        found = padded.gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
-        found = found.unflatten(2, index.shape[1:]).transpose(1, 2).flatten(2)  # (n, m, C k)
-        where = centres(self.spec.image_size).to(found) / (self.spec.image_size / 2) - 1
-        return torch.cat((found, where[places]), 2)
+        line = torch.arange(1 + 2 * around, device=places.device)
+        neighbours = (line[:, None] * width + line).flatten()  # from the first one, (k,)
+        first = places // side * width + places % side
+        index = first[..., None] + neighbours  # (n, m, k)
+        gathered = padded.gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
+        gathered = gathered.unflatten(2, index.shape[1:]).transpose(1, 2).flatten(2)  # (n, m, C k)
+        half = self.spec.image_size / 2
+        where = centres(self.spec.image_size).to(gathered) / half - 1
+        return torch.cat((gathered, where[places]), 2)
 
     def standardized(self, position: Tensor, axes: Tensor) -> Tensor:
         """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
@@ -248,13 +254,15 @@ class GroundingNetwork(nn.Module):
             bfloat16: for the keys.
         """
         facets = labels.facets[rows]
-        cells = self.cells(place_of(labels.pixels[rows], self.spec.image_size), facets)
+        places = place_of(labels.pixels[rows], self.spec.image_size)
+        cells = self.cells(places, facets)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             keys = self.keys(features)
         scores = keys.float() @ self.project_queries(knowledge).T  # (n, cells, q)
         satisfies = answers.satisfies[:, facets].transpose(0, 1)  # (n, q, m)
         askable = answers.askable[:, facets].transpose(0, 1)
-        asked = (satisfies.sum(2) == 1) & (satisfies & askable).any(2)
+        is_only_answer = satisfies.sum(2) == 1
+        asked = is_only_answer & (satisfies & askable).any(2)
         if answers.marked:  # the image answers for the marked object only
             asked &= satisfies[..., 0]
         cell = cells.gather(1, satisfies.float().argmax(2))
@@ -294,20 +302,32 @@ class Standardize(nn.Module):
         return (values - self.mean) / self.deviation
 
 
+def _metadata(data: bytes) -> dict[str, Any]:
+    """Return what a file of safetensors says about itself."""
+    (length,) = struct.unpack_from("<Q", data)
+    header = json.loads(data[8 : 8 + length])
+    metadata = header.get("__metadata__") or {}
+    about: dict[str, Any] = json.loads(metadata.get(METADATA, "{}"))
+    return about
+
+
 def convolutions_of(channels: int) -> tuple[tuple[int, int, int, int], ...]:
     """Return inputs, outputs, kernel and stride of each convolution."""
-    quarter, half = channels // 4, channels // 2
+    quarter = channels // 4
+    half = channels // 2
     return (
         (3, quarter, 5, 2),
         (quarter, half, 3, 2),
         (half, channels, 3, 1),
-        (channels,) * 2 + (3, 1),
+        (channels, channels, 3, 1),
     )
 
 
 def _layers(*widths: int) -> nn.Sequential:
     """Return linear layers of these widths, with ReLU between them."""
-    layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ReLU())]
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(widths):
+        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
     return nn.Sequential(*layers[:-1])
 
 

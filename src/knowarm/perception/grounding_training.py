@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import BATCH, GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import (
-    DescribedGraph,
     ImageSampler,
     LabelledImages,
     QueryAnswers,
@@ -39,9 +38,13 @@ QUERIES = 48
 GROUNDING_IMAGES = 2
 """Number of the random streams of images."""
 
-HEAD, HEAD_EPOCHS, HEAD_RATE = 2, 8, 2.0
-"""Of the training of a frame head: number of its random streams, passes over its images, and factor
-of the learning rate. A gradient step takes as many objects as one of the network takes images."""
+HEAD = 2
+"""Number of the random streams of the training of a frame head."""
+HEAD_EPOCHS = 8
+"""Its passes over the images. A gradient step takes as many objects as one of the network takes
+images."""
+HEAD_RATE = 2.0
+"""Its factor of the learning rate."""
 
 KEYED_IMAGES = 64
 """First images of the training, whose pixels and labels are part of the cache's key."""
@@ -69,8 +72,6 @@ def train_grounding(
     config: GroundingConfig,
     *,
     seed: int,
-    reads_facts: bool = False,
-    graphs: Sequence[DescribedGraph] = (),
     report: Callable[[str], None] = lambda text: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> GroundingNetwork | None:
@@ -85,29 +86,23 @@ def train_grounding(
         slots: number of parts.
         config: images, rounds and weights of the losses.
         seed: of the run; ``config.seed`` goes first.
-        reads_facts: as `GroundingNetwork`.
-        graphs: describe and answer the queries in place of the task's; a gradient step takes one.
         report: receives a line at the start and after every round.
         should_stop: called at every gradient step; if it returns true, the result is None.
     """
     if config.seed is not None:
-        seed, config = config.seed, replace(config, seed=None)
-    options: dict[str, Any] = {"seed": seed, "reads_facts": reads_facts}
-    network = GroundingNetwork(
-        GroundingSpec.of(env, config), knowledge, slots, first_stage=True, **options
-    )
-    answers = query_answers(env, network.spec.facets)
+        seed = config.seed
+        config = replace(config, seed=None)
+    spec = GroundingSpec.of(env, config)
+    network = GroundingNetwork(spec, knowledge, slots, seed=seed, first_stage=True)
+    answers = query_answers(env, spec.facets)
     assert answers is not None
+    vectors = torch.from_numpy(knowledge)
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
     def ask() -> tuple[Tensor, QueryAnswers]:
-        described = knowledge, answers
-        if graphs:
-            described = graphs[int(torch.randint(len(graphs), (), generator=generator))]
-        table, known = described
-        rows = torch.randperm(len(knowledge), generator=generator)[:QUERIES]
-        return torch.from_numpy(table)[rows], known.of(rows)
+        rows = torch.randperm(len(vectors), generator=generator)[:QUERIES]
+        return vectors[rows], answers.of(rows)
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16)
@@ -125,27 +120,30 @@ def train_grounding(
         place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
         return place, place
 
-    asked, seen = ("key.", "query."), ("encoder.", "frame.", "position_")
-    by_queries: list[object] = [knowledge, slots, reads_facts]
-    for table, known in ((knowledge, answers), *graphs):
-        by_queries += [table, known.satisfies.numpy(), known.askable.numpy()]
-    stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
-    if config.shared_rounds:
+    asked = ("key.", "query.")
+    seen = ("encoder.", "frame.", "position_")
+    by_queries = [knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()]
+    if config.shared_rounds == 0:
+        images_alone = config
+        stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
+    else:
+        images_alone = replace(config, rounds=0)  # so that other rounds share the first stage
         stages = [
             _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
             _Stage("queries", config.rounds, comparison, asked, by_queries),
         ]
-    images_alone = replace(config, rounds=0, graphs=0) if config.shared_rounds else config
     depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
     for number, stage in enumerate(stages):
         if stage.rounds == 0:
             continue
-        stream = derive_seed(seed, "perception", GROUNDING_IMAGES, *[number][:number])
-        first = sample_images(env, network.spec, KEYED_IMAGES, stream)
-        depends_on += [stage.rounds, *(each.numpy() for each in first), *stage.follows_from]
+        path = (number,) if number > 0 else ()
+        stream = derive_seed(seed, "perception", GROUNDING_IMAGES, *path)
+        first = sample_images(env, spec, KEYED_IMAGES, stream)
+        keyed = [tensor.numpy() for tensor in first]
+        depends_on += [stage.rounds, *keyed, *stage.follows_from]
         file = cache_file("grounding", *depends_on)
-        parts = {n: v for n, v in network.state_dict().items() if n.startswith(stage.parts)}
-        if _copy(read_arrays(file), parts):
+        parameters = _parameters(network, stage.parts)
+        if _copy(read_arrays(file), parameters):
             report(f"grounding network ({stage.name}): read from {file}")
             continue
         for name, parameter in network.named_parameters():
@@ -155,15 +153,21 @@ def train_grounding(
             f"{config.images:,} images"
         )
         with torch_threads(1):
-            sampler = ImageSampler(env, network.spec, stream)
-            steps = partial(_steps, network, sampler, stage, config)
-            name = "grounding, round"
+            sampler = ImageSampler(env, spec, stream)
             progress = _progress(file, sampler, generator)
-            if not minimize(
-                network, config, steps, stage.rounds, name, report, should_stop, progress
-            ):
-                return None
-        write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+            is_finished = minimize(
+                network,
+                config,
+                partial(_steps, network, sampler, stage, config),
+                stage.rounds,
+                "grounding, round",
+                report,
+                should_stop,
+                progress,
+            )
+        if not is_finished:
+            return None
+        write_arrays(file, {name: value.numpy() for name, value in parameters.items()})
         progress.file.unlink(missing_ok=True)
     return train_frame_head(network, env, config, seed=seed, report=report, should_stop=should_stop)
 
@@ -181,21 +185,18 @@ def train_frame_head(
 
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
     """
-    seen = trained.state_dict()
-    network = GroundingNetwork(
-        trained.spec,
-        trained.knowledge,
-        trained.slots,
-        seed=seed,
-        reads_facts="query.fact.weight" in seen,
-    )
-    network.load_state_dict(
-        network.state_dict() | {n: v for n, v in seen.items() if not n.startswith("frame.")}
-    )
-    arrays = [v.numpy() for n, v in seen.items() if n.startswith(("encoder.", "position_"))]
+    trained_state = trained.state_dict()
+    network = GroundingNetwork(trained.spec, trained.knowledge, trained.slots, seed=seed)
+    state = network.state_dict()
+    for name, value in trained_state.items():
+        if not name.startswith("frame."):
+            state[name] = value
+    network.load_state_dict(state)
+    inputs_of_head = _parameters(trained, ("encoder.", "position_"))
+    arrays = [value.numpy() for value in inputs_of_head.values()]
     file = cache_file("grounding", REVISION, version("torch"), env, config, seed, *arrays)
-    parts = {n: v for n, v in network.state_dict().items() if n.startswith("frame.")}
-    if _copy(read_arrays(file), parts):
+    head = _parameters(network, ("frame.",))
+    if _copy(read_arrays(file), head):
         report(f"grounding network (frame head): read from {file}")
         return network.eval().requires_grad_(False)
     network.requires_grad_(False).frame.requires_grad_(True)
@@ -205,16 +206,18 @@ def train_frame_head(
     with torch_threads(1):
         labels = sample_images(env, network.spec, config.images, stream)
         places = place_of(labels.pixels, network.spec.image_size)
-        images = zip(labels.images.split(BATCH), places.split(BATCH), strict=True)
-        inputs = [network.frame_inputs(network.encoder.features(i), p) for i, p in images]
-        flat, part = torch.cat(inputs).flatten(0, 1), network.part_of[labels.facets].flatten()
+        batches = []
+        for images, at in zip(labels.images.split(BATCH), places.split(BATCH), strict=True):
+            batches.append(network.frame_inputs(network.encoder.features(images), at))
+        flat = torch.cat(batches).flatten(0, 1)
+        part = network.part_of[labels.facets].flatten()
         frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(0, 1)
         cast(Standardize, network.frame[0]).fit(flat)
 
         def steps(number: int) -> Iterator[Step]:
             for rows in torch.randperm(len(flat), generator=generator).split(config.batch):
-                found = network.frames_of(flat[rows], part[rows])
-                loss = (found - frames[rows]).square().mean()
+                predicted = network.frames_of(flat[rows], part[rows])
+                loss = (predicted - frames[rows]).square().mean()
                 yield len(rows), loss, loss
 
         rate = HEAD_RATE * config.learning_rate
@@ -222,7 +225,7 @@ def train_frame_head(
         name = "frame head, epoch"
         if not minimize(network, objects, steps, HEAD_EPOCHS, name, report, should_stop):
             return None
-    write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+    write_arrays(file, {name: value.numpy() for name, value in head.items()})
     return network
 
 
@@ -256,12 +259,20 @@ def _progress(file: Path, sampler: ImageSampler, generator: torch.Generator) -> 
     return PassProgress(file.with_suffix(".part.npz"), get_state, set_state)
 
 
-def _copy(arrays: dict[str, np.ndarray] | None, parts: dict[str, Tensor]) -> bool:
+def _parameters(network: GroundingNetwork, beginnings: tuple[str, ...]) -> dict[str, Tensor]:
+    """Return the parameters and buffers whose names begin so."""
+    state = network.state_dict().items()
+    return {name: value for name, value in state if name.startswith(beginnings)}
+
+
+def _copy(arrays: dict[str, np.ndarray] | None, parameters: dict[str, Tensor]) -> bool:
     """Copy cached arrays into parameters; return whether they fit."""
-    if arrays is None or {n: a.shape for n, a in arrays.items()} != {
-        n: tuple(v.shape) for n, v in parts.items()
-    }:
+    if arrays is None:
         return False
-    for name, value in parts.items():
+    cached = {name: array.shape for name, array in arrays.items()}
+    needed = {name: tuple(value.shape) for name, value in parameters.items()}
+    if cached != needed:
+        return False
+    for name, value in parameters.items():
         value.copy_(torch.from_numpy(arrays[name]))
     return True

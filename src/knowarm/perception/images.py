@@ -1,5 +1,6 @@
 """First images of episodes, labelled by the simulator, and the answers to a task's queries."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,19 +43,23 @@ class QueryAnswers(NamedTuple):
         return self._replace(satisfies=self.satisfies[queries], askable=self.askable[queries])
 
 
-DescribedGraph = tuple[np.ndarray, QueryAnswers]
-"""Knowledge (Q, K) float32 of queries by a graph, and its answers."""
-
-
 def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnswers | None:
     """Return the answers to a task's queries among some facets; None without queries."""
     table = questions_of(env)
     if table is None:
         return None
-    columns = [table.facets.index(facet) if facet in table.facets else -1 for facet in facets]
-    padded = (np.pad(each, ((0, 0), (0, 1))) for each in (table.satisfies, table.askable))
-    satisfies, askable = (torch.from_numpy(each[:, columns]) for each in padded)
+    satisfies = _columns_of(table.satisfies, table.facets, facets)
+    askable = _columns_of(table.askable, table.facets, facets)
     return QueryAnswers(satisfies, askable, env.task.paints_goal)
+
+
+def _columns_of(
+    table: np.ndarray, names: Sequence[ObjectColour], facets: Sequence[ObjectColour]
+) -> Tensor:
+    """Return the columns of some facets from a table (Q, F) bool with names; False without one."""
+    columns = {name: column for column, name in enumerate(names)}
+    padded = np.pad(table, ((0, 0), (0, 1)))
+    return torch.from_numpy(padded[:, [columns.get(facet, -1) for facet in facets]])
 
 
 class ImageSampler:
@@ -67,8 +72,9 @@ class ImageSampler:
 
     def sample(self, count: int) -> LabelledImages:
         """Sample N images; of the last ``at_once``, the rest is discarded."""
-        parts = [self._sample() for _ in range(0, count, self._world.num_envs)]
-        return LabelledImages(*(torch.cat(each)[:count] for each in zip(*parts, strict=True)))
+        batches = [self._sample() for _ in range(0, count, self._world.num_envs)]
+        fields = zip(*batches, strict=True)
+        return LabelledImages(*(torch.cat(tensors)[:count] for tensors in fields))
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Copy all that determines the following images."""
@@ -84,8 +90,10 @@ class ImageSampler:
         images, _ = self._world.reset(seed=self._seed)
         self._seed = None
         episodes = self._world.running
-        objects, ground = episodes.objects, target_places(scene, episodes.positions)
-        axes = scene.grasp_matrix.reshape(-1, 3, 3)[objects][..., [0, 2]].swapaxes(-1, -2)
+        objects = episodes.objects
+        ground = target_places(scene, episodes.positions)
+        matrix = scene.grasp_matrix.reshape(-1, 3, 3)[objects]
+        axes = matrix[..., [0, 2]].swapaxes(-1, -2)
         return LabelledImages(
             torch.from_numpy(images),
             torch.from_numpy(self._first_facets[objects] + episodes.colours),
@@ -100,7 +108,8 @@ def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
     """Return where objects at x and y (..., 2) [m] stand in the image, (..., 2) float32 [px]."""
     raised = target_places(scene, positions) + np.array([0, 0, HEIGHT_M])
     point = project(scene, raised.reshape(-1, 3))  # right and up from the centre, in half widths
-    return _float(((1 + point * [1, -1]) / 2 * image_size).reshape(positions.shape))
+    pixels = (1 + point * [1, -1]) / 2 * image_size
+    return _float(pixels.reshape(positions.shape))
 
 
 def sample_images(env: EnvConfig, spec: GroundingSpec, count: int, seed: int) -> LabelledImages:

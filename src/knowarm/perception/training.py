@@ -29,22 +29,24 @@ class PassProgress:
     def save(self, number: int, module: nn.Module, optimizer: Adam, schedule: OneCycleLR) -> None:
         """Store the state after a pass."""
         group = optimizer.param_groups[0]
-        moments = optimizer.state_dict()["state"]
-        write_arrays(
-            self.file,
-            {
-                "number": np.array(number),
-                "rate": np.array([group["lr"], *group["betas"]]),
-                "step": np.array(schedule.last_epoch),
-                **{f"module/{n}": value.numpy() for n, value in module.state_dict().items()},
-                **{f"adam/{i}/{n}": v.numpy() for i, s in moments.items() for n, v in s.items()},
-                **{f"draws/{n}": value for n, value in self.get_state().items()},
-            },
-        )
+        arrays = {
+            "number": np.array(number),
+            "rate": np.array([group["lr"], *group["betas"]]),
+            "step": np.array(schedule.last_epoch),
+        }
+        for name, value in module.state_dict().items():
+            arrays[f"module/{name}"] = value.numpy()
+        for index, moments in optimizer.state_dict()["state"].items():
+            for name, value in moments.items():
+                arrays[f"adam/{index}/{name}"] = value.numpy()
+        for name, array in self.get_state().items():
+            arrays[f"draws/{name}"] = array
+        write_arrays(self.file, arrays)
 
     def restore(self, module: nn.Module, optimizer: Adam, schedule: OneCycleLR) -> int:
         """Restore the stored state, if there is one; return the number of passes done."""
-        if (arrays := read_arrays(self.file)) is None:
+        arrays = read_arrays(self.file)
+        if arrays is None:
             return 0
         parameters = select(arrays, "module/").items()
         module.load_state_dict({n: torch.from_numpy(value) for n, value in parameters})
@@ -76,10 +78,12 @@ def minimize(
     stopped continues after its last whole pass, as if it had not been stopped.
     """
     count = -(-config.images // config.batch) * passes
-    trained = [each for each in module.parameters() if each.requires_grad]
+    trained = [parameter for parameter in module.parameters() if parameter.requires_grad]
     optimizer = Adam(trained, config.learning_rate)
     schedule = OneCycleLR(optimizer, config.learning_rate, total_steps=max(2, count))
-    done = progress.restore(module, optimizer, schedule) if progress is not None else 0
+    done = 0
+    if progress is not None:
+        done = progress.restore(module, optimizer, schedule)
     if done:
         report(f"{name} {done} of {passes}: done before")
     for number in range(done + 1, passes + 1):

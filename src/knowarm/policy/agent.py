@@ -39,7 +39,10 @@ class PolicyAgent:
         rows: row of the table of each episode, (n,) int64.
         knowledge: what the policy receives in the episode, (n, K) float32: that of `recognize` in
             its first image.
+        notes: what it reports of the episodes beside its actions, by name, (n, ...) each.
     """
+
+    notes: dict[str, np.ndarray]
 
     def __init__(
         self,
@@ -52,7 +55,9 @@ class PolicyAgent:
     ) -> None:
         if not greedy and generator is None:
             raise ValueError("PolicyAgent(greedy=False) needs a generator to sample actions.")
-        self.policy, self.recognition = policy, recognition
+        self.policy = policy
+        self.recognition = recognition
+        self.notes = {}
         self.table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
         self.greedy = greedy
         self.generator = generator
@@ -61,6 +66,7 @@ class PolicyAgent:
         """Forget everything: n episodes start; the next image is the first of each."""
         if self.recognition is not None:
             self.recognition.check_fits(batch.env)
+        self.notes = {}
         self.rows = torch.as_tensor(batch.rows)
         self._state = self.policy.initial_state(len(self.rows))
         self._episode_start = torch.ones(len(self.rows), dtype=torch.bool)

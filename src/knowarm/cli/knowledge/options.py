@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Self, cast
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import tyro
@@ -13,6 +13,7 @@ from knowarm.cli.tables import TableCommand
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import NoKnowledge
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
@@ -105,9 +106,9 @@ class SceneOptions(TableCommand):
                 "or the options of the knowledge and, of a run, the objects."
             )
         knows = run.knows if run else AGENTS[self.agent].knows
-        if knows.scope == "nothing":
+        if isinstance(knows, NoKnowledge):
             raise UserError(f"--agent {self.agent} knows nothing: take another, or leave it out.")
-        return cast(KnowledgeConfig, knows)
+        return knows
 
     def run_seed(self) -> int:
         """Return the training seed of the run, from which placebos are drawn."""

@@ -9,9 +9,9 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of
-from knowarm.questions import FACTS, Condition
+from knowarm.questions import Condition
 
-Pooling = Literal["mean", "sif", "facts"]
+Pooling = Literal["mean", "sif"]
 SIF_A = 1e-3
 """The constant of SIF's weight a / (a + p)."""
 OnMissing = Literal["error", "skip", "hash"]
@@ -188,20 +188,6 @@ def pool(found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float) -
         return vectors.mean(axis=0)
     frequencies = np.concatenate([f.frequencies for f in found])
     return (vectors * (SIF_A / (SIF_A + frequencies))[:, None]).mean(axis=0)
-
-
-def join_facts(found: Sequence[Found], centre: np.ndarray | float) -> np.ndarray:
-    """Return a unit vector per label, (32 * 3 D,) float64: relation and value, then the facts."""
-    if 1 + len(found) > 3 * FACTS:
-        raise UserError(
-            f"A slot has {len(found) // 3} facts, and pooling 'facts' keeps {FACTS - 1}. Restrict "
-            "them by relations or direction."
-        )
-    labels = [pool([each], "mean", centre) for each in found]
-    rows = np.zeros((3 * FACTS, len(labels[0])))
-    rows[1 : 1 + len(labels)] = labels  # a condition has no head
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.divide(rows, length, out=rows, where=length > 0).reshape(-1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -108,7 +108,10 @@ def _kind_of_input(task: TaskData) -> Verdict:
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
     run = group.runs[0]
-    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * run.config.knows.is_grounded
+    uses = privileged_uses(run.settings["algorithm"])
+    if run.config.knows.grounding is not None:
+        uses.append("grounding")
+    return uses
 
 
 def _overview(task: TaskData) -> DataTable:

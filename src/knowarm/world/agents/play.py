@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,8 @@ class EpisodeResults:
     steps: StepTable  # Every step
     # Observations of the first episodes, before each step and at the end: (T + 1, H, W, 3) each
     images: tuple[NDArray[np.uint8], ...] = ()
+    # What the agent reports of each episode in ``notes``, if it has any, (N, ...) each
+    notes: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     def distance(self) -> NDArray[np.float64]:
@@ -133,6 +135,7 @@ def play(
     images: list[list[NDArray[np.uint8]]] = [[] for _ in range(min(count, record_images))]
     ends: dict[str, NDArray[Any]] = {}
     rows: list[dict[str, NDArray]] = []
+    notes: dict[str, list[NDArray[Any]]] = {}
     for first in range(0, count, n):
         if time.monotonic() - said >= REPORT_S:
             solved, said = ends["is_success"][:first].mean(), time.monotonic()
@@ -160,6 +163,8 @@ def play(
                     "reward": moment.reward[ids],
                 }
             )
+        for name, values in getattr(agent, "notes", {}).items():
+            notes.setdefault(name, []).append(values[: len(chunk)])
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     order = np.lexsort((columns["step"], columns["episode"]))
     columns = {name: column[order] for name, column in columns.items()}
@@ -171,4 +176,5 @@ def play(
         infos=ends,
         steps=steps,
         images=tuple(np.stack(frames) for frames in images),
+        notes={name: np.concatenate(values) for name, values in notes.items()},
     )

@@ -81,7 +81,8 @@ class AgentProtocol(Protocol):
     """What plays: scripted, trained, exported, served, or of anybody.
 
     The n episodes of a batch start together. Where one has ended, its actions are ignored until the
-    next ``reset``.
+    next ``reset``. What an agent reports of its episodes beside actions may be in ``notes``, arrays
+    (n, ...) by name, which `play` keeps in its result.
     """
 
     def reset(self, batch: Batch) -> None:

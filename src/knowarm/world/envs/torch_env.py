@@ -45,7 +45,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         device: where the tensors are: "cpu", or "cuda" for the first visible GPU.
         num_threads: threads of physics and rendering; 0 for one per core.
         table: (rows, K) float32, what a policy knows in the episodes of each row, such as
-            `knowarm.experiment.build.Parts.table`; None without knowledge.
+            `knowarm.experiment.knows.Knowledge.table`; None without knowledge.
 
     Attributes:
         device: where the tensors are.
