@@ -3,14 +3,11 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.grad import conv2d_input, conv2d_weight
 
-from knowarm.compiling import njit
 from knowarm.cores import torch_threads
 
 SIDE = 3
@@ -45,28 +42,18 @@ def orthogonal(layer: nn.Module, gain: float, generator: torch.Generator) -> Non
             nn.init.zeros_(parameter)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gather(images: NDArray[np.uint8], patches: NDArray[np.uint8]) -> None:
-    """Write the patches (N, S, L) of images (N, H, W * 3); see `ImageEncoder.patches`.
+def patch_pixels(image_size: int, blocks: int) -> Tensor:
+    """Return the numbers of the pixel values that the patches of an image consist of, (S * L,).
 
-    It takes a third of the time of PyTorch's views, and inference of few images half of its own.
+    The order is that of `ImageEncoder.patches`. The last patch of the last block may extend beyond
+    the image, and repeats its edge there; its weights are zero.
     """
-    width = 3 * SIDE
-    blocks = int(np.sqrt(patches.shape[1]))
-    for n in range(len(images)):
-        for s in range(blocks * blocks):
-            block = patches[n, s]
-            top = s // blocks * 2 * STRIDE
-            left = s % blocks * 2 * STRIDE * 3
-            written = 0
-            for row in (0, STRIDE):
-                for column in (0, 3 * STRIDE):
-                    for y in range(SIDE):
-                        line = images[n, top + row + y]
-                        start = left + column
-                        for i in range(width):
-                            block[written + i] = line[start + i]
-                        written += width
+    starts = STRIDE * torch.arange(2 * blocks)
+    lines = (starts[:, None] + torch.arange(SIDE)).clamp(max=image_size - 1)
+    # axes: row and column of the block, those of the patch in it, those of the pixel, colour
+    rows = lines.view(blocks, 1, 2, 1, SIDE, 1, 1)
+    columns = lines.view(1, blocks, 1, 2, 1, SIDE, 1)
+    return ((rows * image_size + columns) * 3 + torch.arange(3)).flatten()
 
 
 class ProductWeights(NamedTuple):
@@ -107,28 +94,21 @@ class ImageEncoder(nn.Module):
         self.width = side * side * self.channels
         self._blocks = side + 2
         self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
-        # The last patch of the last block may extend beyond the image; its weights are zero.
-        self._padding = max(0, STRIDE * (2 * self._blocks - 1) + SIDE - image_size)
+        self._pixels: Tensor
+        self.register_buffer("_pixels", patch_pixels(image_size, self._blocks), persistent=False)
 
     def patches(self, image: Tensor) -> Tensor:
         """Gather the patches of the first convolution: (..., H, W, 3) uint8 -> (..., S, L) uint8.
 
         Blocks are in row-major order, each of 2 x 2 patches of 3 x 3 pixels with 3 colour channels.
         """
-        blocks = self._blocks
-        leading = image.shape[:-3]
-        image = image.reshape(-1, *image.shape[-3:])
-        if self._padding:
-            image = F.pad(image, (0, 0, 0, self._padding, 0, self._padding))
+        values = image.flatten(-3)
         if image.device.type == "cpu" and not torch.compiler.is_exporting():
-            patches = image.new_empty(len(image), *self.patch_shape)
-            _gather(image.flatten(2).numpy(), patches.numpy())
-            return patches.view(*leading, *self.patch_shape)
-        cells = image.unfold(1, SIDE, STRIDE).unfold(2, SIDE, STRIDE)
-        cells = cells[:, : 2 * blocks, : 2 * blocks]
-        cells = cells.unflatten(2, (blocks, 2)).unflatten(1, (blocks, 2))
-        # axes: row, row in block, column, column in block, colour, pixel row, pixel column
-        return cells.permute(0, 1, 3, 2, 4, 6, 7, 5).reshape(*leading, *self.patch_shape)
+            # NumPy gathers bytes four times as fast as PyTorch.
+            patches = torch.from_numpy(values.numpy().take(self._pixels.numpy(), -1))
+        else:
+            patches = values.index_select(-1, self._pixels)
+        return patches.view(*image.shape[:-3], *self.patch_shape)
 
     def forward(self, patches: Tensor) -> Tensor:
         """Encode patches (N, S, L) uint8 as features (N, width) float32.

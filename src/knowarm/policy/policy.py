@@ -277,9 +277,14 @@ def log_probabilities(logits: Tensor) -> Tensor:
     return logits - logits.logsumexp(-1, keepdim=True)
 
 
+def of_actions(values: Tensor, actions: Tensor) -> Tensor:
+    """Select what belongs to actions (..., J) from values of all levels (..., J, A): (..., J)."""
+    return values.gather(-1, actions[..., None]).squeeze(-1)
+
+
 def log_probability(logits: Tensor, actions: Tensor) -> Tensor:
     """Compute the log-probability of actions (..., J), summed over joints [nat]: (...)."""
-    return log_probabilities(logits).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
+    return of_actions(log_probabilities(logits), actions).sum(-1)
 
 
 def entropy(logits: Tensor) -> Tensor:
