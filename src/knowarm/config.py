@@ -7,13 +7,12 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
 
 T = TypeVar("T")
-_TYPES = "knowarm.config.types"
-_OWN = "knowarm.config.own"
+_READER = "knowarm.config.reader"
 
 
 def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dict[str, Any]:
@@ -22,7 +21,7 @@ def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dic
     The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
     ``name`` tells them apart in JSON. ``own`` names what other packages can register.
     """
-    return {_TYPES: config_types, _OWN: own}
+    return {_READER: partial(_registered, config_types, own)}
 
 
 TAGS = ("kind", "name")
@@ -49,26 +48,36 @@ def check_values(config: Any, *, where: str = "") -> None:
             check_values(value, where=f"{where}[{i}]")
     elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
-        for name, read in _checks(typing.cast(Any, type(config))):
+        for name, field in _fields(typing.cast(Any, type(config))).items():
             value = getattr(config, name)
             path = f"{prefix}.{name}"
-            if read is not None:
-                read(value, path)
+            if field.is_plain:
+                field.read(value, path)
             check_values(value, where=path)
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
 
 
+class _Field(NamedTuple):
+    """How a field of a config is read."""
+
+    is_required: bool
+    is_plain: bool  # Whether its values hold no configs
+    read: _Reader
+
+
 @cache
-def _checks(cls: Any) -> list[tuple[str, _Reader | None]]:
-    """Return the fields of a config, and what reads those that hold no configs."""
+def _fields(cls: Any) -> dict[str, _Field]:
+    """Return the fields of a config by name."""
     hints = _hints(cls)
-    checks: list[tuple[str, _Reader | None]] = []
+    fields = {}
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
-        checks.append((field.name, _reader(hint) if _is_plain(hint) else None))
-    return checks
+        is_required = field.default is field.default_factory is dataclasses.MISSING
+        read = field.metadata.get(_READER) or _reader(hint)
+        fields[field.name] = _Field(is_required, _is_plain(hint), read)
+    return fields
 
 
 @cache
@@ -170,8 +179,7 @@ def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
         current = getattr(config, name, None)
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
             tags = [field for field, _ in _tags(typing.cast(Any, type(current)))]
-            same_type = all(new.get(tag) in (None, getattr(current, tag)) for tag in tags)
-            if same_type:
+            if all(new.get(tag) in (None, getattr(current, tag)) for tag in tags):
                 new = override(current, new, where=_path(where, name))
         values[name] = _plain(new)
     return from_dict(type(config), values, where=where)
@@ -200,11 +208,11 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
                 f"{value!r}. Leave it out, or read this file with the version that wrote it."
             )
     arguments = {}
-    for name, (is_required, read) in fields.items():
+    for name, field in fields.items():
         path = _path(where, name)
         if name in values:
-            arguments[name] = read(values[name], path)
-        elif is_required:
+            arguments[name] = field.read(values[name], path)
+        elif field.is_required:
             raise UserError(f"Field {path!r} is missing; {kind} requires it.")
     return cls(**arguments)
 
@@ -212,22 +220,6 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
 def _path(where: str, name: str) -> str:
     """Return the dotted path of a field."""
     return f"{where}.{name}" if where else name
-
-
-@cache
-def _fields(cls: Any) -> dict[str, tuple[bool, _Reader]]:
-    """Return whether each field of a config is required, and what reads its value."""
-    fields: dict[str, tuple[bool, _Reader]] = {}
-    for field in dataclasses.fields(cls):
-        if not field.init:
-            continue
-        if _TYPES in field.metadata:
-            read: _Reader = partial(_registered, field.metadata)
-        else:
-            read = _reader(_hints(cls)[field.name])
-        is_required = field.default is field.default_factory is dataclasses.MISSING
-        fields[field.name] = (is_required, read)
-    return fields
 
 
 @cache
@@ -265,7 +257,10 @@ def _tuple(kinds: tuple[Any, ...], value: Any, path: str) -> tuple[Any, ...]:
         kinds = kinds[:1] * len(value)
     if len(kinds) != len(value):
         raise UserError(f"{path} must hold {len(kinds)} values, got {len(value)}: {value!r}.")
-    return tuple(_reader(kinds[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
+    items = []
+    for i, (kind, item) in enumerate(zip(kinds, value, strict=True)):
+        items.append(_reader(kind)(item, f"{path}[{i}]"))
+    return tuple(items)
 
 
 def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
@@ -290,13 +285,12 @@ def _instance(kind: type[T], value: Any, path: str) -> T:
     return value
 
 
-def _registered(metadata: Mapping[str, Any], value: Any, path: str) -> Any:
+def _registered(config_types: Callable[[], Iterable[type]], own: str, value: Any, path: str) -> Any:
     """Convert a value to the registered config that its tag names."""
-    own = metadata[_OWN]
     remedy = ""
     if own:
         remedy = f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
-    return _union(tuple(metadata[_TYPES]()), value, path, remedy)
+    return _union(tuple(config_types()), value, path, remedy)
 
 
 def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> Any:
@@ -313,9 +307,10 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
         for (field, tag), kind in tagged.items():
             if value.get(field) == tag:
                 return from_dict(kind, value, where=path)
-        tags = [tag for _, tag in tagged]
         field, _ = next(iter(tagged))
-        raise UserError(f"{unknown_name(f'{path}.{field}', str(value.get(field)), tags)}{remedy}")
+        tags = [tag for _, tag in tagged]
+        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
+        raise UserError(f"{unknown}{remedy}")
     if tagged and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")

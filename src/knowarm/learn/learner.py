@@ -275,6 +275,7 @@ class Learner:
         # This process computes the first slice, from the images as they are.
         first, *others = map(slice, bounds, bounds[1:])
         exchange["image"][first.stop :] = image[first.stop :]
+        # After the first step the state is what the processes wrote themselves.
         if state[0] is not exchange["h"]:
             exchange["h"].copy_(state[0])
             exchange["c"].copy_(state[1])

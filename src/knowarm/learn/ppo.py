@@ -165,6 +165,7 @@ class MinibatchTrainer(SynchronousTrainer):
         environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
+        # Stop before a number that is not finite reaches the parameters.
         self._guard.check_rollout(rollout, self.step)
         if self._recorder is not None:
             self._recorder.standardize()
@@ -188,6 +189,7 @@ class MinibatchTrainer(SynchronousTrainer):
         learner = self._learner
         measured: list[Terms] = []
         for _ in range(config.epochs):
+            # Environments stay whole, since a recurrent state passes through all of their steps.
             order = torch.randperm(
                 config.num_envs, generator=self._minibatch_generator, device=self._device
             )
@@ -284,6 +286,7 @@ class PPOTrainer(MinibatchTrainer):
             self.config.gae_lambda,
         )
         targets["returns"].copy_(advantage + rollout.value)
+        # The critic learns last: the advantages need the values from before.
         if recorder is not None and critic is not None:
             critic.fit(recorder.standardized[0].flatten(0, 1), targets["returns"].flatten())
         targets["advantage"].copy_((advantage - advantage.mean()) / (advantage.std() + 1e-8))

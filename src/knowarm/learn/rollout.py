@@ -264,6 +264,8 @@ class Collector:
             rollout.reward[t] = reward
             rollout.terminated[t] = terminated
             rollout.truncated[t] = truncated
+            # Where an episode ends the image is already the next one's first. What a truncated one
+            # would have returned after its last image is valued now, with the state of this step.
             if self._final_values:
                 self._add_final_values(rollout, t, truncated & ~terminated, infos)
             self._start = terminated | truncated
@@ -271,9 +273,10 @@ class Collector:
                 recorder.after_step(t, infos)
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
-            ended |= self._start
-            if until_episode_end and ended.all():
-                break
+            if until_episode_end:
+                ended |= self._start
+                if ended.all():
+                    break
         count = len(all_logits)
         # One call for all steps: few large operations are faster than many small ones.
         rollout.log_probability[:count] = log_probability(

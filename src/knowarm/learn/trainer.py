@@ -248,6 +248,7 @@ class Trainer(ABC):
         save()
         if not self._evaluations.pending():
             return "finished"
+        # A training that is killed while it waits has lost nothing: it is saved with what is pending.
         is_complete = self._wait_for_evaluations()
         save()
         if is_complete:
@@ -283,6 +284,7 @@ class SynchronousTrainer(Trainer):
 
     def _train(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
+        # The untrained policy is the first point of the learning curve.
         if self.step == 0 and self.lacks_evaluation:
             self._submit_evaluation()
         while self.step < total_steps:

@@ -109,7 +109,8 @@ class Attention(Fusion):
         if layer != "lstm":
             return x
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
-        scores = (self.query(x)[:, None] * self.key(slots)).sum(2) / math.sqrt(slots.shape[2])
+        products = self.query(x)[:, None] * self.key(slots)
+        scores = products.sum(2) / math.sqrt(slots.shape[2])
         weights = torch.softmax(scores, 1)[:, :, None]
         mixture = (weights * self.value(slots)).sum(1)
         return torch.cat((x, mixture), 1)

@@ -78,7 +78,8 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
     if len(runs) >= FEW_RUNS:
         return bootstrap(values)
     mean = float(values.mean())
-    half = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1) * scipy.stats.sem(values)
+    quantile = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1)
+    half = quantile * scipy.stats.sem(values)
     low = np.mean([run.low for run in runs])
     high = np.mean([run.high for run in runs])
     below = float(max(half, mean - low))
