@@ -248,7 +248,7 @@ class Trainer(ABC):
         save()
         if not self._evaluations.pending():
             return "finished"
-        # A training that is killed while it waits has lost nothing: it is saved with what is pending.
+        # Saved before the wait, so that a training that is killed meanwhile has lost nothing.
         is_complete = self._wait_for_evaluations()
         save()
         if is_complete:
