@@ -73,6 +73,8 @@ def _fields(cls: Any) -> dict[str, _Field]:
     hints = _hints(cls)
     fields = {}
     for field in dataclasses.fields(cls):
+        if not field.init:
+            continue
         hint = hints[field.name]
         is_required = field.default is field.default_factory is dataclasses.MISSING
         read = field.metadata.get(_READER) or _reader(hint)

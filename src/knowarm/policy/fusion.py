@@ -152,5 +152,5 @@ class Similarity(Fusion):
     def scores(self, maps: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
-        wanted = self.query(slots).sum(1)
-        return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(self.width)
+        query = self.query(slots).sum(1)
+        return (self.key(maps) * query[:, None]).sum(2) / math.sqrt(self.width)

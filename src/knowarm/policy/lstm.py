@@ -78,8 +78,8 @@ def forward_step(
     """
     steps, batch, size = hidden.shape
     for b in range(batch):
-        kept = keep[t, b, 0]
-        next_kept = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = keep[t, b, 0]
+        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
         gate = gates[t, b]
         recurrent = added[b]
         cell = c[b]
@@ -95,13 +95,13 @@ def forward_step(
         for j in range(3 * size, 4 * size):
             gate[j] = _sigmoid(gate[j] + recurrent[j])
         for j in range(size):
-            before[j] = cell[j] * kept
+            before[j] = cell[j] * mask
             cell[j] = gate[size + j] * before[j] + gate[j] * gate[2 * size + j]
         for j in range(size):
             squashed[j] = _tanh(cell[j])
         for j in range(size):
             out[j] = gate[3 * size + j] * squashed[j]
-            next_h[j] = out[j] * next_kept
+            next_h[j] = out[j] * next_mask
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -124,8 +124,8 @@ def backward_step(
     """
     steps, batch, size = d_hidden.shape
     for b in range(batch):
-        kept = keep[t, b, 0]
-        next_kept = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = keep[t, b, 0]
+        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
         gate = gates[t, b]
         before = c_in[t, b]
         squashed = c_tanh[t, b]
@@ -134,7 +134,7 @@ def backward_step(
         d_gate = d_gates[b]
         d_cell = dc[b]
         for j in range(size):
-            dh = d_out[j] + d_next_h[j] * next_kept
+            dh = d_out[j] + d_next_h[j] * next_mask
             o = gate[3 * size + j]
             y = squashed[j]
             d_gate[3 * size + j] = dh * y * o * (_ONE - o)
@@ -147,7 +147,7 @@ def backward_step(
         for j in range(size):
             f = gate[size + j]
             d_gate[size + j] = d_cell[j] * before[j] * f * (_ONE - f)
-            d_cell[j] *= f * kept
+            d_cell[j] *= f * mask
 
 
 State = tuple[Tensor, Tensor]

@@ -32,8 +32,8 @@ def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | No
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
     def first_at_most_half(fractions: Floats) -> float | None:
-        known = np.where(np.isnan(fractions), curve.probabilities, fractions)
-        below = known <= 0.5 + 1e-12  # products are rounded
+        filled = np.where(np.isnan(fractions), curve.probabilities, fractions)
+        below = filled <= 0.5 + 1e-12  # products are rounded
         if not below.any():
             return None
         return float(curve.quantiles[below.argmax()])
