@@ -29,7 +29,6 @@ TAGS = ("kind", "name")
 MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
-
 _hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
 _Reader = Callable[[Any, str], Any]
 """Converts a JSON value, and names it by its dotted path in errors."""
@@ -73,12 +72,11 @@ def _fields(cls: Any) -> dict[str, _Field]:
     hints = _hints(cls)
     fields = {}
     for field in dataclasses.fields(cls):
-        if not field.init:
-            continue
-        hint = hints[field.name]
-        is_required = field.default is field.default_factory is dataclasses.MISSING
-        read = field.metadata.get(_READER) or _reader(hint)
-        fields[field.name] = _Field(is_required, _is_plain(hint), read)
+        if field.init:
+            hint = hints[field.name]
+            is_required = field.default is field.default_factory is dataclasses.MISSING
+            read = field.metadata.get(_READER) or _reader(hint)
+            fields[field.name] = _Field(is_required, _is_plain(hint), read)
     return fields
 
 
@@ -259,10 +257,7 @@ def _tuple(kinds: tuple[Any, ...], value: Any, path: str) -> tuple[Any, ...]:
         kinds = kinds[:1] * len(value)
     if len(kinds) != len(value):
         raise UserError(f"{path} must hold {len(kinds)} values, got {len(value)}: {value!r}.")
-    items = []
-    for i, (kind, item) in enumerate(zip(kinds, value, strict=True)):
-        items.append(_reader(kind)(item, f"{path}[{i}]"))
-    return tuple(items)
+    return tuple(_reader(kinds[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
 
 
 def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
@@ -328,14 +323,10 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
 
 
 @cache
-def _alternatives(
-    args: tuple[Any, ...],
-) -> tuple[list[Any], dict[tuple[str, str], Any], Any | None]:
-    """Return what a union allows.
+def _alternatives(args: tuple[Any, ...]) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
+    """Return a union's types, those with tags by tag, and the only config if none has tags.
 
-    Returns:
-        The alternatives, those with tags by tag, and where none has tags the only config, whose
-        fields tell it apart from numbers and texts.
+    The fields of the only config tell it apart from numbers and texts.
     """
     kinds = [kind for kind in args if kind is not type(None)]
     tagged: dict[tuple[str, str], Any] = {}
@@ -349,10 +340,7 @@ def _alternatives(
 
 @cache
 def _tags(cls: Any) -> list[tuple[str, str]]:
-    """Return the literal field (``kind`` or ``name``) that tells a config from others.
-
-    It comes with each of its values; the list is empty without such a field.
-    """
+    """Return the literal field that tells a config from others, see `TAGS`, with each value."""
     if dataclasses.is_dataclass(cls):
         hints = _hints(cls)
         for name in TAGS:
