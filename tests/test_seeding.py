@@ -9,8 +9,8 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig
-from knowarm.learn.collector import Collector
 from knowarm.learn.ppo import PPOTrainer
+from knowarm.learn.rollout import Collector
 from knowarm.policy import Policy
 from knowarm.seeding import Purpose, derive_seed, seed_sequence, torch_generator
 from tests.learn.toys import SHAPE, toy_env, toy_policy

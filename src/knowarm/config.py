@@ -7,12 +7,12 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
 
 T = TypeVar("T")
-_TYPES, _OWN = "knowarm.config.types", "knowarm.config.own"
+_READER = "knowarm.config.reader"
 
 
 def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dict[str, Any]:
@@ -21,14 +21,13 @@ def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dic
     The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
     ``name`` tells them apart in JSON. ``own`` names what other packages can register.
     """
-    return {_TYPES: config_types, _OWN: own}
+    return {_READER: partial(_registered, config_types, own)}
 
 
 TAGS = ("kind", "name")
 """Literal fields that tell configs apart, in the order of preference."""
 MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
-
 
 _hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
 _Reader = Callable[[Any, str], Any]
@@ -48,32 +47,49 @@ def check_values(config: Any, *, where: str = "") -> None:
             check_values(value, where=f"{where}[{i}]")
     elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
-        for name, read in _checks(typing.cast(Any, type(config))):
-            value, path = getattr(config, name), f"{prefix}.{name}"
-            if read is not None:
-                read(value, path)
+        for name, field in _fields(typing.cast(Any, type(config))).items():
+            value = getattr(config, name)
+            path = f"{prefix}.{name}"
+            if field.is_plain:
+                field.read(value, path)
             check_values(value, where=path)
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
 
 
+class _Field(NamedTuple):
+    """How a field of a config is read."""
+
+    is_required: bool
+    is_plain: bool  # Whether its values hold no configs
+    read: _Reader
+
+
 @cache
-def _checks(cls: Any) -> list[tuple[str, _Reader | None]]:
-    """Return the fields of a config, and what reads those that hold no configs."""
+def _fields(cls: Any) -> dict[str, _Field]:
+    """Return the fields of a config by name."""
     hints = _hints(cls)
-    return [
-        (field.name, _reader(hint) if _is_plain(hint := hints[field.name]) else None)
-        for field in dataclasses.fields(cls)
-    ]
+    fields = {}
+    for field in dataclasses.fields(cls):
+        if field.init:
+            hint = hints[field.name]
+            is_required = field.default is field.default_factory is dataclasses.MISSING
+            read = field.metadata.get(_READER) or _reader(hint)
+            if _READER in field.metadata and get_origin(hint) is tuple:
+                read = partial(_registered_tuple, read)
+            fields[field.name] = _Field(is_required, _is_plain(hint), read)
+    return fields
 
 
 @cache
 def _is_plain(hint: Any) -> bool:
     """Return whether values of a type hold no configs."""
-    inner = [arg for arg in get_args(hint) if arg not in (type(None), Ellipsis)]
-    nested = get_origin(hint) in (Union, types.UnionType, tuple) and all(map(_is_plain, inner))
-    return nested or get_origin(hint) is Literal or hint in (bool, int, float, str)
+    if get_origin(hint) in (Union, types.UnionType, tuple):
+        return all(map(_is_plain, get_args(hint)))
+    if get_origin(hint) is Literal:
+        return True
+    return hint in (bool, int, float, str, type(None), Ellipsis)
 
 
 def at_least(config: Any, least: float, *names: str, where: str = "") -> None:
@@ -99,12 +115,13 @@ def within(config: Any, least: float, most: float, *names: str, where: str = "")
 
 def file_name(config: Any, *names: str, where: str = "") -> None:
     """Check that fields of a config, where they are not None, name a file and no path."""
-    allowed, pattern = "a name of letters, digits, '-', '_', '+' and '.'", r"\w[\w.+-]*"
-    _check(config, names, where, allowed, lambda name: bool(re.fullmatch(pattern, name, re.A)))
+    pattern = re.compile(r"\w[\w.+-]*", re.ASCII)
+    allowed = "a name of letters, digits, '-', '_', '+' and '.'"
+    _check(config, names, where, allowed, pattern.fullmatch)
 
 
 def _check(
-    config: Any, names: tuple[str, ...], where: str, allowed: str, test: Callable[[Any], bool]
+    config: Any, names: tuple[str, ...], where: str, allowed: str, test: Callable[[Any], object]
 ) -> None:
     for name in names:
         value = getattr(config, name)
@@ -135,16 +152,19 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested mappings as one mapping of dotted names."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        nested = isinstance(value, Mapping)
-        flat |= flatten(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
     return flat
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Return both values of each field in which nested mappings differ, by dotted name."""
-    one, other = flatten(first), flatten(second)
-    pairs = {name: (one.get(name), other.get(name)) for name in {**one, **other}}
-    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+    one = flatten(first)
+    other = flatten(second)
+    pairs = {name: (one.get(name), other.get(name)) for name in one | other}
+    return {name: (a, b) for name, (a, b) in pairs.items() if a != b}
 
 
 def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
@@ -160,10 +180,9 @@ def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     for name, new in overrides.items():
         current = getattr(config, name, None)
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
-            tags = [field for field, _ in _tags(type(current))]
-            same_type = all(new.get(tag) in (None, getattr(current, tag)) for tag in tags)
-            path = f"{where}.{name}" if where else name
-            new = to_dict(override(current, new, where=path)) if same_type else new
+            tags = [field for field, _ in _tags(typing.cast(Any, type(current)))]
+            if all(new.get(tag) in (None, getattr(current, tag)) for tag in tags):
+                new = override(current, new, where=_path(where, name))
         values[name] = _plain(new)
     return from_dict(type(config), values, where=where)
 
@@ -180,7 +199,8 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     kind = cls.__name__
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
-    fields, retired = _fields(typing.cast(Any, cls)), getattr(cls, "_RETIRED", {})
+    fields = _fields(typing.cast(Any, cls))
+    retired = getattr(cls, "_RETIRED", {})
     for name, value in values.items():
         if name not in fields and name not in retired:
             raise unknown_name(f"field of {where or kind}", name, fields)
@@ -190,35 +210,18 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
                 f"{value!r}. Leave it out, or read this file with the version that wrote it."
             )
     arguments = {}
-    for name, (is_required, read) in fields.items():
-        path = f"{where}.{name}" if where else name
+    for name, field in fields.items():
+        path = _path(where, name)
         if name in values:
-            arguments[name] = read(values[name], path)
-        elif is_required:
+            arguments[name] = field.read(values[name], path)
+        elif field.is_required:
             raise UserError(f"Field {path!r} is missing; {kind} requires it.")
     return cls(**arguments)
 
 
-@cache
-def _fields(cls: Any) -> dict[str, tuple[bool, _Reader]]:
-    """Return whether each field of a config is required, and what reads its value."""
-    missing = dataclasses.MISSING
-    return {
-        field.name: (
-            field.default is missing and field.default_factory is missing,
-            _field_reader(field.metadata, _hints(cls)[field.name]),
-        )
-        for field in dataclasses.fields(cls)
-        if field.init
-    }
-
-
-def _field_reader(metadata: Mapping[str, Any], hint: Any) -> _Reader:
-    """Return what reads a field: one registered config, a tuple of them, or any other type."""
-    if _TYPES not in metadata:
-        return _reader(hint)
-    read = partial(_registered, metadata)
-    return partial(_registered_tuple, read) if get_origin(hint) is tuple else read
+def _path(where: str, name: str) -> str:
+    """Return the dotted path of a field."""
+    return f"{where}.{name}" if where else name
 
 
 def _registered_tuple(read: _Reader, value: Any, path: str) -> tuple[Any, ...]:
@@ -230,9 +233,8 @@ def _registered_tuple(read: _Reader, value: Any, path: str) -> tuple[Any, ...]:
 @cache
 def _reader(hint: Any) -> _Reader:
     """Return what converts a JSON value to an annotated type."""
-    origin, args = get_origin(hint), get_args(hint)
-    if hint is Any:
-        return lambda value, path: value
+    origin = get_origin(hint)
+    args = get_args(hint)
     if origin in (Union, types.UnionType):
         return partial(_union, args)
     if origin is Literal:
@@ -245,7 +247,9 @@ def _reader(hint: Any) -> _Reader:
         return partial(_mapping, _reader(args[1]))
     if hint is float:
         return _float
-    return partial(_instance, hint) if isinstance(hint, type) else lambda value, path: value
+    if isinstance(hint, type) and hint is not Any:
+        return partial(_instance, hint)
+    return lambda value, path: value
 
 
 def _choice(allowed: tuple[Any, ...], value: Any, path: str) -> Any:
@@ -257,10 +261,11 @@ def _choice(allowed: tuple[Any, ...], value: Any, path: str) -> Any:
 def _tuple(kinds: tuple[Any, ...], value: Any, path: str) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
         raise UserError(f"{path} must be a list, got {value!r}.")
-    inner = [kinds[0]] * len(value) if kinds[-1] is Ellipsis else list(kinds)
-    if len(inner) != len(value):
-        raise UserError(f"{path} must hold {len(inner)} values, got {len(value)}: {value!r}.")
-    return tuple(_reader(inner[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
+    if kinds[-1] is Ellipsis:  # any number of one type
+        kinds = kinds[:1] * len(value)
+    if len(kinds) != len(value):
+        raise UserError(f"{path} must hold {len(kinds)} values, got {len(value)}: {value!r}.")
+    return tuple(_reader(kinds[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
 
 
 def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
@@ -270,14 +275,13 @@ def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
 
 
 def _float(value: Any, path: str) -> float:
-    if type(value) is float:
-        return value
-    try:
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        return _instance(float, float(value) if whole else value, path)
-    except OverflowError:
-        bits = value.bit_length()
-        raise UserError(f"{path} must be below 1.8e308, got {bits} bits.") from None
+    if isinstance(value, int) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            bits = value.bit_length()
+            raise UserError(f"{path} must be below 1.8e308, got {bits} bits.") from None
+    return _instance(float, value, path)
 
 
 def _instance(kind: type[T], value: Any, path: str) -> T:
@@ -286,13 +290,12 @@ def _instance(kind: type[T], value: Any, path: str) -> T:
     return value
 
 
-def _registered(metadata: Mapping[str, Any], value: Any, path: str) -> Any:
+def _registered(config_types: Callable[[], Iterable[type]], own: str, value: Any, path: str) -> Any:
     """Convert a value to the registered config that its tag names."""
-    own = metadata[_OWN]
-    remedy = own and (
-        f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
-    )
-    return _union(tuple(metadata[_TYPES]()), value, path, remedy)
+    remedy = ""
+    if own:
+        remedy = f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
+    return _union(tuple(config_types()), value, path, remedy)
 
 
 def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> Any:
@@ -302,17 +305,18 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
     """
     if value is None and type(None) in args:
         return None
-    kinds, tags, is_told, config = _alternatives(args)
-    if isinstance(value, Mapping) and config is not None:
-        return from_dict(config, value, where=path)
-    if isinstance(value, Mapping) and tags:
-        for (field, choice), kind in tags.items():
-            if value.get(field) == choice:
+    kinds, tagged, only_config = _alternatives(args)
+    if isinstance(value, Mapping) and only_config is not None:
+        return from_dict(only_config, value, where=path)
+    if isinstance(value, Mapping) and tagged:
+        for (field, tag), kind in tagged.items():
+            if value.get(field) == tag:
                 return from_dict(kind, value, where=path)
-        field = next(iter(tags))[0]
-        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), [tag for _, tag in tags])
+        field, _ = next(iter(tagged))
+        tags = [tag for _, tag in tagged]
+        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
         raise UserError(f"{unknown}{remedy}")
-    if is_told:
+    if tagged and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
     errors = []
@@ -321,30 +325,33 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
             return _reader(kind)(value, path)
         except UserError as error:
             errors.append(str(error))
-    raise UserError(errors[0] if len(errors) == 1 else f"{path}: " + " Or: ".join(errors))
+    if len(errors) == 1:
+        raise UserError(errors[0])
+    raise UserError(f"{path}: " + " Or: ".join(errors))
 
 
 @cache
-def _alternatives(
-    args: tuple[Any, ...],
-) -> tuple[list[Any], dict[tuple[str, str], Any], bool, Any | None]:
-    """Return what a union allows.
+def _alternatives(args: tuple[Any, ...]) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
+    """Return a union's types, those with tags by tag, and the only config if none has tags.
 
-    Returns:
-        The alternatives, those with tags by tag, whether all have tags, and the only one that is
-        read from fields, where the others are numbers or texts.
+    The fields of the only config tell it apart from numbers and texts.
     """
     kinds = [kind for kind in args if kind is not type(None)]
-    tags = {tag: kind for kind in kinds for tag in _tags(kind)}
+    tagged: dict[tuple[str, str], Any] = {}
+    for kind in kinds:
+        tagged |= dict.fromkeys(_tags(kind), kind)
     configs = [kind for kind in kinds if not _is_plain(kind)]
-    only = configs[0] if len(configs) == 1 and dataclasses.is_dataclass(configs[0]) else None
-    return kinds, tags, bool(tags) and all(map(_tags, kinds)), None if tags else only
+    if not tagged and len(configs) == 1 and dataclasses.is_dataclass(configs[0]):
+        return kinds, tagged, configs[0]
+    return kinds, tagged, None
 
 
+@cache
 def _tags(cls: Any) -> list[tuple[str, str]]:
-    """Literal field (``kind`` or ``name``) that tells a config from others, with each value."""
-    if not dataclasses.is_dataclass(cls):
-        return []
-    hints = _hints(cls)
-    field = next((name for name in TAGS if get_origin(hints.get(name)) is Literal), "")
-    return [(field, choice) for choice in get_args(hints.get(field))]
+    """Return the literal field that tells a config from others, see `TAGS`, with each value."""
+    if dataclasses.is_dataclass(cls):
+        hints = _hints(cls)
+        for name in TAGS:
+            if get_origin(hints.get(name)) is Literal:
+                return [(name, tag) for tag in get_args(hints[name])]
+    return []

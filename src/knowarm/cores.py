@@ -13,10 +13,13 @@ LIMIT = "KNOWARM_CORES"
 
 def available_cores() -> int:
     """Count the cores this process may use: its CPU affinity, at most `LIMIT`."""
-    has_affinity = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    cores = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
     limit = os.environ.get(LIMIT, "")
-    return min(cores, int(limit)) if limit.isdigit() and int(limit) else cores
+    if limit.isdigit() and int(limit):
+        return min(cores, int(limit))
+    return cores
 
 
 def limited_to(cores: int) -> dict[str, str]:
@@ -28,8 +31,9 @@ def limited_to(cores: int) -> dict[str, str]:
 def processor() -> str:
     """Return the model name of the processor, or the architecture where there is no model name."""
     with suppress(OSError):
-        if found := re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text("utf-8")):
-            return found[1].strip()
+        model = re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text("utf-8"))
+        if model is not None:
+            return model[1].strip()
     return platform.processor() or platform.machine()
 
 

@@ -73,11 +73,14 @@ def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:
         The error; the caller raises it.
     """
     names = sorted(allowed)
-    longer = [name for name in names if given and name == f"{given}s"]
-    longer += [name for name in names if given and name.startswith(f"{given}_")]
-    near = longer[:3] or get_close_matches(given, names, n=3, cutoff=0.5)
-    hint = f" Did you mean {', '.join(map(repr, near))}?" if near else ""
-    shown = (
-        ", ".join(names) if len(names) <= 24 else ", ".join(names[:24]) + f", ... ({len(names)})"
-    )
-    return UserError(f"Unknown {kind} {given!r}.{hint} Available: {shown or 'none'}.")
+    near: list[str] = []
+    if given:
+        near += [name for name in names if name == f"{given}s"]
+        near += [name for name in names if name.startswith(f"{given}_")]
+    if not near:
+        near = get_close_matches(given, names, n=3, cutoff=0.5)
+    hint = f" Did you mean {', '.join(map(repr, near[:3]))}?" if near else ""
+    available = ", ".join(names[:24]) or "none"
+    if len(names) > 24:
+        available += f", ... ({len(names)})"
+    return UserError(f"Unknown {kind} {given!r}.{hint} Available: {available}.")

@@ -25,7 +25,7 @@ def named_by(variable: str) -> list[str]:
 
 def share(variable: str, import_path: str) -> None:
     """Add an import path to an environment variable, last, for processes that this one starts."""
-    others = (each for each in named_by(variable) if each != import_path)
+    others = [path for path in named_by(variable) if path != import_path]
     os.environ[variable] = ",".join([*others, import_path])
 
 
@@ -41,15 +41,15 @@ def load(import_path: str, what: str, fits: Callable[[Any], bool], needed: str) 
     if str(Path.cwd()) not in sys.path:  # the program's own start leaves it out
         sys.path.append(str(Path.cwd()))
     try:
-        part = getattr(import_module(module), name, None)
+        value = getattr(import_module(module), name, None)
     except ImportError as error:
         raise UserError(
             f"Cannot import the {what} {import_path!r}: {error}. Give package.module:Name, and run "
             "from a folder that contains the package, or install it."
         ) from error
-    if not fits(part):
-        has = "no" if part is None else "another"
+    if not fits(value):
+        has = "no" if value is None else "another"
         raise UserError(
             f"{import_path!r} is no {what}: {module} has {has} {name!r}. Name {needed}."
         )
-    return part
+    return value

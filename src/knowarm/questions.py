@@ -56,7 +56,7 @@ class Query:
             >>> print(Query.of(("usedFor", "drinking"), ("hasColor", "blue")))
             usedFor drinking and hasColor blue
         """
-        return cls(tuple(Condition(*each) for each in conditions))
+        return cls(tuple(Condition(*pair) for pair in conditions))
 
     @property
     def name(self) -> str:
@@ -90,17 +90,17 @@ class QuestionTable:
     """Whether a facet may stand in the rectangle, (F,)."""
 
     def __post_init__(self) -> None:
-        queries, facets = len(self.queries), len(self.facets)
-        named = [query.name for query in self.queries], self.facets
-        for kind, names in zip(("queries", "facets"), named, strict=True):
-            if not names:
-                raise UserError(f"QuestionTable.{kind} is empty; give at least one.")
-            if repeated := [name for name, count in Counter(names).items() if count > 1]:
-                raise UserError(
-                    f"QuestionTable.{kind} contains {repeated[0]!r} twice; list each once."
-                )
-        shapes = dict.fromkeys(("satisfies", "askable"), (queries, facets))
-        for name, shape in [*shapes.items(), ("related", (facets, facets)), ("shown", (facets,))]:
+        queries = len(self.queries)
+        facets = len(self.facets)
+        _check_names("queries", [query.name for query in self.queries])
+        _check_names("facets", self.facets)
+        shapes = {
+            "satisfies": (queries, facets),
+            "askable": (queries, facets),
+            "related": (facets, facets),
+            "shown": (facets,),
+        }
+        for name, shape in shapes.items():
             array = getattr(self, name)
             if array.shape != shape or array.dtype != np.bool_:
                 raise UserError(
@@ -118,8 +118,11 @@ class QuestionTable:
                 "makes one satisfy it, or remove the query."
             )
         for query, target in np.argwhere(self.askable & ~(self.satisfies & self.shown)):
-            whys = ("does not satisfy it", "satisfies"), ("this split does not show", "shown")
-            why, array = whys[int(self.satisfies[query, target])]
+            why = "does not satisfy it"
+            array = "satisfies"
+            if self.satisfies[query, target]:
+                why = "this split does not show"
+                array = "shown"
             raise UserError(
                 f"The query {self.queries[query].name!r} may be asked for "
                 f"{_words(self.facets[target])}, which {why}; clear that entry of askable, or set "
@@ -152,16 +155,18 @@ class QuestionTable:
 
         They are shown, related to the target, of another object, and do not satisfy the query.
         """
-        rows = self.satisfies[query], self.related[target]
-        return _distractors(*rows, self.shown, self.objects, target)
+        return _distractors(
+            self.satisfies[query], self.related[target], self.shown, self.objects, target
+        )
 
     def check_objects(self, count: int) -> None:
         """Check that every question has enough distractors for ``count`` objects per episode."""
-        table = self.satisfies, self.related, self.shown, self.objects
-        enough = with_distractors(self.askable, *table, count)
+        enough = with_distractors(
+            self.askable, self.satisfies, self.related, self.shown, self.objects, count
+        )
         for query, target in np.argwhere(self.askable & ~enough):
-            beside = self.distractors(np.array([query]), np.array([target]))[0]
-            names = sorted({self.facets[f][0] for f in np.flatnonzero(beside)})
+            (distractors,) = self.distractors(np.array([query]), np.array([target]))
+            names = sorted({self.facets[f][0] for f in np.flatnonzero(distractors)})
             raise UserError(
                 f"Query {self.queries[query].name!r} with target {_words(self.facets[target])} "
                 f"has distractors of {len(names)} objects ({', '.join(names) or 'none'}) that "
@@ -183,9 +188,12 @@ def find_rows(kind: str, names: Sequence[str] | Names, rows: Mapping[str, int]) 
         UserError: a name that the table does not have.
     """
     different, inverse = np.unique(np.asarray(names, np.str_), return_inverse=True)
-    if unknown := [name for name in different.tolist() if name not in rows]:
-        raise unknown_name(kind, unknown[0], rows)
-    return np.array([rows[name] for name in different.tolist()], dtype=np.int64)[inverse]
+    numbers = []
+    for name in different.tolist():
+        if name not in rows:
+            raise unknown_name(kind, name, rows)
+        numbers.append(rows[name])
+    return np.array(numbers, dtype=np.int64)[inverse]
 
 
 def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Integers:
@@ -193,14 +201,20 @@ def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> 
 
     Parts of one object have different numbers, or with ``whole`` the same one.
     """
-    names = [object_of(name) if whole else name for name, _ in facets]
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    return np.array([numbers[name] for name in names], dtype=np.int64)
+    numbers: dict[str, int] = {}
+    of_facets = []
+    for name, _ in facets:
+        if whole:
+            name = object_of(name)
+        of_facets.append(numbers.setdefault(name, len(numbers)))
+    return np.array(of_facets, dtype=np.int64)
 
 
 def object_of(name: str) -> str:
     """Return the object of a name that may be that of a part: "mug" of "mug.handle"."""
-    return name if "/" in name else name.partition(PART)[0]  # an IRI has no parts
+    if "/" in name:  # an IRI has no parts
+        return name
+    return name.partition(PART)[0]
 
 
 def kind_of(name: str) -> str:
@@ -214,11 +228,11 @@ def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
     groups: dict[ObjectColour, list[int]] = {}
     for number, (name, colour) in enumerate(facets):
         groups.setdefault((object_of(name), colour), []).append(number)
-    if len({len(group) for group in groups.values()}) > 1:
-        counts = {name: len(group) for (name, _), group in groups.items()}
+    counts = {name: len(group) for (name, _), group in groups.items()}
+    if len({*map(len, groups.values())}) > 1:
+        listed = ", ".join(f"{count} of {name}" for name, count in counts.items())
         raise UserError(
-            "All objects of a task need the same number of parts, got "
-            f"{', '.join(f'{count} of {name}' for name, count in counts.items())}. Add or remove "
+            f"All objects of a task need the same number of parts, got {listed}. Add or remove "
             "parts among EnvConfig.targets."
         )
     return np.array([groups[object_of(name), colour] for name, colour in facets], dtype=np.int64)
@@ -229,15 +243,15 @@ def with_distractors(
 ) -> Mask:
     """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
     order = np.argsort(objects, kind="stable")
-    starts = np.unique(objects[order], return_index=True)[1]
-    kept = allowed.copy()
+    _, starts = np.unique(objects[order], return_index=True)
+    enough = allowed.copy()
     questions = np.argwhere(allowed)
     for start in range(0, len(questions), AT_ONCE):
         query, target = questions[start : start + AT_ONCE].T
-        beside = _distractors(satisfies[query], related[target], shown, objects, target)
-        of_objects = np.logical_or.reduceat(beside[:, order], starts, axis=1)
-        kept[query, target] = of_objects.sum(axis=1) >= count - 1
-    return kept
+        distractors = _distractors(satisfies[query], related[target], shown, objects, target)
+        of_objects = np.logical_or.reduceat(distractors[:, order], starts, axis=1)
+        enough[query, target] = of_objects.sum(axis=1) >= count - 1
+    return enough
 
 
 def _distractors(
@@ -245,6 +259,15 @@ def _distractors(
 ) -> Mask:
     """Return the distractors of n questions from the rows (n, F) of their queries and targets."""
     return np.asarray(shown & ~satisfies & related & (objects[target][:, None] != objects))
+
+
+def _check_names(kind: str, names: Sequence[str] | Sequence[ObjectColour]) -> None:
+    """Check that a table has names, and none of them twice."""
+    if not names:
+        raise UserError(f"QuestionTable.{kind} is empty; give at least one.")
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise UserError(f"QuestionTable.{kind} contains {name!r} twice; list each once.")
 
 
 def _words(facet: ObjectColour) -> str:

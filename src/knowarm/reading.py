@@ -84,10 +84,14 @@ def refuse_links(folder: Path) -> None:
     Links to ``../../blobs`` stay: in the cache of the Hugging Face Hub the files lie there.
     """
     root = Path(os.path.realpath(folder))
+    blobs = root.parent.parent / "blobs"
     for parent, folders, files in os.walk(folder):
-        for path in (Path(parent, name) for name in (*folders, *files)):
-            target = Path(os.path.realpath(path)) if path.is_symlink() else root
-            if not (target.is_relative_to(root) or target.parent == root.parent.parent / "blobs"):
+        for name in (*folders, *files):
+            path = Path(parent, name)
+            if not path.is_symlink():
+                continue
+            target = Path(os.path.realpath(path))
+            if not target.is_relative_to(root) and target.parent != blobs:
                 raise UserError(
                     f"{path} is a link to {target}, outside of {folder}. Replace it by a copy, if "
                     "you trust where the folder comes from."
@@ -97,8 +101,11 @@ def refuse_links(folder: Path) -> None:
 def one_line(error: BaseException) -> str:
     """Return the reason that an exception gives, on one line of at most 300 characters."""
     text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    text = f"missing {text}" if isinstance(error, KeyError) else text
-    return text if len(text) <= 300 else text[:297] + "..."
+    if isinstance(error, KeyError):
+        text = f"missing {text}"
+    if len(text) > 300:
+        text = text[:297] + "..."
+    return text
 
 
 def read_text(path: Path, *, remedy: str) -> str:

@@ -1,5 +1,6 @@
 """SVG builder: elements, text, paths and whole drawings as markup strings; styles of pages."""
 
+import math
 from collections.abc import Sequence
 from html import escape as _escape_markup
 from importlib.resources import files
@@ -29,13 +30,15 @@ def element(tag: str, *children: str, **attributes: object) -> str:
     Values of attributes are escaped. ``class_`` becomes ``class``, underscores become hyphens,
     floats are rounded to two decimals, and None leaves the attribute out.
     """
-    written = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escape(number(value), quote=True)}"'
-        for name, value in attributes.items()
-        if value is not None
-    )
+    start = tag
+    for name, value in attributes.items():
+        if value is not None:
+            name = name.rstrip("_").replace("_", "-")
+            start += f' {name}="{escape(number(value), quote=True)}"'
     inner = "".join(children)
-    return f"<{tag}{written}>{inner}</{tag}>" if inner else f"<{tag}{written}/>"
+    if not inner:
+        return f"<{start}/>"
+    return f"<{start}>{inner}</{tag}>"
 
 
 def label(x: float, y: float, words: str, **attributes: object) -> str:
@@ -66,10 +69,12 @@ def curve(
     ``bend`` is how far the curve swings out to the right of ``start`` [px], for points above each
     other; None draws an S through the middle.
     """
-    (x0, y0), (x1, y1) = start, end
-    middle = number((x0 + x1) / 2 if bend is None else x0 + bend)
-    bends = f"C{middle} {number(y0)} {middle} {number(y1)} {number(x1)} {number(y1)}"
-    return element("path", *children, d=f"M{number(x0)} {number(y0)}{bends}", **attributes)
+    x0, y0 = map(number, start)
+    x1, y1 = map(number, end)
+    turn = (start[0] + end[0]) / 2 if bend is None else start[0] + bend
+    middle = number(turn)
+    data = f"M{x0} {y0}C{middle} {y0} {middle} {y1} {x1} {y1}"
+    return element("path", *children, d=data, **attributes)
 
 
 def drawing(width: float, height: float, name: str, *children: str, **attributes: object) -> str:
@@ -77,8 +82,16 @@ def drawing(width: float, height: float, name: str, *children: str, **attributes
 
     Width and height are in pixels; ``name`` is the text alternative for screen readers.
     """
-    view = {"viewBox": f"0 0 {number(width)} {number(height)}", "width": width, "height": height}
-    return element("svg", *children, **view, role="img", aria_label=name, **attributes)
+    return element(
+        "svg",
+        *children,
+        viewBox=f"0 0 {number(width)} {number(height)}",
+        width=width,
+        height=height,
+        role="img",
+        aria_label=name,
+        **attributes,
+    )
 
 
 def document(width: float, height: float, name: str, *children: str, description: str = "") -> str:
@@ -86,13 +99,21 @@ def document(width: float, height: float, name: str, *children: str, description
 
     ``name`` is its title; ``description`` is a longer text alternative, "" leaves it out.
     """
-    head = [element("title", escape(name))]
+    lines = ["", hover(name)]
     if description:
-        head.append(element("desc", escape(description)))
-    background = element("rect", width="100%", height="100%", fill="#ffffff")
-    parts = [f"\n{part}" for part in (*head, background, *children, "")]
-    form = {"xmlns": "http://www.w3.org/2000/svg", "font_family": FONT, "font_size": 13}
-    return drawing(width, height, name, *parts, **form) + "\n"
+        lines.append(element("desc", escape(description)))
+    lines.append(element("rect", width="100%", height="100%", fill="#ffffff"))
+    lines += [*children, ""]
+    markup = drawing(
+        width,
+        height,
+        name,
+        "\n".join(lines),
+        xmlns="http://www.w3.org/2000/svg",
+        font_family=FONT,
+        font_size=13,
+    )
+    return f"{markup}\n"
 
 
 def text_width(words: str, font_size: float = 13) -> float:
@@ -102,9 +123,11 @@ def text_width(words: str, font_size: float = 13) -> float:
 
 def number(value: object) -> str:
     """Return an attribute's value as text: floats with at most two decimals, NaN as 0."""
-    if isinstance(value, float):
-        return f"{value:.2f}".rstrip("0").rstrip(".") if value == value else "0"
-    return str(value)
+    if not isinstance(value, float):
+        return str(value)
+    if math.isnan(value):
+        return "0"
+    return f"{value:.2f}".rstrip("0").rstrip(".")
 
 
 def _polyline(points: Sequence[Point]) -> str:

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.learn.collector import Collector
-from knowarm.learn.rollout import Rollout, infer_step
+from knowarm.learn.rollout import Collector, Rollout, infer_step
 from tests.learn.toys import informed_toy_policy, toy_env, toy_policy
 
 COUNT, STEPS = 8, 12

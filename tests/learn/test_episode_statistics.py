@@ -1,6 +1,6 @@
 import torch
 
-from knowarm.learn.collector import EpisodeStatistics
+from knowarm.learn.rollout import EpisodeStatistics
 
 
 def statistics_and_add():

@@ -5,7 +5,7 @@ import torch
 
 from knowarm.learn import PPOConfig
 from knowarm.learn import optimizer as optimizer_module
-from knowarm.learn.network import TrainingNetwork
+from knowarm.learn.learner import TrainingNetwork
 from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer, orthogonalized
 from tests.learn.toys import toy_policy
 

@@ -178,10 +178,10 @@ def test_an_environment_of_another_size_or_device_is_rejected():
 
 
 def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):
-    from knowarm.learn import minibatch
+    from knowarm.learn import ppo
 
     kept = []
-    monkeypatch.setattr(minibatch, "keep_freed_memory", lambda: kept.append(True))
+    monkeypatch.setattr(ppo, "keep_freed_memory", lambda: kept.append(True))
     threads = torch.get_num_threads()
     trainer, _ = build(None)
     assert not kept

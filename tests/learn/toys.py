@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from knowarm.learn import Hooks, NumpyToTorch
-from knowarm.learn.learner import Learner
-from knowarm.learn.network import TrainingNetwork
+from knowarm.learn.learner import Learner, TrainingNetwork
 from knowarm.learn.ppo import minibatch_loss
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 

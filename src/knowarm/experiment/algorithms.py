@@ -6,7 +6,6 @@ environment variable ``KNOWARM_ALGORITHMS``, or after `register_algorithm`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError
@@ -14,7 +13,6 @@ from knowarm.learn.algorithms import (
     A3CConfig,
     AlgorithmConfig,
     DistilConfig,
-    MinibatchConfig,
     PPOConfig,
     PrivilegedConfig,
 )
@@ -51,27 +49,39 @@ class Algorithm:
     """The same for agents whose policy receives the grasp frame of a grounding network."""
 
 
-def _make_minibatch(
-    trainer: str,
-    config: MinibatchConfig,
+# Trainers are imported when they are made: they import torch, which naming an experiment does not
+# need.
+
+
+def _make_ppo(
+    config: PPOConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
+) -> "Trainer":
+    from knowarm.learn import PPOTrainer
+
+    env = make_env(config.num_envs, device=config.device)
+    return PPOTrainer(config, policy, env, **options)
+
+
+def _make_distil(
+    config: DistilConfig,
     policy: "Policy",
     make_env: "Callable[..., TorchVectorEnv]",
     **options: Any,
 ) -> "Trainer":
-    from knowarm import learn  # imports torch, which naming an experiment does not need
+    from knowarm.learn import DistilTrainer
 
     env = make_env(config.num_envs, device=config.device)
-    made: Trainer = getattr(learn, trainer)(config, policy, env, **options)
-    return made
+    return DistilTrainer(config, policy, env, **options)
 
 
 def _make_a3c(
     config: A3CConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
 ) -> "Trainer":
-    from knowarm import learn
+    from knowarm.learn import A3CTrainer, FixedScheduleA3CTrainer
 
-    make = learn.FixedScheduleA3CTrainer if config.is_fixed else learn.A3CTrainer
-    return make(config, policy, make_env, **options)
+    if config.is_fixed:
+        return FixedScheduleA3CTrainer(config, policy, make_env, **options)
+    return A3CTrainer(config, policy, make_env, **options)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
@@ -86,14 +96,14 @@ ALGORITHMS: dict[str, Algorithm] = {
                 critic=True, auxiliary_coef=1.0, threshold_factor=3.0, threshold_decrease=0.05
             ),
         ),
-        make_trainer=partial(_make_minibatch, "PPOTrainer"),
+        make_trainer=_make_ppo,
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",
         config=DistilConfig(),
-        make_trainer=partial(_make_minibatch, "DistilTrainer"),
+        make_trainer=_make_distil,
         total_steps=200_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
@@ -102,7 +112,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",
         config=PPOConfig(),
-        make_trainer=partial(_make_minibatch, "PPOTrainer"),
+        make_trainer=_make_ppo,
         total_steps=10_000_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),

@@ -1,8 +1,9 @@
 """Learning algorithms: recurrent PPO, imitation and A3C on torch vector environments.
 
 A trainer (`ppo`, `distil`, `a3c`, all on `trainer`) steps a vector environment (`environment`) with
-a `collector` that fills a `rollout`; `losses` define what is learned from it. The `learner` of PPO
-and imitation computes in one process or in several. `evaluation` runs interim evaluations, `guards`
+the collector of `rollout`, and `losses` define what is learned from a rollout. The `learner` of PPO
+and imitation computes in one process or in several; `privileged` holds what they use of the
+simulator's state. `evaluation` runs interim evaluations, `guards`
 stop at non-finite values, `checkpoint` saves and resumes.
 """
 

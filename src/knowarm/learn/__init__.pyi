@@ -10,7 +10,6 @@ from .checkpoint import Checkpoint as Checkpoint
 from .checkpoint import CheckpointStore as CheckpointStore
 from .checkpoint import policy_arrays as policy_arrays
 from .checkpoint import read_checkpoint as read_checkpoint
-from .collector import Collector as Collector
 from .distil import DistilTrainer as DistilTrainer
 from .environment import NumpyToTorch as NumpyToTorch
 from .environment import TorchVectorEnv as TorchVectorEnv
@@ -18,6 +17,7 @@ from .evaluation import MakeEvaluate as MakeEvaluate
 from .evaluation import Metrics as Metrics
 from .losses import advantages as advantages
 from .ppo import PPOTrainer as PPOTrainer
+from .rollout import Collector as Collector
 from .rollout import Rollout as Rollout
 from .trainer import Hooks as Hooks
 from .trainer import SynchronousTrainer as SynchronousTrainer

@@ -53,13 +53,15 @@ class ScheduleConfig(AlgorithmConfig):
 
     def learning_rate_at(self, progress: float) -> float:
         """Return the learning rate after a fraction ``progress`` of the training, cut to 0..1."""
-        start, final = self.learning_rate, self.learning_rate_final
-        progress = min(max(progress, 0.0), 1.0)
         if self.learning_rate_schedule == "constant":
-            return start
-        linear = self.learning_rate_schedule == "linear"
-        remaining = 1 - progress if linear else 0.5 * (1 + math.cos(math.pi * progress))
-        return start * (final + (1 - final) * remaining)
+            return self.learning_rate
+        progress = min(max(progress, 0.0), 1.0)
+        if self.learning_rate_schedule == "linear":
+            remaining = 1 - progress
+        else:
+            remaining = 0.5 * (1 + math.cos(math.pi * progress))
+        final = self.learning_rate_final
+        return self.learning_rate * (final + (1 - final) * remaining)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,7 +231,9 @@ class DistilConfig(MinibatchConfig):
 
     def practice_share_at(self, progress: float) -> float:
         """Return the share of practice starts after a fraction ``progress`` of the training."""
-        return max(0.0, 1 - progress / self.practice_until) if self.practice_until else 0.0
+        if self.practice_until == 0:
+            return 0.0
+        return max(0.0, 1 - progress / self.practice_until)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ A checkpoint is a folder of four files: ``policy.safetensors``, ``optimizer.safe
 ``state.safetensors`` and ``meta.json``, which holds the SHA-256 digests of the other three.
 """
 
-import hashlib
 import json
 import logging
 import operator
@@ -16,15 +15,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
-from torch import nn
+from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.reading import UnreadableFileError, read_json, reading
+from knowarm.reading import UnreadableFileError, digest, read_json, reading
 
 log = logging.getLogger("knowarm.learn")
+
 Arrays = dict[str, np.ndarray]
+"""Arrays by name."""
 FORMAT = 1
 PARTS = ("policy", "optimizer", "state")
 
@@ -93,7 +95,8 @@ class CheckpointStore:
         )
 
     def _replace(self, name: str, checkpoint: Checkpoint) -> None:
-        temporary, path = self.folder / f".{name}-being-written", self.folder / name
+        path = self.folder / name
+        temporary = self.folder / f".{name}-being-written"
         try:
             shutil.rmtree(temporary, ignore_errors=True)
             temporary.mkdir(parents=True)
@@ -115,12 +118,18 @@ class CheckpointStore:
     def _write(self, folder: Path, checkpoint: Checkpoint) -> None:
         digests = {}
         for part in PARTS:
-            arrays = {k: np.asarray(v, order="C") for k, v in getattr(checkpoint, part).items()}
-            data = save_arrays(arrays)
-            digests[part] = hashlib.sha256(data).hexdigest()
+            arrays: Arrays = getattr(checkpoint, part)
+            # safetensors writes the memory of an array whatever its strides are.
+            contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+            data = save_arrays(contiguous)
+            digests[part] = digest(data)
             _write_file(folder / f"{part}.safetensors", data)
-        meta = {"format": FORMAT, "description": self.description}
-        meta |= {"facts": checkpoint.facts, "sha256": digests}
+        meta = {
+            "format": FORMAT,
+            "description": self.description,
+            "facts": checkpoint.facts,
+            "sha256": digests,
+        }
         _write_file(folder / "meta.json", json.dumps(meta, indent=2).encode())
         _sync(folder)
 
@@ -130,7 +139,7 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
 
     Args:
         folder: contains the four files.
-        description: what the checkpoint must belong to; None accepts any.
+        description: what the checkpoint must belong to, as JSON values; None accepts any.
 
     Raises:
         UnreadableFileError: a file is missing or differs from what was written.
@@ -140,43 +149,67 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
     if not folder.is_dir() and _former(folder).is_dir():
         folder = _former(folder)  # saving ended between two renames
     if not folder.is_dir():
-        others = ", ".join(sorted(each.name for each in folder.parent.glob("[!.]*")))
+        others = ", ".join(sorted(path.name for path in folder.parent.glob("[!.]*")))
         raise UserError(f"There is no checkpoint {folder}. Available: {others or 'none'}.")
-    file, remedy = folder / "meta.json", "The checkpoint is incomplete: restore it or delete it."
+    remedy = "The checkpoint is incomplete: restore it or delete it."
+    file = folder / "meta.json"
     meta = read_json(file, remedy=remedy)
     with reading(file, remedy):
-        digests, facts = dict(meta["sha256"]), dict(meta["facts"])
+        digests = dict(meta["sha256"])
+        facts = dict(meta["facts"])
         written_for = dict(meta["description"])
         facts["step"] = operator.index(facts["step"])
     if description is not None:
-        _compare(folder, written_for, json.loads(json.dumps(dict(description))))
-    parts = {}
+        _compare(folder, written_for, description)
+    arrays = {}
     for part in PARTS:
         path = folder / f"{part}.safetensors"
         with reading(path, remedy):
             data = path.read_bytes()
-            if hashlib.sha256(data).hexdigest() != digests[part]:
+            if digest(data) != digests[part]:
                 raise ValueError(f"its {len(data)} bytes differ from those written")
-            parts[part] = load_arrays(data)
-    return Checkpoint(**parts, facts=facts)
+            arrays[part] = load_arrays(data)
+    return Checkpoint(**arrays, facts=facts)
 
 
 def _former(folder: Path) -> Path:
     """Return where a checkpoint is kept while it is being replaced."""
-    return folder.with_name("previous" if folder.name == "latest" else f".{folder.name}-old")
+    if folder.name == "latest":
+        return folder.with_name("previous")
+    return folder.with_name(f".{folder.name}-old")
 
 
 def select(state: Mapping[str, np.ndarray], prefix: str) -> Arrays:
     """Return the entries whose names start with ``prefix``, without the prefix."""
-    return {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)
+    }
+
+
+def prefixed(prefix: str, state: Mapping[str, np.ndarray]) -> Arrays:
+    """Return the entries with ``prefix`` before their names; `select` is the inverse."""
+    return {f"{prefix}{name}": array for name, array in state.items()}
+
+
+def to_arrays(tensors: Mapping[str, Tensor]) -> Arrays:
+    """Copy tensors of any device."""
+    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()}
+
+
+def to_tensors(
+    arrays: Mapping[str, np.ndarray], device: torch.device | None = None
+) -> dict[str, Tensor]:
+    """Copy arrays to a device; None: the CPU."""
+    return {name: torch.tensor(array, device=device) for name, array in arrays.items()}
 
 
 def policy_arrays(policy: nn.Module) -> Arrays:
     """Copy the parameters of a policy, by name."""
-    return {k: v.detach().cpu().numpy().copy() for k, v in policy.state_dict().items()}
+    return to_arrays(policy.state_dict())
 
 
 def _compare(folder: Path, written: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raise a `UserError` that shows the differences between two descriptions."""
     different = [key for key in sorted({*written, *wanted}) if written.get(key) != wanted.get(key)]
     if different:
         pairs = "; ".join(f"{k}: {written.get(k)!r} | {wanted.get(k)!r}" for k in different)

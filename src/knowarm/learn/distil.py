@@ -9,13 +9,13 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.learn.algorithms import SHORTEST_WAY, DistilConfig
-from knowarm.learn.checkpoint import Arrays
+from knowarm.learn.checkpoint import Checkpoint
 from knowarm.learn.environment import TeachingVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
+from knowarm.learn.learner import Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, distil_loss
-from knowarm.learn.minibatch import MinibatchTrainer
-from knowarm.learn.network import Targets, TrainingNetwork
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
+from knowarm.learn.ppo import MinibatchTrainer
 from knowarm.learn.privileged import PrivilegedRecorder
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy
@@ -44,12 +44,21 @@ class LessonRecorder(PrivilegedRecorder):
                 "knowarm.learn.TeachingVectorEnv, or choose another algorithm."
             )
         self.teaching = cast(TeachingVectorEnv, env)
-        self.actions, self.way = (each.repeat(steps, 1, 1) for each in self.teaching.teach())
+        actions, way = self.teaching.teach()
+        self.actions = actions.repeat(steps, 1, 1)
+        self.way = way.repeat(steps, 1, 1)
+
+    @property
+    def auxiliary_targets(self) -> int:
+        """Number of targets of the auxiliary head, with the way of every joint."""
+        return super().auxiliary_targets + self.way.shape[-1]
 
     def before_step(self, t: int) -> None:
         """Record the state before step t, and what the teacher would do."""
         super().before_step(t)
-        self.actions[t], self.way[t] = self.teaching.teach()
+        actions, way = self.teaching.teach()
+        self.actions[t] = actions
+        self.way[t] = way
 
     def targets(self) -> Tensor:
         """Return the targets of the auxiliary head, (T, B, K), with the way to the solution."""
@@ -81,9 +90,9 @@ class DistilTrainer(MinibatchTrainer):
         seed: int,
         **options: Any,
     ) -> None:
-        self._lessons = lessons = LessonRecorder(env, config.rollout_steps)
+        lessons = LessonRecorder(env, config.rollout_steps)
         lessons.teaching.practice_share = config.practice_share_at(0.0)
-        joints = lessons.way.shape[-1]
+        self._lessons = lessons
         super().__init__(
             config,
             policy,
@@ -95,7 +104,7 @@ class DistilTrainer(MinibatchTrainer):
                 "weights": (tuple(lessons.way.shape), torch.float32),
             },
             recorder=lessons,
-            auxiliary_targets=lessons.auxiliary_targets + joints if config.auxiliary_coef else 0,
+            auxiliary_coef=config.auxiliary_coef,
             greedy=True,
             **options,
         )
@@ -112,24 +121,23 @@ class DistilTrainer(MinibatchTrainer):
         if progress >= self.config.glimpse_until:
             super().collect(progress)
             return
-        rollout, env = self._learner.rollout, self._collector.env
+        rollout = self._learner.rollout
         rollout.episode_start.fill_(True)
         for t in range(len(rollout.reward)):
             rollout.patches[t] = self.policy.patches(self._collector.restart())
-            rollout.knowledge[t] = env.knowledge
+            rollout.knowledge[t] = self._collector.env.knowledge
             self._lessons.before_step(t)
 
     def set_targets(self) -> None:
-        """Fill the targets: the teacher's actions, weighted by way, and those of the head.
+        """Fill the targets: the teacher's actions, weighted by way.
 
         Weights have a mean of 1: a joint that moves the wrong way is worse far from the solution.
         """
-        lessons, targets = self._lessons, self._learner.targets
+        lessons = self._lessons
+        targets = self._learner.targets
         targets["actions"].copy_(lessons.actions)
         way = lessons.way.abs().clamp(SHORTEST_WAY, self.config.way_limit)
         targets["weights"].copy_(way / way.mean())
-        if "auxiliary" in targets:
-            targets["auxiliary"].copy_(lessons.targets())
 
     def update(self, total_steps: int) -> Metrics:
         """See `MinibatchTrainer.update`; also averages the parameters."""
@@ -138,10 +146,13 @@ class DistilTrainer(MinibatchTrainer):
         self._average += change / np.float32(AVERAGE_UPDATES)
         return metrics
 
-    def extra_state(self) -> Arrays:
-        """See `MinibatchTrainer.extra_state`."""
-        return {"average": self._average.copy()}
+    def checkpoint(self) -> Checkpoint:
+        """See `SynchronousTrainer.checkpoint`."""
+        checkpoint = super().checkpoint()
+        checkpoint.state["average"] = self._average.copy()
+        return checkpoint
 
-    def restore_extra(self, state: Arrays) -> None:
-        """See `MinibatchTrainer.restore_extra`."""
-        self._average = state["average"].copy()
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
+        super().restore(checkpoint)
+        self._average = checkpoint.state["average"].copy()

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.learn.algorithms import ThresholdConfig
+from knowarm.learn.checkpoint import Arrays
 
 MIN_SUCCESS = 0.5
 """Success of an update's episodes above which success thresholds shrink."""
@@ -56,10 +57,10 @@ class TorchVectorEnv(Protocol):
             truncated (n,) bool, infos.
         """
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Return all that `set_state` needs to continue identically."""
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
 
 
@@ -135,7 +136,8 @@ class NumpyToTorch:
         if not hasattr(self.env, "knowledge_input"):
             return self._table[torch.zeros(self.num_envs, dtype=torch.int64)]
         rows = torch.from_numpy(np.asarray(self.env.knowledge_input, np.int64))
-        if (highest := int(rows.max())) >= len(self._table):
+        highest = int(rows.max())
+        if highest >= len(self._table):
             raise UserError(
                 f"The knowledge table has {len(self._table)} rows and the environment has episodes "
                 f"of row {highest}; build the table from the facets of this environment."
@@ -161,20 +163,24 @@ class NumpyToTorch:
             final = np.zeros_like(images)
             final[ids] = np.stack([infos["final_obs"][i] for i in ids])
             result["final_obs"] = torch.from_numpy(final)
-        arrays = (images, np.asarray(reward), terminated, truncated)
-        images, reward, terminated, truncated = map(torch.from_numpy, arrays)
-        return images, reward, terminated, truncated, result
+        return (
+            torch.from_numpy(images),
+            torch.from_numpy(np.asarray(reward)),
+            torch.from_numpy(terminated),
+            torch.from_numpy(truncated),
+            result,
+        )
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """As `TorchVectorEnv.get_state`."""
         if not hasattr(self.env, "get_state"):
             raise UserError(
                 f"{type(self.env).__name__} has no get_state and set_state, which checkpoints "
                 "need; add them, or train without checkpoints."
             )
-        return cast(dict[str, np.ndarray], self.env.get_state())
+        return cast(Arrays, self.env.get_state())
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """As `TorchVectorEnv.set_state`."""
         self.env.set_state(state)
 
@@ -183,22 +189,27 @@ class ThresholdCurriculum:
     """Sets the factor of an environment's success thresholds, if the config's is above 1."""
 
     def __init__(self, config: ThresholdConfig, env: Any) -> None:
+        if isinstance(env, NumpyToTorch):
+            env = env.env
         self._config = config
-        self._env = env = env.env if isinstance(env, NumpyToTorch) else env
+        self._env = env
         self.is_used = config.threshold_factor > 1
-        if self.is_used:
-            if not hasattr(env, "threshold_factor"):
-                raise UserError(
-                    f"{type(env).__name__} has no threshold_factor, and the config's is "
-                    f"{config.threshold_factor}: leave it at 1, or give the environment an "
-                    "attribute of this name that multiplies its success thresholds."
-                )
-            self.factor = config.threshold_factor
+        if not self.is_used:
+            return
+        if not hasattr(env, "threshold_factor"):
+            raise UserError(
+                f"{type(env).__name__} has no threshold_factor, and the config's is "
+                f"{config.threshold_factor}: leave it at 1, or give the environment an "
+                "attribute of this name that multiplies its success thresholds."
+            )
+        self.factor = config.threshold_factor
 
     @property
     def factor(self) -> float:
         """Factor of the thresholds of distance and angle."""
-        return self._env.threshold_factor if self.is_used else 1.0
+        if not self.is_used:
+            return 1.0
+        return cast(float, self._env.threshold_factor)
 
     @factor.setter
     def factor(self, factor: float) -> None:
@@ -213,8 +224,12 @@ class ThresholdCurriculum:
             progress: fraction of the training that is done, 0..1. Between the two of `LATEST` the
                 factor's upper bound falls to 1: agents that fail end at the task's thresholds too.
         """
-        if self.is_used:
-            decrease = self._config.threshold_decrease if success > MIN_SUCCESS else 0.0
-            remaining = min(max((LATEST[1] - progress) / (LATEST[1] - LATEST[0]), 0.0), 1.0)
-            largest = 1 + (self._config.threshold_factor - 1) * remaining
-            self.factor = max(1.0, min(self.factor - decrease, largest))
+        if not self.is_used:
+            return
+        factor = self.factor
+        if success > MIN_SUCCESS:
+            factor -= self._config.threshold_decrease
+        begin, end = LATEST
+        remaining = (end - progress) / (end - begin)
+        largest = 1 + (self._config.threshold_factor - 1) * min(max(remaining, 0.0), 1.0)
+        self.factor = max(1.0, min(factor, largest))

@@ -65,19 +65,21 @@ class Evaluations:
             # Parameters do not fit into a pipe: sending them would block while the child starts.
             parameters = sum(p.numel() for p in policy.parameters())
             self._shared = SharedTensors(context, {"values": ((parameters,), torch.float32)})
-            arguments = policy.maker(), make_evaluate, self._shared
+            arguments = (policy.maker(), make_evaluate, self._shared)
             self.process = SupervisedProcess(
                 lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
             )
         elif make_evaluate is not None:
-            self._evaluate, self._policy = make_evaluate(), policy.maker()()
+            self._evaluate = make_evaluate()
+            self._policy = policy.maker()()
             self._parameters = FlatParameters(self._policy)
 
     def submit(self, step: int, values: np.ndarray) -> None:
         """Evaluate the policy with the parameters ``values`` (P,)."""
         if self._evaluate is not None:
             self._parameters.values.copy_(torch.from_numpy(values))
-            self._completed.append(CompletedEvaluation(step, values, self._evaluate(self._policy)))
+            results = self._evaluate(self._policy)
+            self._completed.append(CompletedEvaluation(step, values, results))
         elif self.process is not None:
             self._pending.append((step, values))
             if len(self._pending) == 1:
@@ -88,14 +90,18 @@ class Evaluations:
 
         If one is pending, wait at most ``timeout_s`` for the next result.
         """
-        completed, self._completed = self._completed, []
-        process = self.process
-        while process and self._pending and (answer := process.receive(timeout_s)) is not None:
+        completed = self._completed
+        self._completed = []
+        while self.process is not None and self._pending:
+            answer = self.process.receive(timeout_s)
+            if answer is None:
+                break
             timeout_s = 0.0
             if not isinstance(answer, Restarted):
-                completed.append(CompletedEvaluation(*self._pending.popleft(), answer))
+                step, values = self._pending.popleft()
+                completed.append(CompletedEvaluation(step, values, answer))
             if self._pending:
-                self._send(process)
+                self._send(self.process)
         return completed
 
     def pending(self) -> list[tuple[int, np.ndarray]]:
@@ -109,7 +115,8 @@ class Evaluations:
 
     def _send(self, process: SupervisedProcess) -> None:
         """Ask for the first pending evaluation."""
-        self._shared["values"].copy_(torch.from_numpy(self._pending[0][1]))
+        _, values = self._pending[0]
+        self._shared["values"].copy_(torch.from_numpy(values))
         process.child.send("evaluate")
 
 

@@ -29,14 +29,16 @@ class FiniteGuard:
     def check(self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]) -> None:
         """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
-            if not bool(torch.isfinite(value).all()):
-                path = self._save(step, batch)
-                where = f"; the rollout is saved in {path}" if path else ""
-                raise NotFiniteError(
-                    f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
-                    "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
-                    "intact."
-                )
+            if torch.isfinite(value).all():
+                continue
+            where = ""
+            if self._folder is not None:
+                where = f"; the rollout is saved in {self._save(self._folder, step, batch)}"
+            raise NotFiniteError(
+                f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
+                "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
+                "intact."
+            )
 
     def check_rollout(self, rollout: Rollout, step: int) -> None:
         """Raise an error if knowledge, rewards or values of a rollout are not finite."""
@@ -55,20 +57,19 @@ class FiniteGuard:
 
         Single terms are examined only if the total loss or the gradient's ``norm`` is not finite.
         """
-        if bool(torch.isfinite(norm + loss["total"].detach()).all()):
+        if torch.isfinite(norm + loss["total"].detach()).all():
             return
         terms = {f"the {name.replace('_', ' ')}": term for name, term in loss.items()}
         del terms["the total"]
         for name, parameter in policy.named_parameters():
             if parameter.grad is not None:
                 terms[f"the gradient of {name}"] = parameter.grad
-        self.check({**terms, "the gradient's norm": norm}, step, rollout.tensors())
+        terms["the gradient's norm"] = norm
+        self.check(terms, step, rollout.tensors())
 
-    def _save(self, step: int, batch: Mapping[str, Tensor]) -> Path | None:
-        if self._folder is None:
-            return None
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"not-finite-{step}.safetensors"
+    def _save(self, folder: Path, step: int, batch: Mapping[str, Tensor]) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"not-finite-{step}.safetensors"
         save_file({name: value.detach().cpu().contiguous() for name, value in batch.items()}, path)
         return path
 
@@ -84,27 +85,32 @@ class HealthMonitor:
         self._max_entropy = joints * math.log(levels)
         self._gamma = gamma
         self._largest_reward = 0.0
-        self._warned: set[int] = set()
+        self._warned: set[str] = set()
 
     def watch(self, *, step: int, entropy: float, values: Tensor, rewards: Tensor) -> None:
         """Check one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
         self._largest_reward = max(self._largest_reward, float(rewards.abs().max()))
-        bound = self._largest_reward / (1 - self._gamma) if self._gamma < 1 else math.inf
         largest = float(values.abs().max())
-        warnings = [
-            (
-                entropy < 0.02 * self._max_entropy,
+        bound = math.inf
+        if self._gamma < 1:
+            bound = self._largest_reward / (1 - self._gamma)
+        if entropy < 0.02 * self._max_entropy:
+            self._warn_once(
+                "entropy",
+                step,
                 f"the entropy fell to {entropy:.3f} of {self._max_entropy:.2f} nat, so the policy "
                 "hardly explores. Increase ent_coef.",
-            ),
-            (
-                0 < 10 * bound < largest,
+            )
+        if 0 < 10 * bound < largest:
+            self._warn_once(
+                "values",
+                step,
                 f"a value of {largest:.3g} is more than ten times the largest return that the "
                 f"rewards so far allow ({bound:.3g}). If it grows, the critic diverges: decrease "
                 "learning_rate.",
-            ),
-        ]
-        for kind, (is_due, message) in enumerate(warnings):
-            if is_due and kind not in self._warned:
-                self._warned.add(kind)
-                log.warning("Step %d: %s", step, message)
+            )
+
+    def _warn_once(self, subject: str, step: int, message: str) -> None:
+        if subject not in self._warned:
+            self._warned.add(subject)
+            log.warning("Step %d: %s", step, message)

@@ -1,4 +1,4 @@
-"""Learner: inference and minibatch gradients, in one process or shared by several.
+"""Learner: the network in training, its inference and gradients, in one process or several.
 
 PyTorch's threads share every single operation, of which a recurrent policy has many small ones:
 threads synchronize after each and take time from physics and rendering by spinning. Processes that
@@ -6,7 +6,7 @@ each compute the entire network for a part of the environments avoid this (docs/
 """
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from knowarm.cores import available_cores, torch_threads
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.losses import Terms
-from knowarm.learn.network import Loss, Targets, TrainingNetwork
 from knowarm.learn.parallel.processes import (
     ChildProcess,
     Restarted,
@@ -30,6 +29,8 @@ from knowarm.learn.parallel.processes import (
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs, zeros
 from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
 from knowarm.policy import MakePolicy, MatmulPrecision, Policy, State
+from knowarm.policy.encoder import orthogonal
+from knowarm.seeding import torch_generator
 
 log = logging.getLogger("knowarm.learn")
 
@@ -38,6 +39,53 @@ MIN_ENVS_PER_PROCESS = 8
 
 MAX_TERMS = 8
 """Most terms of a loss."""
+
+
+Targets = Mapping[str, Tensor]
+"""What a loss compares a rollout with, by name, each (T, B, ...)."""
+
+
+class TrainingNetwork(nn.Module):
+    """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
+
+    def __init__(self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0) -> None:
+        super().__init__()
+        self.policy = policy
+        self.auxiliary_targets = auxiliary_targets
+        self.head: nn.Linear | None = None
+        if auxiliary_targets:
+            self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
+            orthogonal(self.head, 1.0, torch_generator(seed, "weights", 2))
+            self.head.to(policy.fc.weight.device)
+
+    def parameters_by_name(self) -> dict[str, nn.Parameter]:
+        """Return the parameters by name, those of the head after ``auxiliary``."""
+        parameters = dict(self.policy.named_parameters())
+        if self.head is not None:
+            parameters |= dict(self.head.named_parameters("auxiliary"))
+        return parameters
+
+    def forward(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+        """Return logits (T, b, J, A), values (T, b) and image features (T * b, F) of a rollout."""
+        logits, values, _, features = self.policy.unroll_with_features(
+            batch.patches, batch.knowledge, batch.start_state, batch.episode_start
+        )
+        return logits, values, features
+
+    def add_auxiliary(
+        self, terms: Terms, features: Tensor, targets: Targets, coefficient: float
+    ) -> Terms:
+        """Add the mean squared error of the head, if there is one, to the terms of a loss."""
+        if self.head is None:
+            return terms
+        error = self.head(features.float()) - targets["auxiliary"].flatten(0, 1)
+        auxiliary = error.square().mean()
+        total = terms["total"] + coefficient * auxiliary
+        return {**terms, "total": total, "auxiliary_loss": auxiliary}
+
+
+Loss = Callable[[TrainingNetwork, Rollout, Targets], Terms]
+"""Computes the terms of an algorithm's loss over a minibatch; picklable."""
 
 
 def add_gradient(
@@ -51,20 +99,21 @@ def add_gradient(
     """Add the gradient of the loss over the environments ``env_ids`` (b,) to those of the network.
 
     The loss has a factor ``weight``: b over the number of environments in the whole minibatch, so
-    that the returned terms of a minibatch's parts add up to its own.
+    that the returned terms of the processes add up to those of the minibatch.
     """
-    part = {name: target.index_select(1, env_ids) for name, target in targets.items()}
-    terms = loss(network, rollout.of(env_ids), part)
+    selected = {name: target.index_select(1, env_ids) for name, target in targets.items()}
+    terms = loss(network, rollout.of(env_ids), selected)
     (terms["total"] * weight).backward()
     return {name: term.detach() * weight for name, term in terms.items()}
 
 
-def _buffers(tensors: Mapping[str, Tensor]) -> tuple[Rollout, dict[str, Tensor]]:
-    """Return rollout and targets that consist of tensors by name."""
-    rollout = Rollout(**{name: tensors[name] for name in Rollout.__annotations__})
-    prefix = "target/"
-    targets = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-    return rollout, targets
+class SharedBuffers(NamedTuple):
+    """What the processes of a learner read and write."""
+
+    rollout: SharedTensors
+    targets: SharedTensors
+    exchange: SharedTensors
+    """Parameters and gradients; images, recurrent states and logits of one step."""
 
 
 class InferCommand(NamedTuple):
@@ -82,14 +131,19 @@ class GradientCommand(NamedTuple):
 
 
 def infer_shared(
-    policy: Policy, rollout: Rollout, shared: SharedTensors, t: int, image: Tensor, envs: slice
+    policy: Policy,
+    rollout: Rollout,
+    exchange: SharedTensors,
+    t: int,
+    image: Tensor,
+    envs: slice,
 ) -> None:
     """Run the policy for step t of ``envs``; recurrent states and logits are shared tensors."""
-    state = (shared["h"], shared["c"])
+    state = (exchange["h"], exchange["c"])
     logits, (h, c) = infer_step(policy, rollout, t, image, state, envs)
-    shared["logits"][envs] = logits
-    shared["h"][envs] = h
-    shared["c"][envs] = c
+    exchange["logits"][envs] = logits
+    exchange["h"][envs] = h
+    exchange["c"][envs] = c
 
 
 def run_learner_worker(
@@ -97,7 +151,7 @@ def run_learner_worker(
     auxiliary_targets: int,
     loss: Loss,
     precision: MatmulPrecision,
-    shared: SharedTensors,
+    shared: SharedBuffers,
     index: int,
     connection: Connection,
 ) -> None:
@@ -108,18 +162,20 @@ def run_learner_worker(
     policy = make_policy()
     policy.matmul_precision = precision
     network = TrainingNetwork(policy, auxiliary_targets)
-    gradient = shared["gradients"][index]
-    FlatParameters(network, shared["parameters"], gradient)
-    rollout, targets = _buffers(shared.tensors)
+    rollout = Rollout(**shared.rollout.tensors)
+    targets = shared.targets.tensors
+    exchange = shared.exchange
+    gradient = exchange["gradients"][index]
+    FlatParameters(network, exchange["parameters"], gradient)
     while True:
         command = connection.recv()
         if isinstance(command, InferCommand):
-            infer_shared(policy, rollout, shared, command.t, shared["image"], command.envs)
+            infer_shared(policy, rollout, exchange, command.t, exchange["image"], command.envs)
         else:
             gradient.zero_()
             env_ids = torch.from_numpy(command.env_ids)
             terms = add_gradient(network, loss, rollout, targets, env_ids, command.weight)
-            shared["terms"][index, : len(terms)] = torch.stack([*terms.values()])
+            exchange["terms"][index, : len(terms)] = torch.stack([*terms.values()])
         connection.send(True)
 
 
@@ -155,38 +211,48 @@ class Learner:
         self.policy = network.policy
         torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
         self.processes = count_processes(config) if device.type == "cpu" else 1
-        self._loss, self._precision = loss, precision
+        self._loss = loss
+        self._precision = precision
         self._workers: list[SupervisedProcess] = []
-        named = {f"target/{name}": spec for name, spec in targets.items()}
+        steps = config.rollout_steps
+        rollout_tensors = rollout_specs(steps, config.num_envs, network.policy)
         if network.auxiliary_targets:
-            shape = (config.rollout_steps, config.num_envs, network.auxiliary_targets)
-            named["target/auxiliary"] = (shape, torch.float32)
-        specs = {**rollout_specs(config.rollout_steps, config.num_envs, network.policy), **named}
+            shape = (steps, config.num_envs, network.auxiliary_targets)
+            targets = {**targets, "auxiliary": (shape, torch.float32)}
         if self.processes > 1:
-            self._share(specs, config.num_envs)
+            self._share(rollout_tensors, targets, config.num_envs)
         else:
-            self.rollout, self.targets = _buffers(zeros(specs, device))
+            self.rollout = Rollout(**zeros(rollout_tensors, device))
+            self.targets = zeros(targets, device)
             self.gradient = FlatParameters(network).gradient
 
-    def _share(self, specs: TensorSpecs, num_envs: int) -> None:
+    def _share(self, rollout: TensorSpecs, targets: TensorSpecs, num_envs: int) -> None:
         """Allocate what all processes read and write."""
-        policy, shape = self.policy, self.policy.shape
-        parameters = sum(p.numel() for p in self.network.parameters())
-        shared: TensorSpecs = {
-            "parameters": ((parameters,), torch.float32),
-            "gradients": ((self.processes, parameters), torch.float32),
+        policy = self.policy
+        image = (policy.shape.image_size, policy.shape.image_size, 3)
+        flat = FlatParameters(self.network)
+        count = len(flat.values)
+        exchange: TensorSpecs = {
+            "parameters": ((count,), torch.float32),
+            "gradients": ((self.processes, count), torch.float32),
             "terms": ((self.processes, MAX_TERMS), torch.float32),
-            "image": ((num_envs, shape.image_size, shape.image_size, 3), torch.uint8),
+            "image": ((num_envs, *image), torch.uint8),
             "h": ((num_envs, policy.hidden_size), torch.float32),
             "c": ((num_envs, policy.hidden_size), torch.float32),
-            "logits": ((num_envs, shape.joints, shape.levels), torch.float32),
+            "logits": ((num_envs, policy.shape.joints, policy.shape.levels), torch.float32),
         }
         self._context = process_context()
-        self._shared = SharedTensors(self._context, {**specs, **shared})
-        self.rollout, self.targets = _buffers(self._shared.tensors)
-        self.gradient = self._shared["gradients"][0]
-        self._shared["parameters"].copy_(FlatParameters(self.network).values)
-        FlatParameters(self.network, self._shared["parameters"], self.gradient)
+        self._shared = SharedBuffers(
+            SharedTensors(self._context, rollout),
+            SharedTensors(self._context, targets),
+            SharedTensors(self._context, exchange),
+        )
+        self.rollout = Rollout(**self._shared.rollout.tensors)
+        self.targets = self._shared.targets.tensors
+        self.gradient = self._shared.exchange["gradients"][0]
+        parameters = self._shared.exchange["parameters"]
+        parameters.copy_(flat.values)
+        FlatParameters(self.network, parameters, self.gradient)
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -204,41 +270,50 @@ class Learner:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
         if self.processes == 1:
             return infer_step(self.policy, rollout, t, image, state)
-        shared = self._shared
+        exchange = self._shared.exchange
         bounds = [len(image) * i // self.processes for i in range(self.processes + 1)]
-        own, *others = map(slice, bounds, bounds[1:])
-        shared["image"][own.stop :] = image[own.stop :]
-        if state[0] is not shared["h"]:
-            shared["h"].copy_(state[0])
-            shared["c"].copy_(state[1])
+        # This process computes the first slice, from the images as they are.
+        first, *others = map(slice, bounds, bounds[1:])
+        exchange["image"][first.stop :] = image[first.stop :]
+        # After the first step the state is what the processes wrote themselves.
+        if state[0] is not exchange["h"]:
+            exchange["h"].copy_(state[0])
+            exchange["c"].copy_(state[1])
         commands = [InferCommand(t, envs) for envs in others]
         self._send(commands)
-        infer_shared(self.policy, rollout, shared, t, image, own)
+        infer_shared(self.policy, rollout, exchange, t, image, first)
         self._wait(commands)
-        return shared["logits"].clone(), (shared["h"], shared["c"])
+        return exchange["logits"].clone(), (exchange["h"], exchange["c"])
 
     def compute_gradient(self, env_ids: Tensor) -> Terms:
         """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         count = len(env_ids)
-        own, *others = env_ids.chunk(self.processes)
-        commands = [GradientCommand(part.numpy(), len(part) / count) for part in others]
+        first, *others = env_ids.chunk(self.processes)
+        commands = [GradientCommand(chunk.numpy(), len(chunk) / count) for chunk in others]
         self._send(commands)
         self.gradient.zero_()
-        arguments = self.network, self._loss, self.rollout, self.targets
-        terms = add_gradient(*arguments, own, len(own) / count)
+        weight = len(first) / count
+        terms = add_gradient(self.network, self._loss, self.rollout, self.targets, first, weight)
         self._wait(commands)
+        # A small minibatch may have fewer chunks than there are processes.
         for index in range(1, 1 + len(commands)):
-            self.gradient += self._shared["gradients"][index]
-            for term, part in zip(terms.values(), self._shared["terms"][index], strict=False):
-                term.add_(part)
+            exchange = self._shared.exchange
+            self.gradient += exchange["gradients"][index]
+            for term, other in zip(terms.values(), exchange["terms"][index], strict=False):
+                term.add_(other)
         return terms
 
     def _start(self, index: int, restarts: int) -> ChildProcess:
-        network = self.network
-        arguments = network.policy.maker(), network.auxiliary_targets, self._loss, self._precision
-        name = f"learner worker {index}"
         return ChildProcess.start(
-            self._context, name, run_learner_worker, *arguments, self._shared, index
+            self._context,
+            f"learner worker {index}",
+            run_learner_worker,
+            self.policy.maker(),
+            self.network.auxiliary_targets,
+            self._loss,
+            self._precision,
+            self._shared,
+            index,
         )
 
     def _send(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
@@ -254,15 +329,16 @@ class Learner:
 
 def count_processes(config: MinibatchConfig) -> int:
     """Return the number of processes: as configured, limited by the size of a minibatch."""
-    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
-    processes = max(1, min(config.processes or available_cores(), most))
+    minibatch = config.num_envs // config.minibatches
+    most = max(1, minibatch // MIN_ENVS_PER_PROCESS)
+    processes = min(config.processes or available_cores(), most)
     if config.processes is not None and processes < config.processes:
         log.warning(
             "processes=%d is reduced to %d: minibatches have %d environments, and each process "
             "needs %d of them.",
             config.processes,
             processes,
-            config.num_envs // config.minibatches,
+            minibatch,
             MIN_ENVS_PER_PROCESS,
         )
     return processes

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from knowarm.learn.algorithms import PPOConfig
-from knowarm.policy.policy import entropy, log_probabilities, log_probability
+from knowarm.policy.policy import entropy, log_probabilities, log_probability, of_actions
 
 Terms = dict[str, Tensor]
 """Scalar terms of a loss by the name of their metric; ``total`` is minimized."""
@@ -63,7 +63,7 @@ def ppo_loss(
     mean(r - 1 - log r) of KL(old, new) [nat], and the fraction of steps whose ratio was clipped.
     """
     log_p = log_probabilities(logits)
-    log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
+    log_ratio = of_actions(log_p, actions).sum(-1) - old_log_probability
     ratio = log_ratio.exp()
     clipped = ratio.clamp(1 - config.clip_range, 1 + config.clip_range)
     policy = -torch.min(ratio * advantages, clipped * advantages).mean()
@@ -90,7 +90,7 @@ def distil_loss(
     Every joint has a weight (..., J), and action 0 the share ``stay_share`` of each label.
     """
     log_p = log_probabilities(logits)
-    taught = log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
+    taught = of_actions(log_p, teacher_actions)
     return (-taught.lerp(log_p[..., 0], stay_share) * weights).mean()
 
 

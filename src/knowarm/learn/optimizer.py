@@ -4,12 +4,11 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.learn.algorithms import MinibatchConfig
-from knowarm.learn.checkpoint import select
+from knowarm.learn.checkpoint import Arrays, prefixed, select, to_arrays, to_tensors
 from knowarm.policy import MatmulPrecision
 from knowarm.private_apis import cpu_has_bfloat16, without_compiler
 
@@ -38,7 +37,8 @@ class Float32Muon(torch.optim.Optimizer):
         """Update every parameter from its gradient."""
         for group in self.param_groups:
             for parameter in group["params"]:
-                gradient, state = parameter.grad, self.state[parameter]
+                gradient = parameter.grad
+                state = self.state[parameter]
                 if not state:
                     state["momentum_buffer"] = torch.zeros_like(parameter)
                 average = state["momentum_buffer"].lerp_(gradient, 1 - MOMENTUM)
@@ -54,19 +54,19 @@ def orthogonalized(matrix: Tensor, iterations: int) -> Tensor:
     An iteration multiplies by a polynomial of the square of the matrix, x x' (k, k) with k the
     smaller side. All polynomials commute, so their product is computed with (k, k) matrices only.
     """
+    if matrix.shape[0] > matrix.shape[1]:
+        return orthogonalized(matrix.T, iterations).T
     a, b, c = NEWTON_SCHULZ
-    is_tall = matrix.shape[0] > matrix.shape[1]
-    x = matrix.T if is_tall else matrix
-    x = x / x.norm().clamp(min=1e-7)
-    gram, product = x @ x.T, None
+    x = matrix / matrix.norm().clamp(min=1e-7)
+    gram = x @ x.T
+    product = None
     for i in range(iterations):
         factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)
         factor.diagonal().add_(a)
         product = factor if product is None else product @ factor
         if i + 1 < iterations:
             gram = factor @ gram @ factor
-    x = x if product is None else product @ x
-    return x.T if is_tall else x
+    return x if product is None else product @ x
 
 
 MUON_PARAMETERS: dict[str, tuple[str, ...]] = {
@@ -88,13 +88,13 @@ class PolicyOptimizer:
         self, parameters: Mapping[str, nn.Parameter], config: MinibatchConfig, processes: int = 1
     ) -> None:
         self._parameters = parameters
-        matrices = [parameters[name] for name in MUON_PARAMETERS[config.optimizer]]
-        others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
-        self._optimizers: list[torch.optim.Optimizer] = [
-            Adam(others, lr=config.learning_rate, eps=ADAM_EPS, fused=True)
-        ]
-        self._optimizers += [_muon(matrix, config) for matrix in matrices]
-        self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None
+        others = dict(parameters)
+        matrices = [others.pop(name) for name in MUON_PARAMETERS[config.optimizer]]
+        adam = Adam(others.values(), lr=config.learning_rate, eps=ADAM_EPS, fused=True)
+        self._optimizers = [adam, *(_muon(matrix, config) for matrix in matrices)]
+        self._pool = None
+        if matrices and processes > 1:
+            self._pool = ThreadPoolExecutor(1)
 
     def set_learning_rate(self, rate: float) -> None:
         """Set the learning rate of the following steps."""
@@ -104,33 +104,37 @@ class PolicyOptimizer:
 
     def step(self) -> None:
         """Update the parameters from their gradients."""
-        *most, last = self._optimizers
-        updated = None if self._pool is None else self._pool.submit(last.step)
-        for optimizer in most:
+        if self._pool is None:
+            for optimizer in self._optimizers:
+                optimizer.step()
+            return
+        *others, last = self._optimizers
+        update = self._pool.submit(last.step)
+        for optimizer in others:
             optimizer.step()
-        if updated is None:
-            last.step()
-        else:
-            updated.result()
+        update.result()
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Return the state as arrays named ``<parameter>/<quantity>``."""
-        return {
-            f"{name}/{key}": value.cpu().numpy().copy()
-            for name, parameter in self._parameters.items()
-            for optimizer in self._optimizers
-            if parameter in optimizer.state
-            for key, value in optimizer.state[parameter].items()
-        }
+        arrays: Arrays = {}
+        for name, parameter in self._parameters.items():
+            state = self._optimizer_of(parameter).state.get(parameter, {})
+            arrays |= prefixed(f"{name}/", to_arrays(state))
+        return arrays
 
-    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
         for name, parameter in self._parameters.items():
-            arrays = select(state, f"{name}/").items()
-            values = {key: torch.from_numpy(value).to(parameter.device) for key, value in arrays}
-            for optimizer in self._optimizers:
-                if any(parameter is p for p in optimizer.param_groups[0]["params"]):
-                    optimizer.state[parameter] = values
+            tensors = to_tensors(select(state, f"{name}/"), parameter.device)
+            self._optimizer_of(parameter).state[parameter] = tensors
+
+    def _optimizer_of(self, parameter: nn.Parameter) -> torch.optim.Optimizer:
+        adam, *others = self._optimizers
+        for optimizer in others:
+            (matrix,) = optimizer.param_groups[0]["params"]
+            if parameter is matrix:
+                return optimizer
+        return adam
 
 
 def _muon(matrix: nn.Parameter, config: MinibatchConfig) -> torch.optim.Optimizer:

@@ -1,5 +1,7 @@
-"""PPO: recurrent proximal policy optimization."""
+"""PPO, and the base of trainers that learn from minibatches of whole environments as it does."""
 
+import time
+from abc import abstractmethod
 from functools import partial
 from typing import Any
 
@@ -7,20 +9,204 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import PPOConfig
-from knowarm.learn.checkpoint import Arrays, select
+from knowarm.learn.algorithms import MinibatchConfig, PPOConfig
+from knowarm.learn.checkpoint import (
+    Checkpoint,
+    policy_arrays,
+    prefixed,
+    select,
+    to_arrays,
+    to_tensors,
+)
 from knowarm.learn.environment import ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
-from knowarm.learn.guards import HealthMonitor
+from knowarm.learn.guards import FiniteGuard, HealthMonitor
+from knowarm.learn.learner import Learner, Loss, Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, advantages, ppo_loss
-from knowarm.learn.minibatch import MinibatchTrainer
-from knowarm.learn.network import Targets, TrainingNetwork
+from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
+from knowarm.learn.parallel.processes import keep_freed_memory
+from knowarm.learn.parallel.shared_tensors import TensorSpecs
 from knowarm.learn.privileged import PrivilegedRecorder, StateCritic
-from knowarm.learn.rollout import Rollout
+from knowarm.learn.rollout import Collector, Rollout
+from knowarm.learn.trainer import StopReason, SynchronousTrainer
 from knowarm.policy import Policy
+from knowarm.seeding import torch_generator
 
 PROGRESS = {"distance/0": 100.0, "angle/0": 20.0 / 90.0}
 """Reward of progress per metre and per degree, by column of the privileged state."""
+
+
+class MinibatchTrainer(SynchronousTrainer):
+    """Collects a rollout, sets targets, and takes gradient steps on minibatches of environments.
+
+    Recurrent states at the start of the rollout are stored with it. `train` changes two settings
+    of the process: PyTorch's thread count, restored afterwards, and the memory allocator
+    (`keep_freed_memory`). On a GPU convolutions no longer round to TF32.
+
+    Args:
+        config: the algorithm's configuration.
+        policy: trained in place, on the environment's device.
+        env: ``config.num_envs`` environments; see `knowarm.learn.NumpyToTorch` for those of
+            Gymnasium.
+        seed: of the run; episodes, actions and minibatches have a stream each.
+        loss: of a minibatch; picklable.
+        targets: shapes and dtypes of what the loss needs besides rollout and auxiliary targets.
+        recorder: records the simulator's state, if the algorithm uses it.
+        auxiliary_coef: coefficient of the auxiliary loss; 0: no auxiliary head.
+        curriculum: of the success thresholds.
+        greedy: collect with the most probable actions.
+        final_values: as `Collector`.
+        options: as `Trainer`.
+
+    Attributes:
+        matmul_precision: what ``config.matmul_precision`` means on this machine.
+
+    Raises:
+        UserError: the number of environments or the device differs from the config's, the device
+            lacks the precision, or the environment's knowledge does not fit the policy.
+    """
+
+    def __init__(
+        self,
+        config: MinibatchConfig,
+        policy: Policy,
+        env: TorchVectorEnv,
+        *,
+        seed: int,
+        loss: Loss,
+        targets: TensorSpecs,
+        recorder: PrivilegedRecorder | None,
+        auxiliary_coef: float,
+        curriculum: ThresholdCurriculum | None = None,
+        greedy: bool = False,
+        final_values: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(policy, seed=seed, **options)
+        if env.num_envs != config.num_envs:
+            raise UserError(
+                f"The config's num_envs is {config.num_envs} and the environment has "
+                f"{env.num_envs}; make them equal."
+            )
+        self._device = env.device
+        if config.device == "cuda" and self._device.type != "cuda":
+            raise UserError(
+                f"The config's device is 'cuda' and the environment is on {self._device}: create "
+                "the environment with device='cuda', or pass device='cpu' in the config."
+            )
+        self.config = config
+        self._recorder = recorder
+        self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
+        auxiliary_targets = 0
+        if recorder is not None and auxiliary_coef:
+            auxiliary_targets = recorder.auxiliary_targets
+        network = TrainingNetwork(policy.to(self._device), auxiliary_targets, seed)
+        self._head = network.head
+        self._learner = Learner(network, config, loss, targets, self.matmul_precision, self._device)
+        self._collector = Collector(
+            env, policy, seed=seed, final_values=final_values, greedy=greedy, curriculum=curriculum
+        )
+        self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
+        parameters = network.parameters_by_name()
+        self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
+        self._guard = FiniteGuard(self.failure_folder)
+
+    @abstractmethod
+    def set_targets(self) -> None:
+        """Compute the targets of the loss from the rollout, but those of the auxiliary head."""
+
+    def collect(self, progress: float) -> None:
+        """Fill the rollout, after a fraction ``progress`` of the training."""
+        self._collector.collect(self._learner.rollout, self._learner.infer, recorder=self._recorder)
+
+    def _train(self, total_steps: int) -> StopReason:
+        keep_freed_memory()
+        self.policy.matmul_precision = self.matmul_precision
+        try:
+            with self._learner.running():
+                return super()._train(total_steps)
+        finally:
+            self.policy.matmul_precision = "float32"
+
+    def checkpoint(self) -> Checkpoint:
+        """See `SynchronousTrainer.checkpoint`."""
+        state = to_arrays({"order": self._minibatch_generator.get_state()})
+        state |= prefixed("collector/", self._collector.get_state())
+        if self._recorder is not None:
+            state |= prefixed("privileged/", self._recorder.normalizer.get_state())
+        if self._head is not None:
+            state |= prefixed("auxiliary/", policy_arrays(self._head))
+        return Checkpoint(
+            policy=policy_arrays(self.policy),
+            optimizer=self._optimizer.get_state(),
+            state=state,
+        )
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
+        state = checkpoint.state
+        self._optimizer.set_state(checkpoint.optimizer)
+        if self._head is not None:
+            self._head.load_state_dict(to_tensors(select(state, "auxiliary/")))
+        if self._recorder is not None:
+            self._recorder.normalizer.set_state(select(state, "privileged/"))
+        self._collector.set_state(select(state, "collector/"))
+        self._minibatch_generator.set_state(torch.tensor(state["order"]))
+
+    def update(self, total_steps: int) -> Metrics:
+        """Collect one rollout, learn from it, and return the metrics of both."""
+        rollout = self._learner.rollout
+        progress = self.step / total_steps
+        rate = self.config.learning_rate_at(progress)
+        self._optimizer.set_learning_rate(rate)
+        begin = time.perf_counter()
+        environment_s = self._collector.environment_s
+        self.collect(progress)
+        environment_s = self._collector.environment_s - environment_s
+        collected = time.perf_counter()
+        self.step += rollout.reward.numel()
+        # Stop before a number that is not finite reaches the parameters.
+        self._guard.check_rollout(rollout, self.step)
+        if self._recorder is not None:
+            self._recorder.standardize()
+            if self._head is not None:
+                self._learner.targets["auxiliary"].copy_(self._recorder.targets())
+        self.set_targets()
+        means = self._learn()
+        learned = time.perf_counter()
+        return {
+            **self._collector.statistics.take().summary(),
+            **means,
+            "learning_rate": rate,
+            "environment_s": environment_s,
+            "inference_s": collected - begin - environment_s,
+            "learn_s": learned - collected,
+        }
+
+    def _learn(self) -> Metrics:
+        """Run all epochs; return the means over minibatches of loss terms and gradient norms."""
+        config = self.config
+        learner = self._learner
+        measured: list[Terms] = []
+        for _ in range(config.epochs):
+            # Environments stay whole, since a recurrent state passes through all of their steps.
+            order = torch.randperm(
+                config.num_envs, generator=self._minibatch_generator, device=self._device
+            )
+            for env_ids in order.chunk(config.minibatches):
+                loss = learner.compute_gradient(env_ids)
+                norm = torch.linalg.vector_norm(learner.gradient)
+                self._guard.check_update(self.policy, loss, norm, self.step, learner.rollout)
+                if norm > config.max_grad_norm:
+                    learner.gradient.mul_(config.max_grad_norm / norm)
+                self._optimizer.step()
+                del loss["total"]
+                measured.append({**loss, "grad_norm": norm})
+        means = {}
+        for name in measured[0]:
+            values = torch.stack([terms[name] for terms in measured])
+            means[name] = float(values.mean())
+        return means
 
 
 def minibatch_loss(
@@ -71,9 +257,7 @@ class PPOTrainer(MinibatchTrainer):
             loss=partial(minibatch_loss, config),
             targets={"advantage": table, "returns": table},
             recorder=recorder,
-            auxiliary_targets=recorder.auxiliary_targets
-            if recorder is not None and aids.auxiliary_coef
-            else 0,
+            auxiliary_coef=aids.auxiliary_coef,
             curriculum=self._curriculum,
             final_values=self._critic is None,
             **options,
@@ -81,68 +265,78 @@ class PPOTrainer(MinibatchTrainer):
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
     def set_targets(self) -> None:
-        """Compute advantages and returns, train the critic, and fill the auxiliary targets."""
-        config, rollout, targets = self.config, self._learner.rollout, self._learner.targets
-        recorder, critic, following = self._recorder, self._critic, None
+        """Compute advantages and returns, and train the critic."""
+        rollout = self._learner.rollout
+        targets = self._learner.targets
+        recorder = self._recorder
+        critic = self._critic
         if recorder is not None and critic is not None:
-            value, following = map(critic, recorder.standardized)
-            rollout.value.copy_(value)
-            following = torch.where(rollout.terminated, 0, following)
+            state, next_state = recorder.standardized
+            rollout.value.copy_(critic(state))
+            # The critic sees the state after every step, also after the last one of an episode.
+            following = torch.where(rollout.terminated, 0, critic(next_state))
+        else:
+            following = rollout.following()
         advantage = advantages(
             self.rewards(),
             rollout.value,
-            rollout.following() if following is None else following,
+            following,
             rollout.done,
-            config.gamma,
-            config.gae_lambda,
+            self.config.gamma,
+            self.config.gae_lambda,
         )
         targets["returns"].copy_(advantage + rollout.value)
+        # The critic learns last: the advantages need the values from before.
         if recorder is not None and critic is not None:
             critic.fit(recorder.standardized[0].flatten(0, 1), targets["returns"].flatten())
         targets["advantage"].copy_((advantage - advantage.mean()) / (advantage.std() + 1e-8))
-        if recorder is not None and "auxiliary" in targets:
-            targets["auxiliary"].copy_(recorder.targets())
 
     def rewards(self) -> Tensor:
         """Return the rewards of learning, (T, B): with those for progress, and scaled."""
-        reward, recorder = self._learner.rollout.reward, self._recorder
+        reward = self._learner.rollout.reward
+        recorder = self._recorder
         if recorder is not None and self.config.privileged.progress_coef:
-            gained = recorder.state - recorder.next_state
-            parts = [
-                factor * gained[..., recorder.columns.index(name)]
-                for name, factor in PROGRESS.items()
-            ]
-            reward = reward + self.config.privileged.progress_coef * (parts[0] + parts[1])
+            decrease = recorder.state - recorder.next_state
+            progress = torch.zeros_like(reward)
+            for name, factor in PROGRESS.items():
+                progress = progress + factor * decrease[..., recorder.columns.index(name)]
+            reward = reward + self.config.privileged.progress_coef * progress
         return reward * self.config.reward_scale
 
     def update(self, total_steps: int) -> Metrics:
         """See `MinibatchTrainer.update`; also moves the success thresholds."""
         metrics = super().update(total_steps)
-        rollout, returns = self._learner.rollout, self._learner.targets["returns"]
+        values = self._learner.rollout.value
         self._health.watch(
             step=self.step,
             entropy=metrics["entropy"],
-            values=rollout.value,
+            values=values,
             rewards=self.rewards(),
         )
-        metrics["explained_variance"] = explained_variance(rollout.value, returns)
+        returns = self._learner.targets["returns"]
+        metrics["explained_variance"] = explained_variance(values, returns)
         if self._curriculum.is_used:
             metrics["threshold_factor"] = self._curriculum.factor
             self._curriculum.update(metrics.get("success", 0.0), self.step / total_steps)
         return metrics
 
-    def extra_state(self) -> Arrays:
-        """See `MinibatchTrainer.extra_state`."""
-        critic = {} if self._critic is None else self._critic.get_state()
-        return {f"critic/{k}": v for k, v in critic.items()}
-
-    def restore_extra(self, state: Arrays) -> None:
-        """See `MinibatchTrainer.restore_extra`."""
+    def checkpoint(self) -> Checkpoint:
+        """See `SynchronousTrainer.checkpoint`."""
+        checkpoint = super().checkpoint()
         if self._critic is not None:
-            self._critic.set_state(select(state, "critic/"))
+            checkpoint.state.update(prefixed("critic/", self._critic.get_state()))
+        return checkpoint
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
+        super().restore(checkpoint)
+        if self._critic is not None:
+            self._critic.set_state(select(checkpoint.state, "critic/"))
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:
     """Return the fraction of the returns' variance explained by the values; 1 is perfect."""
     variance = float(returns.var())
-    return 1 - float((returns - values).var()) / variance if variance > 0 else 0.0
+    if variance > 0:
+        return 1 - float((returns - values).var()) / variance
+    return 0.0

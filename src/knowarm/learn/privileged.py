@@ -6,15 +6,14 @@ never receives it, so it plays from images alone.
 
 from typing import cast
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.checkpoint import select
+from knowarm.learn.checkpoint import Arrays, prefixed, select, to_arrays, to_tensors
 from knowarm.learn.environment import Infos, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.optimizer import Adam
-from knowarm.policy.encoder import orthogonal
+from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.seeding import torch_generator
 
 AUXILIARY_QUANTITIES = (
@@ -44,7 +43,8 @@ class RunningNormalizer:
     def update(self, values: Tensor) -> None:
         """Take values (N, D) into account (Chan, Golub and LeVeque 1979)."""
         values = values.double()
-        count, mean = len(values), values.mean(0)
+        count = len(values)
+        mean = values.mean(0)
         total = self.count + count
         difference = mean - self.mean
         between = difference.square() * self.count * count / total
@@ -57,14 +57,15 @@ class RunningNormalizer:
         deviation = (self.square / self.count.clamp(min=1)).sqrt().clamp(min=1e-6)
         return ((values - self.mean.float()) / deviation.float()).clamp(-5, 5)
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Return all that `set_state` needs."""
-        return {name: tensor.cpu().numpy().copy() for name, tensor in vars(self).items()}
+        return to_arrays(vars(self))
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
-        for name, tensor in vars(self).items():
-            setattr(self, name, torch.from_numpy(state[name].copy()).to(tensor.device))
+        tensors = to_tensors(state, self.count.device)
+        for name in vars(self):
+            setattr(self, name, tensors[name])
 
 
 class StateCritic:
@@ -72,18 +73,13 @@ class StateCritic:
 
     def __init__(self, columns: int, device: torch.device, seed: int) -> None:
         weights = torch_generator(seed, "weights", 1)
-        self.network = nn.Sequential(
-            nn.Linear(columns, CRITIC_WIDTH),
-            nn.ReLU(),
-            nn.Linear(CRITIC_WIDTH, CRITIC_WIDTH),
-            nn.ReLU(),
-            nn.Linear(CRITIC_WIDTH, 1),
-        )
-        # The small last layer makes the first values nearly zero.
-        layers = [layer for layer in self.network if isinstance(layer, nn.Linear)]
-        for layer, gain in zip(layers, (2**0.5, 2**0.5, 0.01), strict=True):
-            orthogonal(layer, gain, weights)
-        self.network.to(device)
+        first = nn.Linear(columns, CRITIC_WIDTH)
+        second = nn.Linear(CRITIC_WIDTH, CRITIC_WIDTH)
+        last = nn.Linear(CRITIC_WIDTH, 1)
+        orthogonal(first, RELU_GAIN, weights)
+        orthogonal(second, RELU_GAIN, weights)
+        orthogonal(last, 0.01, weights)  # so small that the first values are nearly zero
+        self.network = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), last).to(device)
         self._optimizer = Adam(self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True)
         self._generator = torch_generator(seed, "minibatches", 1, device=device)
 
@@ -102,22 +98,21 @@ class StateCritic:
                 error.square().mean().backward()
                 self._optimizer.step()
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Return all that `set_state` needs."""
-        state = {"generator": self._generator.get_state()}
+        state = to_arrays({"generator": self._generator.get_state()})
         for name, parameter in self.network.named_parameters():
-            state[f"{name}/value"] = parameter.detach()
-            state |= {f"{name}/{k}": v for k, v in self._optimizer.state[parameter].items()}
-        return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
+            tensors = {"value": parameter, **self._optimizer.state[parameter]}
+            state |= prefixed(f"{name}/", to_arrays(tensors))
+        return state
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
-        self._generator.set_state(torch.from_numpy(state["generator"].copy()))
+        self._generator.set_state(torch.tensor(state["generator"]))
         for name, parameter in self.network.named_parameters():
-            arrays = select(state, f"{name}/").items()
-            values = {k: torch.from_numpy(v.copy()).to(parameter.device) for k, v in arrays}
-            parameter.data.copy_(values.pop("value"))
-            self._optimizer.state[parameter] = values
+            tensors = to_tensors(select(state, f"{name}/"), parameter.device)
+            parameter.data.copy_(tensors.pop("value"))
+            self._optimizer.state[parameter] = tensors
 
 
 class PrivilegedRecorder:
@@ -128,6 +123,7 @@ class PrivilegedRecorder:
         state: (T, B, D) float32, before each step.
         next_state: (T, B, D) float32, after each step, within the same episode.
         standardized: the same two by the states so far, after `standardize`.
+        normalizer: knows the states so far.
     """
 
     def __init__(self, env: TorchVectorEnv, steps: int) -> None:
@@ -141,10 +137,11 @@ class PrivilegedRecorder:
         self.env.report_privileged_state = True
         self.columns = self.env.privileged_columns
         shape = (steps, env.num_envs, len(self.columns))
-        self.state, self.next_state = (torch.zeros(shape, device=env.device) for _ in range(2))
+        self.state = torch.zeros(shape, device=env.device)
+        self.next_state = torch.zeros(shape, device=env.device)
+        self.standardized = (self.state, self.next_state)
         self._auxiliary = torch.tensor(auxiliary_columns(self.columns), device=env.device)
-        self._normalizer = RunningNormalizer(len(self.columns), env.device)
-        self.standardized = self.state, self.next_state
+        self.normalizer = RunningNormalizer(len(self.columns), env.device)
 
     @property
     def auxiliary_targets(self) -> int:
@@ -161,20 +158,12 @@ class PrivilegedRecorder:
 
     def standardize(self) -> None:
         """Standardize the states of a new rollout."""
-        self._normalizer.update(self.state.flatten(0, 1))
-        self.standardized = self._normalizer(self.state), self._normalizer(self.next_state)
+        self.normalizer.update(self.state.flatten(0, 1))
+        self.standardized = (self.normalizer(self.state), self.normalizer(self.next_state))
 
     def targets(self) -> Tensor:
         """Return the standardized targets of the auxiliary head, (T, B, K)."""
         return self.standardized[0].index_select(-1, self._auxiliary)
-
-    def get_state(self) -> dict[str, np.ndarray]:
-        """Return all that `set_state` needs."""
-        return self._normalizer.get_state()
-
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from the result of `get_state`."""
-        self._normalizer.set_state(state)
 
 
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:

@@ -3,7 +3,6 @@
 The only module of `knowarm.learn` that needs ``pip install 'knowarm[sb3]'``.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -38,13 +37,15 @@ class SB3VecEnv(VecEnv):
         if seed is not None:
             self.seed(seed)
         self._actions = np.zeros(0)
-        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, np.int64)
 
     def reset(self) -> Observations:
         """Start new episodes; the first call uses the seed, of `VecEnv.seed` if that was called."""
         observations, _ = self.env.reset(seed=self._seeds[0])
-        self._returns[:], self._lengths[:] = 0, 0
-        self.reset_infos = [{}] * self.num_envs
+        self._returns[:] = 0
+        self._lengths[:] = 0
+        self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
         return observations
 
@@ -62,16 +63,17 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        info_of_env: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
-            listed[i] = {
+            info_of_env[i] = {
                 "terminal_observation": infos["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 "is_success": bool(infos["final_info"]["is_success"][i]),
                 "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
             }
-        self._returns[done], self._lengths[done] = 0, 0
-        return observations, np.asarray(rewards, np.float32), done, listed
+        self._returns[done] = 0
+        self._lengths[done] = 0
+        return observations, np.asarray(rewards, np.float32), done, info_of_env
 
     def close(self) -> None:
         """Close the vector environment."""
@@ -79,7 +81,7 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the vector environment, repeated for each index."""
-        return [getattr(self.env, attr_name)] * len(self._indices(indices))
+        return self._repeat(getattr(self.env, attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of the vector environment."""
@@ -90,13 +92,14 @@ class SB3VecEnv(VecEnv):
     ) -> list[Any]:
         """Call a method of the vector environment once; return its result for each index."""
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
-        return [result] * len(self._indices(indices))
+        return self._repeat(result, indices)
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
         """Return for each index whether infos hold what a wrapper adds: true for `Monitor`."""
-        return [wrapper_class is Monitor] * len(self._indices(indices))
+        return self._repeat(wrapper_class is Monitor, indices)
 
-    def _indices(self, indices: Any) -> Sequence[int]:
-        return range(self.env.num_envs) if indices is None else list(self._get_indices(indices))
+    def _repeat(self, value: Any, indices: Any) -> list[Any]:
+        """Return a value once per index."""
+        return [value for _ in self._get_indices(indices)]

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-import torch
 
-from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
-from knowarm.learn.evaluation import (
-    MAX_PENDING,
-    Evaluations,
-    MakeEvaluate,
-    Metrics,
+from knowarm.learn.checkpoint import (
+    Checkpoint,
+    CheckpointStore,
+    prefixed,
+    select,
+    to_tensors,
 )
+from knowarm.learn.evaluation import MAX_PENDING, Evaluations, MakeEvaluate, Metrics
 from knowarm.learn.parallel.shared_tensors import flatten_parameters, unflatten_parameters
 from knowarm.policy import Policy
 
@@ -67,7 +67,8 @@ class BestEvaluation:
         """Take a result; return whether it is better than all before."""
         if self.value is not None and value <= self.value:
             return False
-        self.value, self.step = value, step
+        self.value = value
+        self.step = step
         return True
 
 
@@ -158,7 +159,10 @@ class Trainer(ABC):
         finally:
             self._evaluations.close()
         return TrainingResult(
-            step=self.step, reason=reason, best_return=self._best.value, best_step=self._best.step
+            step=self.step,
+            reason=reason,
+            best_return=self._best.value,
+            best_step=self._best.step,
         )
 
     def resume(self) -> None:
@@ -169,10 +173,11 @@ class Trainer(ABC):
         """
         assert self.checkpoints is not None, "resuming needs a checkpoint store"
         checkpoint = self.checkpoints.load()
-        self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
-        self.step = checkpoint.facts["step"]
-        self._best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
-        self._evaluated_step = checkpoint.facts.get("evaluated_step", self._best.step)
+        facts = checkpoint.facts
+        self.policy.load_state_dict(to_tensors(checkpoint.policy))
+        self.step = facts["step"]
+        self._best = BestEvaluation(facts["best_return"], facts["best_step"])
+        self._evaluated_step = facts.get("evaluated_step", self._best.step)
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
             self.pending_evaluations = {int(step): values for step, values in pending.items()}
@@ -188,18 +193,24 @@ class Trainer(ABC):
 
     def _save(self, checkpoint: Checkpoint) -> None:
         """Save a checkpoint, if there is a store, with the best and the pending evaluations."""
-        if self.checkpoints is not None:
-            best = {"best_return": self._best.value, "best_step": self._best.step}
-            facts = {"step": self.step, **checkpoint.facts, **best}
-            facts["evaluated_step"] = self._evaluated_step
-            pending = {
-                f"{_PENDING}{step}": values
-                for step, values in self._evaluations.pending()
-                if step <= facts["step"]
-            }
-            facts["pending"] = len(pending)
-            state = {**checkpoint.state, **pending}
-            self.checkpoints.save(replace(checkpoint, state=state, facts=facts))
+        if self.checkpoints is None:
+            return
+        facts = {
+            "step": self.step,
+            **checkpoint.facts,
+            "best_return": self._best.value,
+            "best_step": self._best.step,
+            "evaluated_step": self._evaluated_step,
+        }
+        # The checkpoint may be older than this moment, and so than an evaluation.
+        pending = {
+            str(step): values
+            for step, values in self._evaluations.pending()
+            if step <= facts["step"]
+        }
+        facts["pending"] = len(pending)
+        state = checkpoint.state | prefixed(_PENDING, pending)
+        self.checkpoints.save(replace(checkpoint, state=state, facts=facts))
 
     def _should_stop(self) -> bool:
         """Tell whether the hook has asked to stop, now or before."""
@@ -237,19 +248,22 @@ class Trainer(ABC):
         save()
         if not self._evaluations.pending():
             return "finished"
+        # Saved before the wait, so that a training that is killed meanwhile has lost nothing.
         is_complete = self._wait_for_evaluations()
         save()
-        return "finished" if is_complete else "stopped"
+        if is_complete:
+            return "finished"
+        return "stopped"
 
     def _take_evaluations(self, *, timeout_s: float = 0.0) -> None:
         """Report completed evaluations to the hooks and save the best policy."""
-        for done in self._evaluations.completed(timeout_s=timeout_s):
-            is_best = self._best.update(done.step, done.results["return_mean"])
+        for step, values, results in self._evaluations.completed(timeout_s=timeout_s):
+            is_best = self._best.update(step, results["return_mean"])
             if is_best and self.checkpoints is not None:
-                parameters = unflatten_parameters(self.policy, done.values)
-                facts = {"step": done.step, **done.results}
+                parameters = unflatten_parameters(self.policy, values)
+                facts = {"step": step, **results}
                 self.checkpoints.save_best(Checkpoint(policy=parameters, facts=facts))
-            self.hooks.on_evaluation(done.step, done.results, is_best)
+            self.hooks.on_evaluation(step, results, is_best)
 
 
 class SynchronousTrainer(Trainer):
@@ -270,6 +284,7 @@ class SynchronousTrainer(Trainer):
 
     def _train(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
+        # The untrained policy is the first point of the learning curve.
         if self.step == 0 and self.lacks_evaluation:
             self._submit_evaluation()
         while self.step < total_steps:
@@ -277,12 +292,16 @@ class SynchronousTrainer(Trainer):
                 self._take_evaluations()
                 self.save()
                 return "stopped"
-            before, start = self.step, time.perf_counter()
+            before = self.step
+            start = time.perf_counter()
             metrics = self.update(total_steps)
             now = time.perf_counter()
-            speed = (self.step - before) / (now - start)
-            times = {"step": self.step, "wall_time_s": now - begin, "steps_per_s": speed}
-            self.hooks.on_metrics({**times, **metrics})
+            row = {
+                "step": self.step,
+                "wall_time_s": now - begin,
+                "steps_per_s": (self.step - before) / (now - start),
+            }
+            self.hooks.on_metrics(row | metrics)
             if crossed(before, self.step, self.evaluate_every):
                 self._submit_evaluation()
             self._take_evaluations()

@@ -83,7 +83,9 @@ class PolicyAgent:
         """Return the knowledge of episodes that start with images (n, H, W, 3), (n, K) float32."""
         if self.recognition is not None:
             return cast(Tensor, self.recognition(images, self.rows))
-        return torch.zeros(len(self.rows), 0) if self.table is None else self.table[self.rows]
+        if self.table is None:
+            return torch.zeros(len(self.rows), 0)
+        return self.table[self.rows]
 
     @torch.inference_mode()
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -92,14 +94,14 @@ class PolicyAgent:
         Raises:
             UserError: images of another size or type.
         """
-        seen, size = np.asarray(observations["image"]), self.policy.shape.image_size
-        wanted = len(self.rows), size, size, 3
-        if seen.shape != wanted or seen.dtype != np.uint8:
+        image = np.asarray(observations["image"])
+        size = self.policy.shape.image_size
+        if image.shape != (len(self.rows), size, size, 3) or image.dtype != np.uint8:
             raise UserError(
-                f"The image must be ({size}, {size}, 3) uint8, or n of them, got {seen.shape} "
-                f"{seen.dtype}: resize it, and keep values of 0 to 255."
+                f"The image must be ({size}, {size}, 3) uint8, or n of them, got {image.shape} "
+                f"{image.dtype}: resize it, and keep values of 0 to 255."
             )
-        images = torch.from_numpy(seen.copy())  # also of backward views and read-only arrays
+        images = torch.from_numpy(image.copy())  # also of backward views and read-only arrays
         if self.knowledge is None:
             self.knowledge = self.recognize(images)
         logits, _, self._state = self.policy.step(

@@ -3,33 +3,59 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from knowarm.config import above_zero, at_least
 from knowarm.errors import Argument, UserError, unknown_name
 
 if TYPE_CHECKING:
+    from knowarm.policy.fusion import Fusion, Layer
+
+# The functions import torch, which reading a config does not need.
+
+
+def _no_fusion(*sizes: int) -> "Fusion":
     from knowarm.policy.fusion import Fusion
 
+    return Fusion(*sizes)
 
-def _fusion(kind: str, *sizes: int, **options: Any) -> "Fusion":
-    """Make a fusion, importing torch, which reading a config does not need."""
-    made: Fusion = getattr(import_module("knowarm.policy.fusion"), kind)(*sizes, **options)
-    return made
+
+def _concatenation(*sizes: int, layers: "tuple[Layer, ...]") -> "Fusion":
+    from knowarm.policy.fusion import Concatenation
+
+    return Concatenation(*sizes, layers=layers)
+
+
+def _film(*sizes: int) -> "Fusion":
+    from knowarm.policy.fusion import FiLM
+
+    return FiLM(*sizes)
+
+
+def _attention(*sizes: int) -> "Fusion":
+    from knowarm.policy.fusion import Attention
+
+    return Attention(*sizes)
+
+
+def _similarity(*sizes: int) -> "Fusion":
+    from knowarm.policy.fusion import Similarity
+
+    return Similarity(*sizes)
 
 
 FUSIONS: "dict[str, Callable[[int, int, int], Fusion]]" = {
-    "none": partial(_fusion, "Fusion"),
-    "before_fc": partial(_fusion, "Concatenation", layers=("fc",)),
-    "before_lstm": partial(_fusion, "Concatenation", layers=("lstm",)),
-    "after_lstm": partial(_fusion, "Concatenation", layers=("actor", "critic")),
-    "film": partial(_fusion, "FiLM"),
-    "attention": partial(_fusion, "Attention"),
-    "similarity": partial(_fusion, "Similarity"),
-    "critic": partial(_fusion, "Concatenation", layers=("critic",)),
+    "none": _no_fusion,
+    "before_fc": partial(_concatenation, layers=("fc",)),
+    "before_lstm": partial(_concatenation, layers=("lstm",)),
+    "after_lstm": partial(_concatenation, layers=("actor", "critic")),
+    "film": _film,
+    "attention": _attention,
+    "similarity": _similarity,
+    "critic": partial(_concatenation, layers=("critic",)),
 }
-"""Fusions by name, as `PolicyConfig.fusion` gives it. With "before_lstm" (the paper, section 4.2.2)
+"""Fusions by name, as `PolicyConfig.fusion` gives it; made from the numbers of image features, of
+knowledge values and of slots. With "before_lstm" (the paper, section 4.2.2)
 the knowledge is next to the LSTM's other inputs; with "critic" the actor needs none in use."""
 
 
@@ -116,5 +142,6 @@ def hidden_size(config: PolicyConfig, shape: PolicyShape) -> int:
         )
     if isinstance(config.hidden, int):
         return config.hidden
-    grows = config.hidden == "grow" and config.fusion != "none"
-    return config.features + grows * shape.knowledge_dim
+    if config.hidden == "grow" and config.fusion != "none":
+        return config.features + shape.knowledge_dim
+    return config.features

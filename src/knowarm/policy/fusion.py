@@ -94,7 +94,8 @@ class Attention(Fusion):
 
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
-        self.slots, width = slots, knowledge // slots
+        width = knowledge // slots
+        self.slots = slots
         self.query = nn.Linear(features, width)
         self.key = nn.Linear(width, width)
         self.value = nn.Linear(width, width)
@@ -108,8 +109,10 @@ class Attention(Fusion):
         if layer != "lstm":
             return x
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
-        scores = (self.query(x)[:, None] * self.key(slots)).sum(2) / math.sqrt(slots.shape[2])
-        mixture = (torch.softmax(scores, 1)[:, :, None] * self.value(slots)).sum(1)
+        products = self.query(x)[:, None] * self.key(slots)
+        scores = products.sum(2) / math.sqrt(slots.shape[2])
+        weights = torch.softmax(scores, 1)[:, :, None]
+        mixture = (weights * self.value(slots)).sum(1)
         return torch.cat((x, mixture), 1)
 
 
@@ -130,10 +133,12 @@ class Similarity(Fusion):
 
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
-        self.slots, channels = slots, ImageEncoder.channels
+        self.slots = slots
         self.query = nn.Linear(knowledge // slots, self.width, bias=False)
         self.key = nn.Sequential(
-            nn.Linear(channels, 2 * self.width), nn.ReLU(), nn.Linear(2 * self.width, self.width)
+            nn.Linear(ImageEncoder.channels, 2 * self.width),
+            nn.ReLU(),
+            nn.Linear(2 * self.width, self.width),
         )
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
@@ -147,5 +152,5 @@ class Similarity(Fusion):
     def scores(self, maps: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
-        wanted = self.query(slots).sum(1)
-        return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(self.width)
+        query = self.query(slots).sum(1)
+        return (self.key(maps) * query[:, None]).sum(2) / math.sqrt(self.width)

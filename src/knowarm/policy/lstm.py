@@ -18,13 +18,21 @@ from knowarm.compiling import njit
 
 Singles = NDArray[np.float32]
 
-_ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
+_ONE = np.float32(1)
+_TWO = np.float32(2)
+_HALF = np.float32(0.5)
 _LARGEST = np.float32(87)
 """Bound of the exponent: exp of it and of its negative are normal float32 numbers."""
 _PER_LN2 = np.float32(1 / np.log(2))
 # ln 2 as a sum of two parts: an integer times the first part is exact in float32.
-_LN2_HIGH, _LN2_LOW = np.float32(0.693359375), np.float32(np.log(2) - 0.693359375)
-_C3, _C4, _C5, _C6, _C7 = (np.float32(1 / n) for n in (6, 24, 120, 720, 5040))
+_LN2_HIGH = np.float32(0.693359375)
+_LN2_LOW = np.float32(np.log(2) - 0.693359375)
+# Coefficients 1 / n! of the Taylor polynomial.
+_C3 = np.float32(1 / 6)
+_C4 = np.float32(1 / 24)
+_C5 = np.float32(1 / 120)
+_C6 = np.float32(1 / 720)
+_C7 = np.float32(1 / 5040)
 
 
 @njit(inline="always")
@@ -70,25 +78,30 @@ def forward_step(
     """
     steps, batch, size = hidden.shape
     for b in range(batch):
-        kept = keep[t, b, 0]
-        next_kept = keep[t + 1, b, 0] if t + 1 < steps else _ONE
-        gate, more, cell = gates[t, b], added[b], c[b]
-        before, squashed, out, next_h = c_in[t, b], c_tanh[t, b], hidden[t, b], h[b]
+        mask = keep[t, b, 0]
+        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        gate = gates[t, b]
+        recurrent = added[b]
+        cell = c[b]
+        before = c_in[t, b]
+        squashed = c_tanh[t, b]
+        out = hidden[t, b]
+        next_h = h[b]
         # Short loops over few arrays: only these are vectorized by the compiler.
         for j in range(2 * size):
-            gate[j] = _sigmoid(gate[j] + more[j])
+            gate[j] = _sigmoid(gate[j] + recurrent[j])
         for j in range(2 * size, 3 * size):
-            gate[j] = _tanh(gate[j] + more[j])
+            gate[j] = _tanh(gate[j] + recurrent[j])
         for j in range(3 * size, 4 * size):
-            gate[j] = _sigmoid(gate[j] + more[j])
+            gate[j] = _sigmoid(gate[j] + recurrent[j])
         for j in range(size):
-            before[j] = cell[j] * kept
+            before[j] = cell[j] * mask
             cell[j] = gate[size + j] * before[j] + gate[j] * gate[2 * size + j]
         for j in range(size):
             squashed[j] = _tanh(cell[j])
         for j in range(size):
             out[j] = gate[3 * size + j] * squashed[j]
-            next_h[j] = out[j] * next_kept
+            next_h[j] = out[j] * next_mask
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -111,23 +124,30 @@ def backward_step(
     """
     steps, batch, size = d_hidden.shape
     for b in range(batch):
-        kept = keep[t, b, 0]
-        next_kept = keep[t + 1, b, 0] if t + 1 < steps else _ONE
-        gate, before, squashed = gates[t, b], c_in[t, b], c_tanh[t, b]
-        above, after, d_gate, d_cell = d_hidden[t, b], d_next[b], d_gates[b], dc[b]
+        mask = keep[t, b, 0]
+        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        gate = gates[t, b]
+        before = c_in[t, b]
+        squashed = c_tanh[t, b]
+        d_out = d_hidden[t, b]
+        d_next_h = d_next[b]
+        d_gate = d_gates[b]
+        d_cell = dc[b]
         for j in range(size):
-            dh = above[j] + after[j] * next_kept
-            o, y = gate[3 * size + j], squashed[j]
+            dh = d_out[j] + d_next_h[j] * next_mask
+            o = gate[3 * size + j]
+            y = squashed[j]
             d_gate[3 * size + j] = dh * y * o * (_ONE - o)
             d_cell[j] += dh * o * (_ONE - y * y)
         for j in range(size):
-            i, g = gate[j], gate[2 * size + j]
+            i = gate[j]
+            g = gate[2 * size + j]
             d_gate[j] = d_cell[j] * g * i * (_ONE - i)
             d_gate[2 * size + j] = d_cell[j] * i * (_ONE - g * g)
         for j in range(size):
             f = gate[size + j]
             d_gate[size + j] = d_cell[j] * before[j] * f * (_ONE - f)
-            d_cell[j] *= f * kept
+            d_cell[j] *= f * mask
 
 
 State = tuple[Tensor, Tensor]
@@ -189,7 +209,8 @@ class MaskedLSTM(nn.Module):
 
     def _advance(self, projected: Tensor, state: State, keep: Tensor) -> tuple[Tensor, State]:
         """Advance by one step from the input part of the gates (B, 4H) and a mask (B, 1)."""
-        h, c = state[0] * keep, state[1] * keep
+        h = state[0] * keep
+        c = state[1] * keep
         gates = projected + F.linear(h, self.weight_hh)
         i, f, g, o = gates.to(c.dtype).chunk(4, 1)
         c = torch.sigmoid(f) * c + torch.sigmoid(i) * torch.tanh(g)
@@ -231,16 +252,21 @@ class MaskedLSTMFunction(torch.autograd.Function):
         gates = projected.to(weight_hh.dtype, copy=True).contiguous()
         h_in = projected.new_empty(steps, batch, size)
         c_in = gates.new_empty(steps, batch, size)
-        c_tanh, hidden = torch.empty_like(c_in), torch.empty_like(c_in)
+        c_tanh = torch.empty_like(c_in)
+        hidden = torch.empty_like(c_in)
+        added = torch.zeros_like(gates[0])
         weight = weight_hh.to(projected.dtype)
-        recurrent, added = weight.t(), torch.empty_like(gates[0])
-        h, c = h * keep[0], c.clone()
-        arrays = [x.numpy() for x in (added, keep, gates, c_in, c_tanh, hidden, h, c)]
+        recurrent = weight.t()
+        h = h * keep[0]
+        c = c.clone()
+        tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
+        arrays = [tensor.numpy() for tensor in tensors]
         # Where every step starts an episode, the recurrent products are zeros.
         ctx.remembers = bool(keep.any())
-        for t, h_t in enumerate(h_in.unbind()):
+        for t, h_t in enumerate(h_in):
             h_t.copy_(h)
-            added.copy_(torch.mm(h_t, recurrent) if ctx.remembers else torch.zeros(()))
+            if ctx.remembers:
+                added.copy_(torch.mm(h_t, recurrent))
             forward_step(t, *arrays)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h, c
@@ -253,14 +279,17 @@ class MaskedLSTMFunction(torch.autograd.Function):
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
         size = weight.shape[1]
         d_projected = torch.empty_like(gates, dtype=weight.dtype)
-        d_gates, d_next, dc = torch.empty_like(gates[0]), dh.clone(), dc.clone()
+        d_gates = torch.empty_like(gates[0])
+        d_next = dh.clone()
+        dc = dc.clone()
         tensors = (d_next, d_hidden.contiguous(), keep, gates, c_in, c_tanh, d_gates, dc)
-        arrays = [x.numpy() for x in tensors]
-        for t, low in reversed(list(enumerate(d_projected.unbind()))):
+        arrays = [tensor.numpy() for tensor in tensors]
+        for t in reversed(range(len(d_projected))):
             backward_step(t, *arrays)
-            low.copy_(d_gates)
+            d_projected_t = d_projected[t]
+            d_projected_t.copy_(d_gates)
             if t or ctx.needs_input_grad[2]:
-                d_next.copy_(torch.mm(low, weight))
+                d_next.copy_(torch.mm(d_projected_t, weight))
         d_weight = torch.zeros_like(weight)
         if ctx.remembers:
             d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)

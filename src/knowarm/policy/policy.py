@@ -55,20 +55,23 @@ class Policy(nn.Module):
         super().__init__()
         self.config = config
         self.shape = shape
-        self.resolved_config = matched_without_knowledge(config, shape) if config.wide else config
-        config = self.resolved_config
-        self.hidden_size = hidden = hidden_size(config, shape)
+        if config.wide:
+            config = matched_without_knowledge(config, shape)
+        self.resolved_config = config
+        hidden = hidden_size(config, shape)
         knowledge = shape.knowledge_dim
+        self.hidden_size = hidden
         self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
         self.knowledge_encoder: nn.Module = nn.Identity()
         if self.uses_knowledge and config.knowledge_encoder == "learned":
-            self.knowledge_encoder = nn.Linear(shape.knowledge_dim, knowledge, bias=False)
+            self.knowledge_encoder = nn.Linear(knowledge, knowledge, bias=False)
         fusion = FUSIONS[config.fusion](config.features, knowledge, shape.knowledge_slots)
         self.fusion = fusion
         self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
         self.memory = MaskedLSTM(config.features + fusion.extra_inputs("lstm"), hidden)
         self.actor = nn.Linear(hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels)
         self.critic = nn.Linear(hidden + fusion.extra_inputs("critic"), 1)
+        self._has_relu = config.fc_activation == "relu"
         self.matmul_precision: MatmulPrecision = "float32"
         if not self.critic.weight.is_meta:
             self.reset_parameters(torch_generator(seed, "weights"))
@@ -85,8 +88,7 @@ class Policy(nn.Module):
         for layer in self.knowledge_encoder.modules():
             orthogonal(layer, 1.0, generator)
         self.fusion.reset_parameters(generator)
-        rectified = self.config.fc_activation == "relu"
-        orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
+        orthogonal(self.fc, RELU_GAIN if self._has_relu else 1.0, generator)
         orthogonal(self.memory, 1.0, generator)
         for head in self.actor.weight.data.split(self.shape.levels):
             orthogonal_(head, self.config.actor_gain, generator)
@@ -108,7 +110,9 @@ class Policy(nn.Module):
     @property
     def knowledge_width(self) -> int:
         """Number K of numbers per episode that the network reads as knowledge; 0 without."""
-        return self.shape.knowledge_dim if self.uses_knowledge else 0
+        if not self.uses_knowledge:
+            return 0
+        return self.shape.knowledge_dim
 
     def check_knowledge(self, knowledge: Tensor) -> None:
         """Check that the knowledge of an environment's episodes fits, as `step` takes it.
@@ -117,7 +121,7 @@ class Policy(nn.Module):
             UserError: it has another width or dtype.
         """
         width = self.knowledge_width
-        if (knowledge.shape[1:], knowledge.dtype) != ((width,), torch.float32):
+        if knowledge.shape[1:] != (width,) or knowledge.dtype != torch.float32:
             raise UserError(
                 f"The environment's knowledge is {tuple(knowledge.shape)} {knowledge.dtype}, and "
                 f"the policy expects vectors of {width} float32 numbers: build both from the same "
@@ -139,10 +143,9 @@ class Policy(nn.Module):
         Returns:
             Logits (B, J, A), values (B,), next state.
         """
-        patches = self.patches(image) if image.ndim == 4 else image
         knowledge = self.knowledge_encoder(knowledge)
         with self.autocast():
-            inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
+            inputs = self.fusion("lstm", self._features(image, knowledge), knowledge)
             hidden, state = self.memory.step(inputs, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
@@ -165,11 +168,10 @@ class Policy(nn.Module):
             Logits (T, B, J, A), values (T, B), state after the last step, and the features of the
             images (T * B, features) that the LSTM receives with the knowledge.
         """
-        patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(knowledge).flatten(0, 1)
         with self.autocast():
-            features = self._features(patches.flatten(0, 1), knowledge)
+            features = self._features(image.flatten(0, 1), knowledge)
             inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
             hidden, state = self.memory(inputs, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
@@ -181,13 +183,15 @@ class Policy(nn.Module):
         groups: dict[str, tuple[nn.Module, ...]] = {
             "image": (self.encoder, self.fc),
             "knowledge": (self.knowledge_encoder, self.fusion),
-            **{name: (getattr(self, name),) for name in ("memory", "actor", "critic")},
+            "memory": (self.memory,),
+            "actor": (self.actor,),
+            "critic": (self.critic,),
         }
-        counts = {
-            name: sum(p.numel() for module in modules for p in module.parameters())
-            for name, modules in groups.items()
-        }
-        return {**counts, "total": sum(counts.values())}
+        counts = {}
+        for name, modules in groups.items():
+            counts[name] = sum(p.numel() for p in nn.ModuleList(modules).parameters())
+        counts["total"] = sum(counts.values())
+        return counts
 
     def maker(self) -> "MakePolicy":
         """Return a function that builds a policy with this structure."""
@@ -195,16 +199,22 @@ class Policy(nn.Module):
 
     def autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
-        low, device = self.matmul_precision == "bfloat16", self.critic.weight.device.type
-        # Each weight is used once, so caching its copy gains nothing.
-        return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
+        return torch.autocast(
+            self.critic.weight.device.type,
+            torch.bfloat16,
+            enabled=self.matmul_precision == "bfloat16",
+            cache_enabled=False,  # each weight is used once
+        )
 
-    def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
-        """Compute the features of images (N, features) from (N, S, L) and (N, K)."""
-        encoded = self.encoder(patches) if patches.ndim == 3 else patches
-        x = self.fusion("fc", encoded, knowledge)
+    def _features(self, image: Tensor, knowledge: Tensor) -> Tensor:
+        """Compute the features of images (N, features) from any form of them and (N, K)."""
+        if image.ndim == 4:
+            image = self.patches(image)
+        if image.ndim == 3:
+            image = self.encoder(image)
+        x = self.fusion("fc", image, knowledge)
         features: Tensor = self.fc(x)
-        return torch.relu(features) if self.config.fc_activation == "relu" else features
+        return torch.relu(features) if self._has_relu else features
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:
         """Compute logits (N, J, A) and values (N,) from (N, H) and (N, K)."""
@@ -232,18 +242,22 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
     if shape.knowledge_dim == 0:
         return replace(config, fusion="none")
 
-    def candidate(hidden: int) -> PolicyConfig:
+    def count(config: PolicyConfig) -> int:
+        with torch.device("meta"):
+            return Policy(config, shape).parameter_counts()["total"]
+
+    def without(hidden: int) -> PolicyConfig:
         return replace(config, fusion="none", hidden=hidden)
 
-    def count(candidate: PolicyConfig) -> int:
-        with torch.device("meta"):
-            return Policy(candidate, shape).parameter_counts()["total"]
+    def count_without(hidden: int) -> int:
+        return count(without(hidden))
 
     # The count grows with the hidden size: find the first that is not below the target.
-    target, sizes = count(config), range(1, 2**20)
-    high = bisect_left(sizes, target, key=lambda hidden: count(candidate(hidden)))
+    target = count(config)
+    sizes = range(1, 2**20)
+    high = bisect_left(sizes, target, key=count_without)
     nearest = sizes[max(0, high - 1) : high + 1]
-    return candidate(min(nearest, key=lambda hidden: abs(count(candidate(hidden)) - target)))
+    return without(min(nearest, key=lambda hidden: abs(count_without(hidden) - target)))
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
@@ -260,9 +274,14 @@ def log_probabilities(logits: Tensor) -> Tensor:
     return logits - logits.logsumexp(-1, keepdim=True)
 
 
+def of_actions(values: Tensor, actions: Tensor) -> Tensor:
+    """Select what belongs to actions (..., J) from values of all levels (..., J, A): (..., J)."""
+    return values.gather(-1, actions[..., None]).squeeze(-1)
+
+
 def log_probability(logits: Tensor, actions: Tensor) -> Tensor:
     """Compute the log-probability of actions (..., J), summed over joints [nat]: (...)."""
-    return log_probabilities(logits).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
+    return of_actions(log_probabilities(logits), actions).sum(-1)
 
 
 def entropy(logits: Tensor) -> Tensor:

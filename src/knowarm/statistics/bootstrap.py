@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from knowarm.arrays import Floats
+
 CONFIDENCE = 0.95  # of every interval of this package
 
 
@@ -72,28 +74,31 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
     is the range of their values, it is Student's t, and no narrower than the runs' own intervals
     on average: two runs of equal success do not tell the success better than one.
     """
-    values = np.array([each.estimate for each in runs])
+    values = np.array([run.estimate for run in runs])
     if len(runs) >= FEW_RUNS:
         return bootstrap(values)
     mean = float(values.mean())
-    half = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1) * scipy.stats.sem(values)
-    below = max(half, mean - np.mean([each.low for each in runs]))
-    above = max(half, np.mean([each.high for each in runs]) - mean)
-    return Interval(mean, mean - float(below), mean + float(above), runs=tuple(values.tolist()))
+    quantile = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1)
+    half = quantile * scipy.stats.sem(values)
+    low = np.mean([run.low for run in runs])
+    high = np.mean([run.high for run in runs])
+    below = float(max(half, mean - low))
+    above = float(max(half, high - mean))
+    return Interval(mean, mean - below, mean + above, runs=tuple(values.tolist()))
 
 
 REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles
 BLOCK = 2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
 
 
-def iqm(scores: np.ndarray, axis: int = -1) -> np.ndarray:
+def iqm(scores: Floats, axis: int = -1) -> Floats:
     """Compute the interquartile mean of scores: the mean of the middle half."""
     return np.asarray(scipy.stats.trim_mean(scores, 0.25, axis=axis))
 
 
 def bootstrap(
-    scores: np.ndarray,
-    statistic: Callable[..., np.ndarray] = np.mean,
+    scores: Floats,
+    statistic: Callable[..., Floats] = np.mean,
     *,
     repetitions: int = 10_000,
 ) -> Interval:
@@ -114,7 +119,7 @@ def bootstrap(
     return Interval(estimate, *_percentiles([scores], statistic, repetitions))
 
 
-def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Interval:
+def probability_of_improvement(first: Floats, second: Floats) -> Interval:
     """Estimate P(a run of the first agent scores higher than one of the second), ties as 1/2.
 
     The Mann-Whitney statistic U / (n m), with a bootstrap interval that resamples the runs of
@@ -126,17 +131,16 @@ def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Interva
     """
     samples = [np.asarray(first, np.float64), np.asarray(second, np.float64)]
 
-    def wins(a: np.ndarray, b: np.ndarray, *, axis: int) -> np.ndarray:
-        a, b = a[..., :, None], b[..., None, :]
+    def wins(a: Floats, b: Floats, *, axis: int) -> Floats:
+        a = a[..., :, None]
+        b = b[..., None, :]
         return ((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1))
 
     estimate = float(wins(*samples, axis=-1))
     return Interval(estimate, *_percentiles(samples, wins, REPETITIONS))
 
 
-def performance_profile(
-    scores: np.ndarray, thresholds: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def performance_profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Floats, Floats]:
     """Compute the fraction of runs that score above tau, for every tau.
 
     Args:
@@ -147,19 +151,27 @@ def performance_profile(
         Three (T,) float64 arrays: the fraction, and the ends of its pointwise bootstrap band.
     """
     above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
-    uniform = np.full(len(above), 1 / len(above))
-    drawn = np.random.default_rng(0).multinomial(len(above), uniform, REPETITIONS) @ above
+    runs = len(above)
+    # How often each run occurs in each resample.
+    counts = np.random.default_rng(0).multinomial(runs, np.full(runs, 1 / runs), REPETITIONS)
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(drawn / len(above), [tail, 1 - tail], axis=0)
+    low, high = np.quantile(counts @ above / runs, [tail, 1 - tail], axis=0)
     return above.mean(axis=0), low, high
 
 
 def _percentiles(
-    samples: Sequence[np.ndarray], statistic: Callable[..., Any], repetitions: int
+    samples: Sequence[Floats], statistic: Callable[..., Any], repetitions: int
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
-    sizes = {"n_resamples": repetitions, "batch": max(1, BLOCK // sum(s.size for s in samples))}
-    kind = {"vectorized": True, "confidence_level": CONFIDENCE, "method": "percentile"}
-    rng = np.random.default_rng(0)
-    result = scipy.stats.bootstrap(samples, statistic, **sizes, **kind, rng=rng)
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+    result = scipy.stats.bootstrap(
+        samples,
+        statistic,
+        n_resamples=repetitions,
+        batch=max(1, BLOCK // sum(sample.size for sample in samples)),
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    low, high = result.confidence_interval
+    return float(low), float(high)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from knowarm.arrays import Floats
 from knowarm.statistics.bootstrap import CONFIDENCE, Interval
 
 
@@ -24,7 +25,7 @@ class Comparison:
     second_count: int  # observations of the second agent
 
 
-def welch(first: np.ndarray, second: np.ndarray) -> Comparison:
+def welch(first: Floats, second: Floats) -> Comparison:
     """Compare the means of two independent samples of unequal variance (Welch's t test).
 
     With few training seeds its interval keeps its coverage; the percentile bootstrap's does not.
@@ -36,14 +37,15 @@ def welch(first: np.ndarray, second: np.ndarray) -> Comparison:
     Raises:
         ValueError: a side has fewer than two scores.
     """
-    first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    first = np.asarray(first, np.float64)
+    second = np.asarray(second, np.float64)
     if min(first.size, second.size) < 2:
         raise ValueError("a difference between methods needs at least two runs of each")
     spread = math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
     return _t_test(scipy.stats.ttest_ind, first, second, spread, equal_var=False)
 
 
-def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
+def paired(first: Floats, second: Floats) -> Comparison:
     """Compare pairs of values, such as a method's with chance (Student's paired t test).
 
     Args:
@@ -53,14 +55,15 @@ def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
     Raises:
         ValueError: the lengths differ, or there are fewer than two pairs.
     """
-    first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    first = np.asarray(first, np.float64)
+    second = np.asarray(second, np.float64)
     if first.shape != second.shape or first.size < 2:
         raise ValueError("paired values need two equal shapes of at least two pairs")
     spread = float((first - second).std(ddof=1))
     return _t_test(scipy.stats.ttest_rel, first, second, spread)
 
 
-def one_way_anova(groups: Sequence[np.ndarray]) -> tuple[float, float]:
+def one_way_anova(groups: Sequence[Floats]) -> tuple[float, float]:
     """Run the paper's test (section 5.3): 30 success rates per network, 100 episodes each.
 
     All observations of a group come from one trained network. The test therefore says whether
@@ -79,7 +82,7 @@ def one_way_anova(groups: Sequence[np.ndarray]) -> tuple[float, float]:
     return float(result.statistic), float(result.pvalue)
 
 
-def holm(p_values: Sequence[float]) -> np.ndarray:
+def holm(p_values: Sequence[float]) -> Floats:
     """Adjust p-values for a family of comparisons with Holm's step-down correction.
 
     The i-th smallest of m is multiplied by m - i (i from 0), made monotone and limited to 1.
@@ -102,12 +105,13 @@ def power_of_two_samples(effect_size: float, count: int, alpha: float = 0.05) ->
         effect_size: true difference in standard deviations (Cohen's d).
         count: runs of each agent, at least 2.
     """
-    freedom, noncentrality = 2 * count - 2, abs(effect_size) * math.sqrt(count / 2)
+    freedom = 2 * count - 2
+    noncentrality = abs(effect_size) * math.sqrt(count / 2)
     critical = scipy.stats.t.ppf(1 - alpha / 2, freedom)
+    upper = scipy.stats.nct.sf(critical, freedom, noncentrality)
+    lower = scipy.stats.nct.cdf(-critical, freedom, noncentrality)
     # Where SciPy's tail underflows to NaN the power is 1 to machine precision.
-    upper = float(scipy.stats.nct.sf(critical, freedom, noncentrality))
-    lower = float(scipy.stats.nct.cdf(-critical, freedom, noncentrality))
-    return (1.0 if math.isnan(upper) else upper) + (0.0 if math.isnan(lower) else lower)
+    return float(np.nan_to_num(upper, nan=1.0) + np.nan_to_num(lower, nan=0.0))
 
 
 def seeds_needed(effect_size: float) -> int | None:
@@ -123,23 +127,25 @@ def seeds_needed(effect_size: float) -> int | None:
         None above 10,000.
     """
     counts = range(2, 10_001)
-    place = bisect_left(counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count))
-    return counts[place] if place < len(counts) else None
+    index = bisect_left(counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count))
+    if index == len(counts):
+        return None
+    return counts[index]
 
 
 def _t_test(
-    test: Callable[..., Any], first: np.ndarray, second: np.ndarray, spread: float, **options: Any
+    test: Callable[..., Any], first: Floats, second: Floats, spread: float, **options: Any
 ) -> Comparison:
     """Run one of SciPy's t tests; without any spread the difference is exact."""
     difference = float(first.mean() - second.mean())
     rounding = 1e-12 * max(np.abs(first).max(), np.abs(second).max())
-    p_value, effect_size = 0.0 if abs(difference) > rounding else 1.0, None
-    ends = difference, difference
-    if spread > rounding:
-        with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
-            warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
-            result = test(first, second, **options)
-        ends, p_value = result.confidence_interval(CONFIDENCE), float(result.pvalue)
-        effect_size = difference / spread
-    interval = Interval(difference, float(ends[0]), float(ends[1]))
-    return Comparison(interval, p_value, effect_size, first.size, second.size)
+    if not spread > rounding:  # also of values that are NaN
+        exact = Interval(difference, difference, difference)
+        p_value = 0.0 if abs(difference) > rounding else 1.0
+        return Comparison(exact, p_value, None, first.size, second.size)
+    with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
+        warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
+        result = test(first, second, **options)
+    low, high = result.confidence_interval(CONFIDENCE)
+    interval = Interval(difference, float(low), float(high))
+    return Comparison(interval, float(result.pvalue), difference / spread, first.size, second.size)

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import scipy
 
+from knowarm.arrays import Floats, Mask
 from knowarm.statistics.bootstrap import CONFIDENCE, Interval
 
 
-def median_steps(
-    steps: np.ndarray, reached: np.ndarray
-) -> tuple[float | None, float | None, float | None]:
+def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | None, float | None]:
     """Estimate the median steps to a threshold, with Brookmeyer and Crowley's interval.
 
     The interval holds every t at which S(t) = 1/2 is not rejected, on the log-log scale. S(t) is
@@ -32,16 +31,21 @@ def median_steps(
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
-    def first_at_most_half(fractions: np.ndarray) -> float | None:
-        known = np.where(np.isnan(fractions), curve.probabilities, fractions)
-        places = np.flatnonzero(known <= 0.5 + 1e-12)  # products are rounded
-        return float(curve.quantiles[places[0]]) if places.size else None
+    def first_at_most_half(fractions: Floats) -> float | None:
+        filled = np.where(np.isnan(fractions), curve.probabilities, fractions)
+        below = filled <= 0.5 + 1e-12  # products are rounded
+        if not below.any():
+            return None
+        return float(curve.quantiles[below.argmax()])
 
-    low, high = (first_at_most_half(end.probabilities) for end in (ends.low, ends.high))
-    return first_at_most_half(curve.probabilities), low, high
+    return (
+        first_at_most_half(curve.probabilities),
+        first_at_most_half(ends.low.probabilities),
+        first_at_most_half(ends.high.probabilities),
+    )
 
 
-def restricted_mean_steps(steps: np.ndarray, reached: np.ndarray, until: float) -> Interval:
+def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interval:
     """Estimate the mean steps to a threshold, counting at most ``until`` steps per run.
 
     The area under the Kaplan-Meier curve over 0..until: defined however many runs are censored,
@@ -54,16 +58,16 @@ def restricted_mean_steps(steps: np.ndarray, reached: np.ndarray, until: float) 
         reached: (n,) bool; False marks a censored run.
         until: restriction [steps]; at least one run must have been observed that long.
     """
-    steps, reached = np.asarray(steps, np.float64), np.asarray(reached, bool)
-    counted, reached = np.minimum(steps, until), reached & (steps <= until)
+    reached = np.asarray(reached, bool) & (np.asarray(steps) <= until)
+    counted = np.minimum(steps, until, dtype=np.float64)
     curve = _below_threshold(counted, reached)
     widths = np.diff(curve.quantiles, prepend=0.0, append=until)
-    pieces = np.concatenate([[1.0], curve.probabilities]) * widths
-    estimate = float(pieces.sum())
-    right = np.cumsum(pieces[::-1])[::-1][1:]  # area from each step to `until`
-    _, place = np.unique(counted, return_inverse=True)
-    crossings = np.bincount(place, weights=reached)
-    at_risk = np.bincount(place)[::-1].cumsum()[::-1]
+    areas = np.append(1.0, curve.probabilities) * widths
+    estimate = float(areas.sum())
+    right = np.cumsum(areas[::-1])[::-1][1:]  # area from each step to `until`
+    _, index = np.unique(counted, return_inverse=True)
+    crossings = np.bincount(index, weights=reached)
+    at_risk = np.bincount(index)[::-1].cumsum()[::-1]
     left = at_risk - crossings
     terms = np.divide(crossings, at_risk * left, out=np.zeros(len(left)), where=left > 0)
     error = float(np.sqrt((right**2 * terms).sum()))
@@ -71,14 +75,13 @@ def restricted_mean_steps(steps: np.ndarray, reached: np.ndarray, until: float) 
     return Interval(estimate, max(0.0, estimate - half), min(until, estimate + half))
 
 
-def _below_threshold(steps: np.ndarray, reached: np.ndarray) -> Any:
+def _below_threshold(steps: Floats, reached: Mask) -> Any:
     """Estimate S(t) at every observed step."""
-    return scipy.stats.ecdf(
-        scipy.stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))
-    ).sf
+    sample = scipy.stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))
+    return scipy.stats.ecdf(sample).sf
 
 
-def area_under_curve(steps: np.ndarray, values: np.ndarray, until: float) -> float:
+def area_under_curve(steps: Floats, values: Floats, until: float) -> float:
     """Compute the mean height of a learning curve over 0..until with the trapezoid rule.
 
     The first value is extended back to step 0 and the last one forward to ``until``.
@@ -93,11 +96,12 @@ def area_under_curve(steps: np.ndarray, values: np.ndarray, until: float) -> flo
     """
     inside = steps < until
     xs = np.concatenate([[0.0], steps[inside], [until]])
-    ys = np.concatenate([values[:1], values[inside], [np.interp(until, steps, values)]])
+    last = np.interp(until, steps, values)
+    ys = np.concatenate([values[:1], values[inside], [last]])
     return float(np.trapezoid(ys, xs) / until)
 
 
-def first_crossing(steps: np.ndarray, values: np.ndarray, threshold: float) -> tuple[float, bool]:
+def first_crossing(steps: Floats, values: Floats, threshold: float) -> tuple[float, bool]:
     """Find the first evaluation at or above a threshold.
 
     Args:
@@ -109,18 +113,20 @@ def first_crossing(steps: np.ndarray, values: np.ndarray, threshold: float) -> t
         The step of the first evaluation that reaches it and True, or the last step and False:
         the run is censored there.
     """
-    reached = np.flatnonzero(values >= threshold)
-    return (float(steps[reached[0]]), True) if reached.size else (float(steps[-1]), False)
+    reached = values >= threshold
+    if not reached.any():
+        return float(steps[-1]), False
+    return float(steps[reached.argmax()]), True
 
 
-def trend(values: np.ndarray, window: int) -> np.ndarray:
+def trend(values: Floats, window: int) -> Floats:
     """Compute a centred moving average whose window narrows at both ends (the paper's trend).
 
     Args:
         values: (n,) float64.
         window: number of points averaged in the middle; one more if it is even.
     """
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    places = np.arange(len(values))
-    reach = np.minimum(np.minimum(places, places[::-1]), window // 2)
-    return (total[places + reach + 1] - total[places - reach]) / (2 * reach + 1)
+    total = np.append(0.0, np.cumsum(values))
+    index = np.arange(len(values))
+    reach = np.minimum(window // 2, np.minimum(index, index[::-1]))
+    return (total[index + reach + 1] - total[index - reach]) / (2 * reach + 1)

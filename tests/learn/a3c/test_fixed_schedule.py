@@ -14,7 +14,7 @@ from knowarm.learn.a3c.gradients import WorkerGradients
 from knowarm.learn.a3c.update import rmsprop_update, rmsprop_updates, rollout_loss
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
-from knowarm.learn.collector import Collector
+from knowarm.learn.rollout import Collector
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.config import FUSIONS
 from tests.learn.toys import SHAPE, ToyEnv, recorder, success_rate, toy_env, toy_policy

@@ -6,9 +6,8 @@ import torch
 from knowarm.errors import UserError
 from knowarm.learn.a3c.update import rollout_loss
 from knowarm.learn.algorithms import A3CConfig
-from knowarm.learn.collector import Collector
 from knowarm.learn.losses import a3c_loss
-from knowarm.learn.rollout import Rollout
+from knowarm.learn.rollout import Collector, Rollout
 from tests.learn.toys import toy_env, toy_policy
 
 

@@ -16,7 +16,6 @@ from knowarm.learn.a3c.messages import LOSS_METRICS, MakeEnv, episode_sums, mean
 from knowarm.learn.a3c.update import rmsprop_updates, rollout_loss
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
-from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import FiniteGuard
@@ -24,6 +23,7 @@ from knowarm.learn.losses import Terms
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import FlatParameters
+from knowarm.learn.rollout import Collector
 from knowarm.learn.trainer import StopReason, SynchronousTrainer
 from knowarm.policy import Policy
 from knowarm.seeding import derive_seed

@@ -10,10 +10,10 @@ import torch
 
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays
-from knowarm.learn.collector import FinishedEpisodes
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.rollout import FinishedEpisodes
 from knowarm.policy import MakePolicy
 
 MakeEnv = Callable[[int, int], TorchVectorEnv]

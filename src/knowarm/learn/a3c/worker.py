@@ -15,12 +15,11 @@ from knowarm.learn.a3c.messages import (
     episode_sums,
 )
 from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
-from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
-from knowarm.learn.rollout import Rollout
+from knowarm.learn.rollout import Collector, Rollout
 
 IDLE_S = 0.05
 """Time between two looks of a paused worker at whether training continues [s]."""

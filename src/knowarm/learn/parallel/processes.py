@@ -30,7 +30,9 @@ The kernel closes the socket of a killed process before it reports the exit: unt
 are refused, and no new server is started.
 """
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+# Options of mallopt, from malloc.h.
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
 _KEEP_BYTES = 1 << 30
 
 
@@ -41,8 +43,10 @@ def keep_freed_memory() -> None:
     blocks afresh every time and the kernel zeroes their pages, which takes a third of an update's
     time on two cores (docs/lab-notes.md). `PPOTrainer.train` and child processes set this.
     """
-    linux = sys.platform.startswith("linux")
-    if linux and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
+    if not sys.platform.startswith("linux"):
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, _KEEP_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _KEEP_BYTES - 1)
 
@@ -146,8 +150,9 @@ class ChildProcess:
         """Describe how a child that has exited did so."""
         self.process.join(5)
         code = self.process.exitcode
-        killed = code is not None and code < 0
-        return f"was killed by signal {-code}" if killed else f"ended with exit code {code}"
+        if code is not None and code < 0:
+            return f"was killed by signal {-code}"
+        return f"ended with exit code {code}"
 
     def stop(self, timeout_s: float = STOP_S) -> None:
         """Close the pipe, upon which the child exits; kill it after the timeout."""

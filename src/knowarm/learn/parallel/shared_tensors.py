@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector
 
 TensorSpecs = Mapping[str, tuple[tuple[int, ...], torch.dtype]]
 """Shape and dtype of each tensor by name."""
@@ -45,13 +46,12 @@ class SharedTensors:
 
     def __setstate__(self, buffers: dict[str, Any]) -> None:
         self._buffers = buffers
-        self.tensors = {
-            # PyTorch makes no tensor from an empty buffer.
-            name: torch.frombuffer(buffer, dtype=dtype).view(shape)
-            if len(buffer)
-            else torch.zeros(shape, dtype=dtype)
-            for name, (buffer, shape, dtype) in buffers.items()
-        }
+        self.tensors: dict[str, Tensor] = {}
+        for name, (buffer, shape, dtype) in buffers.items():
+            if len(buffer):
+                self.tensors[name] = torch.frombuffer(buffer, dtype=dtype).view(shape)
+            else:  # PyTorch makes no tensor from an empty buffer
+                self.tensors[name] = torch.zeros(shape, dtype=dtype)
 
 
 class FlatParameters:
@@ -68,9 +68,12 @@ class FlatParameters:
     def __init__(
         self, module: nn.Module, values: Tensor | None = None, gradient: Tensor | None = None
     ) -> None:
-        own = torch.cat([p.detach().flatten() for p in module.parameters()])
-        self.values = own if values is None else values
-        self.gradient = torch.zeros_like(own) if gradient is None else gradient
+        if values is None:
+            values = parameters_to_vector(module.parameters()).detach()
+        if gradient is None:
+            gradient = torch.zeros_like(values)
+        self.values = values
+        self.gradient = gradient
         start = 0
         for parameter in module.parameters():
             end = start + parameter.numel()
@@ -88,12 +91,13 @@ class FlatParameters:
 
 def flatten_parameters(module: nn.Module) -> np.ndarray:
     """Copy all parameters of a module into one vector (P,) float32 on the host."""
-    return torch.cat([p.detach().flatten() for p in module.parameters()]).cpu().numpy()
+    return parameters_to_vector(module.parameters()).detach().cpu().numpy()
 
 
 def unflatten_parameters(module: nn.Module, values: np.ndarray) -> dict[str, np.ndarray]:
     """Split a vector (P,) into arrays with the names and shapes of a module's parameters."""
-    arrays, start = {}, 0
+    arrays = {}
+    start = 0
     for name, parameter in module.named_parameters():
         end = start + parameter.numel()
         arrays[name] = values[start:end].reshape(parameter.shape).copy()
