@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.builder import with_triples
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
@@ -232,5 +232,4 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
         for condition, (old, new) in zip(pair, (values, values[::-1]), strict=True):
             heads = [graph.names[graph.entity_id(name)] for name in held.holders[condition]]
             moved |= {(head, relation, old): (head, relation, new) for head in heads}
-    triples = [moved.get(triple, triple) for triple in graph]
-    return graph_of(triples, **graph.beside())
+    return with_triples(graph, [moved.get(triple, triple) for triple in graph])
