@@ -11,7 +11,7 @@ from knowarm.asking.plain_words import read_plain
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.sparql import SparqlQuery
@@ -83,14 +83,19 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
     if prompt in rows:
         return prompt
     by_conditions = {frozenset(row.split(AND)): row for row in rows}
-    pairs = {tuple(c.split(" ", 1)) for each in by_conditions for c in each if " " in c}
-    graph = graph_of([("it", relation, value) for relation, value in pairs])
-    colours = sorted(value for relation, value in pairs if relation == COLOUR_RELATION)
+    conditions = frozenset[str]().union(*by_conditions)
+    triples = list[Triple]()
+    for condition in conditions:
+        relation, _, value = condition.partition(" ")
+        if value:
+            triples.append(("it", relation, value))
+    graph = graph_of(triples)
+    colours = sorted(value for _, relation, value in triples if relation == COLOUR_RELATION)
     text = read_plain(prompt, Vocabulary(graph, graph.heads[:1], colours), lambda _: set())
-    found = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
-    if found is None:
+    row = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
+    if row is None:
         raise UserError(f"The policy knows no query {text!r}, as which {prompt!r} is read.")
-    return found
+    return row
 
 
 def _reading(
@@ -102,7 +107,8 @@ def _reading(
     if _SPARQL.match(text):
         return text
     colours = dict.fromkeys(colour for _, colour in facets)
-    reader, exact = QuestionReader(text, graph, {*colours}), None
+    reader = QuestionReader(text, graph, set(colours))
+    exact = None
     try:
         reader.whole()
         if _evidence(graph, entities, facets, text):
@@ -113,8 +119,8 @@ def _reading(
         exact = error
 
     def holders(question: str) -> set[int]:
-        found = _evidence(graph, entities, facets, question)
-        return {entity for name, _ in found if (entity := entities[name]) is not None}
+        names = {name for name, _ in _evidence(graph, entities, facets, question)}
+        return {entity for name, entity in entities.items() if name in names and entity is not None}
 
     known = [entity for entity in entities.values() if entity is not None]
     try:
@@ -137,16 +143,18 @@ def _evidence(
     text: str,
 ) -> dict[ObjectColour, Evidence]:
     """Return why facets answer a question, of those that do."""
-    colours = {colour for _, colour in facets}
-    is_sparql = _SPARQL.match(text)
-    part = _sparql(graph, text) if is_sparql else QuestionReader(text, graph, colours).whole()
-    found = {}
+    if _SPARQL.match(text):
+        part = _sparql(graph, text)
+    else:
+        colours = {colour for _, colour in facets}
+        part = QuestionReader(text, graph, colours).whole()
+    evidence = dict[ObjectColour, Evidence]()
     for name, colour in facets:
         entity = entities[name]
-        why = None if entity is None else part(entity, colour)
-        if why is not None:
-            found[name, colour] = why
-    return found
+        reason = None if entity is None else part(entity, colour)
+        if reason is not None:
+            evidence[name, colour] = reason
+    return evidence
 
 
 def words(
@@ -157,36 +165,47 @@ def words(
     Args:
         graph, facets, names: as of `answer`.
     """
-    found: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
+    objects: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
     for name, colour in facets:
-        found[COLOUR_RELATION].setdefault(colour, []).append(name)
-    for name, entity in _entities(graph, dict.fromkeys(n for n, _ in facets), names or {}).items():
-        for row in () if entity is None else graph.out_rows(entity):
-            tail = graph.names[graph.tails[row]]
+        objects[COLOUR_RELATION].setdefault(colour, []).append(name)
+    names_of_objects = dict.fromkeys(name for name, _ in facets)
+    for name, entity in _entities(graph, names_of_objects, names or {}).items():
+        if entity is None:
+            continue
+        for row in graph.out_rows(entity):
+            tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
-            if not tail.startswith(('"', "_:")) and local_name(relation) != COLOUR_RELATION:
-                value = graph.names.short(graph.tails[row])
-                found.setdefault(relation, {}).setdefault(value, []).append(name)
-    return found
+            if graph.names[tail].startswith(('"', "_:")) or local_name(relation) == COLOUR_RELATION:
+                continue
+            value = graph.names.short(tail)
+            objects.setdefault(relation, {}).setdefault(value, []).append(name)
+    return objects
 
 
 def _entities(
     graph: KnowledgeGraph, objects: Collection[str], names: Mapping[str, str]
 ) -> dict[str, int | None]:
     """Return the entity of each object, None of those that the graph does not describe."""
-    if unknown := [name for name in names if name not in objects]:
-        raise unknown_name("object of the task", unknown[0], objects)
-    entities = {
-        name: graph.entity_id(names[name]) if name in names else graph.described(name)
-        for name in objects
-    }
-    if not any(entity is not None for entity in entities.values()):
-        near = {name: graph.entity_spellings.near(name) for name in objects}
-        given = next((f"{name}={found[0]}" for name, found in near.items() if found), "mug=MyMug")
+    for name in names:
+        if name not in objects:
+            raise unknown_name("object of the task", name, objects)
+    entities = dict[str, int | None]()
+    for name in objects:
+        if name in names:
+            entities[name] = graph.entity_id(names[name])
+        else:
+            entities[name] = graph.described(name)
+    if set(entities.values()) <= {None}:
+        example = "mug=MyMug"
+        for name in objects:
+            near = graph.entity_spellings.near(name)
+            if near:
+                example = f"{name}={near[0]}"
+                break
         raise UserError(
             f"The graph describes none of the {len(entities)} objects of the task, such as "
             f"{next(iter(entities))!r}. Give its names for them, such as ",
-            Argument("names", given),
+            Argument("names", example),
             ", or give another graph.",
         )
     return entities
@@ -197,12 +216,14 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
 
     It runs once per facet, whose colour the graph then states, as the image shows it.
     """
-    query, names = SparqlQuery(graph, text), graph.relation_names
-    relations = {COLOUR_RELATION, *(names[i] for i in names.find_local(COLOUR_RELATION))}
+    query = SparqlQuery(graph, text)
+    ids = graph.relation_names.find_local(COLOUR_RELATION)
+    relations = {COLOUR_RELATION, *map(graph.relation_names.__getitem__, ids)}
 
     def evidence(entity: int, colour: str | None) -> Evidence | None:
-        known = [] if colour is None else graph.alike(colour)
-        shown = [graph.names[i] for i in known] or ([] if colour is None else [colour])
+        shown = list[str]()
+        if colour is not None:
+            shown = [graph.names[i] for i in graph.alike(colour)] or [colour]
         with query.stating(graph.names[entity], relations, shown):
             result = query.answer()
         other = set(result.columns) - {"object", "colour", "color"}
@@ -213,11 +234,18 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
                 "WHERE { ?object :usedFor :drinking }"
             )
         for row in result.rows:
-            named = dict(zip(result.columns, row, strict=True))
-            colours = {n for key, n in named.items() if key != "object" and n}
-            fits = all(name_key(local_name(n)) == name_key(colour or "") for n in colours)
-            if fits and named["object"] == graph.names[entity]:
-                return tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
+            values = dict(zip(result.columns, row, strict=True))
+            if values["object"] == graph.names[entity] and _in_colour(values, colour):
+                return tuple(f"?{name} = {local_name(value)}" for name, value in values.items())
         return None
 
     return evidence
+
+
+def _in_colour(values: Mapping[str, str], colour: str | None) -> bool:
+    """Return whether all colours that a row selects are the one that is shown."""
+    for name, value in values.items():
+        is_colour = name != "object" and value != ""
+        if is_colour and name_key(local_name(value)) != name_key(colour or ""):
+            return False
+    return True

@@ -1,6 +1,6 @@
 """Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -77,28 +77,41 @@ class Asked:
     @property
     def outcome(self) -> str:
         """What the arm did, in a sentence."""
-        name = " ".join(reversed(self.reached))
-        seen = ", ".join(f"the {colour} {name}" for name, colour in self.candidates)
+        name = in_words(self.reached)
+        seen = ", ".join(f"the {in_words(facet)}" for facet in self.candidates)
+        if self.stopped and seen:
+            return f"The arm stayed: it sees several answers: {seen}."
         if self.stopped:
-            return f"The arm stayed: it sees {'several answers: ' + seen if seen else 'no answer'}."
-        several = f" It saw several answers: {seen}." if len(self.candidates) > 1 else ""
+            return "The arm stayed: it sees no answer."
         what = "reached" if self.within else "did not arrive; it ended nearest to"
         verdict = "which answers" if self.right else "which does not answer"
-        return (
+        outcome = (
             f"The arm {what} the {name}, {verdict}, after {self.film[-1].step} steps: "
-            f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp.{several}"
+            f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp."
         )
+        if len(self.candidates) > 1:
+            outcome += f" It saw several answers: {seen}."
+        return outcome
 
     @property
     def table(self) -> list[list[str]]:
         """Answers by object: its name, the colours in which it answers, why the first one does."""
-        rows: dict[str, tuple[list[str], str]] = {}
-        for (name, colour), why in self.answers.evidence.items():
-            rows.setdefault(name, ([], "; ".join(why)))[0].append(colour)
-        return [
-            [name, "any" if len(colours) == self.known[name] else ", ".join(colours), why]
-            for name, (colours, why) in rows.items()
-        ]
+        colours: dict[str, list[str]] = defaultdict(list)
+        reasons = dict[str, str]()
+        for (name, colour), evidence in self.answers.evidence.items():
+            colours[name].append(colour)
+            reasons.setdefault(name, "; ".join(evidence))
+        rows = list[list[str]]()
+        for name, reason in reasons.items():
+            is_any = len(colours[name]) == self.known[name]
+            rows.append([name, "any" if is_any else ", ".join(colours[name]), reason])
+        return rows
+
+
+def in_words(facet: ObjectColour) -> str:
+    """Return an object with its colour, such as "red mug"."""
+    name, colour = facet
+    return f"{colour} {name}"
 
 
 class Asker:
@@ -118,8 +131,11 @@ class Asker:
                 f"The agent {trained.config.agent!r} has no grounding network, which finds "
                 "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
             )
-        self.trained, self.facets = trained, trained.network.spec.facets
-        self._network, self._names, self._level = trained.network, names, level
+        self.trained = trained
+        self.facets = trained.network.spec.facets
+        self._network = trained.network
+        self._names = names
+        self._level = level
         if graph is None:
             graph = read_known_graph(trained.config.knows)
             assert graph is not None  # of an agent with a grounding network
@@ -127,7 +143,9 @@ class Asker:
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, trained.network.spec)
+        # Facets of each scene, (N, m): those of an object follow each other, one per colour.
         self._shown = first[self._scenes.objects] + self._scenes.colours
+        self._facets_shown = [self.facets[f] for f in np.unique(self._shown)]
 
     def close(self) -> None:
         """Close the environment."""
@@ -162,30 +180,32 @@ class Asker:
     @cached_property
     def seen(self) -> list[str]:
         """The objects that scenes show; the network may know more."""
-        return sorted({self.facets[f][0] for f in np.unique(self._shown)})
+        return sorted({name for name, _ in self._facets_shown})
 
     @cached_property
     def words(self) -> Words:
         """What can be asked: by relation and value, the objects that scenes show."""
-        facets = [self.facets[f] for f in np.unique(self._shown)]
-        return words(self._graph, facets, self._names)
+        return words(self._graph, self._facets_shown, self._names)
 
     @cached_property
     def examples(self) -> list[str]:
         """Questions that a scene answers by one object, of several relations."""
-        facts = [
-            f"{relation} {max(values, key=lambda value: len(values[value]))}"
-            for relation, values in self.words.items()
-            if relation != COLOUR_RELATION
-        ]
-        joined = [f"{first} and not hasColor blue" for first in facts[:1]]
-        joined += [f"{first} or {second}" for first, second in pairwise(facts)][1:]
-        found = []
-        for question in [IN_WORDS, *joined[:2], *facts]:
+        facts = list[str]()
+        for relation, values in self.words.items():
+            if relation != COLOUR_RELATION:
+                most_common = max(values, key=lambda value: len(values[value]))
+                facts.append(f"{relation} {most_common}")
+        # With less than two facts, only what these allow.
+        questions = [IN_WORDS]
+        questions += [f"{first} and not hasColor blue" for first in facts[:1]]
+        questions += [f"{first} or {second}" for first, second in pairwise(facts)][1:2]
+        questions += facts
+        answered = list[str]()
+        for question in questions:
             with suppress(UserError):
                 self.scene([self.answers(question)])
-                found.append(question)
-        return found[:EXAMPLES]
+                answered.append(question)
+        return answered[:EXAMPLES]
 
     def look(self, scene: int) -> tuple[np.ndarray, list[ObjectColour]]:
         """Return the image of a scene, (480, 480, 3) uint8, and what stands in it."""
@@ -202,26 +222,26 @@ class Asker:
         Raises:
             UserError: there is none.
         """
-        shown = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
-        one = shown.sum(2) == 1
-        fits = one.all(0) & (shown.sum(0) <= 1).all(1)
+        satisfies = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
+        has_one = satisfies.sum(2) == 1
+        fits = has_one.all(0) & (satisfies.sum(0) <= 1).all(1)
         if not fits.any():
-            fits = one[-1] & (shown != shown[-1]).any((0, 2))
-        if not fits.any():
-            named = {self.facets[f][0] for f in np.flatnonzero(answers[-1].satisfies)}
-            if not named & {self.facets[f][0] for f in np.unique(self._shown)}:
-                raise UserError(
-                    f"No scene shows what answers {answers[-1].question!r}: "
-                    f"{', '.join(sorted(named))}. The scenes show what this run was trained with: "
-                    f"{', '.join(self.seen)}. Ask for one of these."
-                )
+            fits = has_one[-1] & (satisfies != satisfies[-1]).any((0, 2))
+        if fits.any():
+            return int(fits.argmax())
+        question = answers[-1].question
+        names = {name for name, _ in answers[-1].evidence}
+        if names.isdisjoint(self.seen):
             raise UserError(
-                f"In none of {SCENES:,} scenes does exactly one object answer "
-                f"{answers[-1].question!r}"
-                + (", another one than before the edit. " if len(answers) > 1 else ". ")
-                + "Ask a question with other answers, or give the number of a scene."
+                f"No scene shows what answers {question!r}: "
+                f"{', '.join(sorted(names))}. The scenes show what this run was trained with: "
+                f"{', '.join(self.seen)}. Ask for one of these."
             )
-        return int(fits.argmax())
+        other = ", another one than before the edit" if len(answers) > 1 else ""
+        raise UserError(
+            f"In none of {SCENES:,} scenes does exactly one object answer {question!r}{other}. "
+            "Ask a question with other answers, or give the number of a scene."
+        )
 
     def play(
         self,
@@ -234,13 +254,21 @@ class Asker:
         _check_scene(scene)
         if unclear not in get_args(Unclear):
             raise unknown_name("value of unclear", unclear, get_args(Unclear))
-        episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
+        shown = self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
-        names = ("objects", "names", "colours", "positions")
-        episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
+        shown = shown[order]
+        episode = self._scenes[scene : scene + 1]
+        episode = replace(
+            episode,
+            objects=episode.objects[:, order],
+            names=episode.names[:, order],
+            colours=episode.colours[:, order],
+            positions=episode.positions[:, order],
+        )
         wanted = answers.satisfies
         if picked is not None:
-            wanted, unclear = np.array([facet == picked for facet in self.facets]), "guess"
+            wanted = np.array([facet == picked for facet in self.facets])
+            unclear = "guess"
         agent = self.trained.answering(wanted[None], unclear=unclear, threshold=self.threshold)
         film = record_episode(agent, self._env, episode)
         end = self._env.running
@@ -258,13 +286,13 @@ class Asker:
             answers=answers,
             known=Counter(name for name, _ in self.facets),
             scene=scene,
-            shown=tuple(self.facets[f] for f in shown[order]),
+            shown=tuple(self.facets[f] for f in shown),
             named=tuple(named),
             points=(centres(size)[seen.places[0]] / size).numpy(),
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
             stopped=not agent.moves[0],
-            reached=self.facets[shown[order][nearest[0]]],
+            reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),
             within=bool(is_success(distance, angle, *end.limits)[0]),
@@ -309,8 +337,9 @@ def ask(
         UserError: a question, edit, graph or scene that does not fit the agent.
     """
     trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
+    edits = [edit] if isinstance(edit, str) else edit
     with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
-        return asker.ask(question, [edit] if isinstance(edit, str) else edit, scene, unclear)
+        return asker.ask(question, edits, scene, unclear)
 
 
 def _check_scene(scene: int) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from knowarm.asking.answers import answer
-from knowarm.asking.asker import Asked, Asker
+from knowarm.asking.asker import Asked, Asker, in_words
 from knowarm.asking.page import make_server, serve_page, write_page
 from knowarm.cli.arguments import read_names
 from knowarm.cli.knowledge.options import ObjectOptions
@@ -65,22 +65,30 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            first = "" if Path(self.agent).exists() else "a run, then "
+            what = "a question" if Path(self.agent).exists() else "a run, then a question"
             raise UserError(
-                f"Give {first}a question: knowarm ask zoo/irb120-choose-answers-fast "
+                f"Give {what}: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
             )
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
         graph = read_graph(self.graph, self.format) if self.graph else None
-        how: dict[str, Any] = {"seed": self.seed, "names": read_names(self.names)}
-        with closing(Asker(trained, graph, **how, level=self.level)) as asker:
+        names = read_names(self.names)
+        asker = Asker(trained, graph, seed=self.seed, names=names, level=self.level)
+        with closing(asker):
             if graph is not None:
-                print_meeting(meeting(graph, [name for name, _ in asker.facets], how["names"]))
+                print_meeting(meeting(graph, [name for name, _ in asker.facets], names))
             if self.browser:
-                start = (self.question, self.edit, self.scene)
-                serve_page(make_server(asker, *start, port=self.port, unclear=self.unclear))
+                server = make_server(
+                    asker,
+                    self.question,
+                    self.edit,
+                    self.scene,
+                    port=self.port,
+                    unclear=self.unclear,
+                )
+                serve_page(server)
                 return {}
             asked = asker.ask(self.question, self.edit, self.scene, self.unclear)
             _print(asked)
@@ -96,9 +104,9 @@ class Ask(TableCommand):
             "question": asked.answers.question,
             "answers": {"/".join(f): list(why) for f, why in asked.answers.evidence.items()},
             "scene": asked.scene,
-            "shown": ["/".join(facet) for facet in asked.shown],
-            "named": ["/".join(facet) for facet in asked.named],
-            "candidates": ["/".join(facet) for facet in asked.candidates],
+            "shown": list(map("/".join, asked.shown)),
+            "named": list(map("/".join, asked.named)),
+            "candidates": list(map("/".join, asked.candidates)),
             "reached": "/".join(asked.reached),
             "right": asked.right,
             "success": asked.film[-1].success,
@@ -108,12 +116,13 @@ class Ask(TableCommand):
 
 def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
     """Ask the user which object is meant; None if no number of one is given."""
-    for number, (name, colour) in enumerate(choices, 1):
-        print(f"  {number}: the {colour} {name}")
+    by_number = dict[str, ObjectColour]()
+    for number, facet in enumerate(choices, 1):
+        print(f"  {number}: the {in_words(facet)}")
+        by_number[str(number)] = facet
     with suppress(EOFError):
-        given = input("Which one is meant? Its number, or nothing to stay: ").strip()
-        if given in map(str, range(1, len(choices) + 1)):
-            return choices[int(given) - 1]
+        typed = input("Which one is meant? Its number, or nothing to stay: ").strip()
+        return by_number.get(typed)
     return None
 
 
@@ -124,17 +133,24 @@ def _print(asked: Asked) -> None:
     print_table("Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
-    shown = asked.shown
-    named = sorted(asked.named, key=lambda each: (each not in shown, [*shown, each].index(each)))
-    for what, facets in (("stand", shown), ("the network names", named)):
-        marked = [
-            " ".join(reversed(each))
-            + " (answers)" * (each in asked.answers.evidence)
-            + " (a mistake)" * (each not in shown)
-            for each in facets
-        ]
-        print(printable(f"In scene {asked.scene} {what}: {', '.join(marked)}."))
+    _print_facets(asked, "stand", asked.shown)
+    named = [facet for facet in asked.shown if facet in asked.named]
+    named += [facet for facet in asked.named if facet not in asked.shown]
+    _print_facets(asked, "the network names", named)
     print(printable(asked.outcome))
+
+
+def _print_facets(asked: Asked, verb: str, facets: Sequence[ObjectColour]) -> None:
+    """Print what stands in the scene or is named there, with what answers and what is wrong."""
+    marked = list[str]()
+    for facet in facets:
+        text = in_words(facet)
+        if facet in asked.answers.evidence:
+            text += " (answers)"
+        if facet not in asked.shown:
+            text += " (a mistake)"
+        marked.append(text)
+    print(printable(f"In scene {asked.scene} {verb}: {', '.join(marked)}."))
 
 
 @dataclass(frozen=True, kw_only=True)

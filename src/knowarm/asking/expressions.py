@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +43,8 @@ SIGNS: dict[str, Callable[[Any, Any], bool]] = {
 }
 """Comparisons of counts, numbers and dates."""
 
-MOST_NESTED, MOST_WORDS = 50, 500
+MOST_NESTED = 50
+MOST_WORDS = 500
 """Most brackets and negations of a question, and most words."""
 
 _TOKEN = re.compile(r'"[^"]*"|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
@@ -70,10 +72,14 @@ class QuestionReader:
     """Reads a question word by word, by recursive descent."""
 
     def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
-        self.text, self.graph, self.colours = text, graph, colours
-        self.words, self.place = [*_TOKEN.findall(text), ""], 0
+        self.text = text
+        self.graph = graph
+        self.colours = colours
+        self.words = [*_TOKEN.findall(text), ""]
+        self.taken = 0
         self.has_relation = False  # Whether a relation was read: no sentence begins with one
-        deep, count = self.words.count("(") + self.words.count("not"), len(self.words) - 1
+        deep = self.words.count("(") + self.words.count("not")
+        count = len(self.words) - 1
         if deep > MOST_NESTED or count > MOST_WORDS:
             raise UserError(
                 f"The question has {count} words and {deep} brackets and negations; at most "
@@ -90,14 +96,21 @@ class QuestionReader:
     @property
     def next(self) -> str:
         """The next word, which is not taken; empty at the end."""
-        return self.words[self.place]
+        return self.words[self.taken]
 
     def take(self, *words: str) -> str:
-        """Take the next word if it is one of some, or, without any, if it is a name."""
-        fits = self.next in words if words else self.next and self.next not in _KEYWORDS
-        word = self.next if fits else ""
-        self.place += bool(word)
+        """Take the next word if it is one of some, or return ""."""
+        word = self.next
+        if word not in words:
+            return ""
+        self.taken += 1
         return word
+
+    def take_name(self) -> str:
+        """Take the next word if it is a name, or return ""."""
+        if self.next in _KEYWORDS:
+            return ""
+        return self.take(self.next) if self.next else ""
 
     def wrong(self, expected: str) -> UserError:
         """Return the error for a word that does not fit."""
@@ -112,88 +125,123 @@ class QuestionReader:
         parts = list[Part]()
         while not parts or self.take(word):
             parts.append(self.joined("and") if word == "or" else self.one())
+        if len(parts) == 1:
+            return parts[0]
 
-        def evidence(entity: int, colour: str | None) -> Evidence | None:
-            whys = [part(entity, colour) for part in parts]
-            reasons = [why for why in whys if why is not None]
-            if word == "or":
-                return reasons[0] if reasons else None
-            return sum(reasons, ()) if len(reasons) == len(parts) else None
+        def any_of(entity: int, colour: str | None) -> Evidence | None:
+            for part in parts:
+                reason = part(entity, colour)
+                if reason is not None:
+                    return reason
+            return None
 
-        return parts[0] if len(parts) == 1 else evidence
+        def all_of(entity: int, colour: str | None) -> Evidence | None:
+            reasons: Evidence = ()
+            for part in parts:
+                reason = part(entity, colour)
+                if reason is None:
+                    return None
+                reasons += reason
+            return reasons
+
+        return any_of if word == "or" else all_of
 
     def one(self) -> Part:
         """Read a negation, a bracket, a count, a chain or a fact."""
         if self.take("not"):
-            begin, part = self.place, self.one()
-            missing = f"not stated: {' '.join(self.words[begin : self.place])}"
-            return lambda entity, colour: (missing,) if part(entity, colour) is None else None
+            return self.negation()
         if self.next == "(":
             return self.bracket()
-        counts = self.take("count")
+        is_count = self.take("count") != ""
         relation = self.relation()
-        if self.next in SIGNS and not counts:
+        if is_count and self.next == "(":
+            return self.count(relation, self.bracket())
+        if is_count:
+            return self.count(relation, lambda entity, colour: ())
+        if self.next in SIGNS:
             return self.comparison(relation)
-        of: Part = self.bracket() if self.next == "(" else lambda entity, colour: ()
-        if counts:
-            return self.count(relation, of)
-        return (
-            self.chain(relation, of) if self.words[self.place - 1] == ")" else self.fact(relation)
-        )
+        if self.next == "(":
+            return self.chain(relation, self.bracket())
+        return self.fact(relation)
+
+    def negation(self) -> Part:
+        """Read what is negated."""
+        begin = self.taken
+        part = self.one()
+        missing = f"not stated: {' '.join(self.words[begin : self.taken])}"
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            return (missing,) if part(entity, colour) is None else None
+
+        return evidence
 
     def fact(self, relation: _Relation) -> Part:
         """Read a value; the colour of what is shown is seen, not looked up."""
         names = list[str]()
-        while word := self.take():
-            names.append(word.strip('"'))
-        if not (value := " ".join(names)):
+        while self.next and self.next not in _KEYWORDS:
+            names.append(self.take_name().strip('"'))
+        value = " ".join(names)
+        if not value:
             raise self.wrong(f"a value of {relation.name}")
-        is_colour = relation.name == COLOUR_RELATION
-        if is_colour:
-            value = {name_key(colour): colour for colour in self.colours}.get(
-                name_key(value), value
-            )
-        quantity = _quantity(value)
-        equal = (i for i in self.tails(relation) if quantity and self.quantity(i) == quantity)
-        ids = {*self.graph.values(value), *equal}
-        if not ids and not (is_colour and value in self.colours):
-            known = {local_name(self.graph.names[i]) for i in self.tails(relation)}
-            known |= self.colours if is_colour else set()
+        if relation.name == COLOUR_RELATION:
+            return self.colour(relation, value)
+        ids = self.values(relation, value)
+        if not ids:
+            known = {local_name(self.graph.names[tail]) for tail in self.tails(relation)}
             raise unknown_name(f"value of {relation.name}", value, known)
+        return self.chain(relation, lambda tail, colour: () if tail in ids else None)
+
+    def colour(self, relation: _Relation, value: str) -> Part:
+        """Return the part that is true of what is shown in a colour, or stated to have it."""
+        for colour in self.colours:
+            if name_key(colour) == name_key(value):
+                value = colour
+        ids = self.values(relation, value)
+        if not ids and value not in self.colours:
+            known = {local_name(self.graph.names[tail]) for tail in self.tails(relation)}
+            raise unknown_name(f"value of {relation.name}", value, known | self.colours)
+        stated = self.chain(relation, lambda tail, colour: () if tail in ids else None)
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            if is_colour and colour is not None:
-                return (f"the image shows {value}",) if colour == value else None
-            return stated(entity, colour)
+            if colour is None:
+                return stated(entity, colour)
+            return (f"the image shows {value}",) if colour == value else None
 
-        stated = self.chain(relation, lambda tail, colour: () if tail in ids else None)
         return evidence
+
+    def values(self, relation: _Relation, value: str) -> set[int]:
+        """Return the ids of what a value names, and of numbers and dates equal to it."""
+        ids = set(self.graph.values(value))
+        quantity = _quantity(value)
+        if quantity is not None:
+            ids.update(tail for tail in self.tails(relation) if self.quantity(tail) == quantity)
+        return ids
 
     def chain(self, relation: _Relation, of: Part) -> Part:
         """Return the part that is true where a relation leads to something of which one is."""
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            links = self.links(entity, relation)
-            whys = ((text, of(tail, colour if tail == entity else None)) for text, tail in links)
-            return next(((text, *why) for text, why in whys if why is not None), None)
+            return next(self.reasons(entity, colour, relation, of), None)
 
         return evidence
 
     def comparison(self, relation: _Relation) -> Part:
         """Read a comparison with a number or a date."""
-        sign, text = self.take(*SIGNS), self.take()
-        wanted = _quantity(text)
+        sign = self.take(*SIGNS)
+        wanted = _quantity(self.take_name())
         if wanted is None:
             raise self.wrong("a number or a date")
-        known = {i: quantity for i in self.tails(relation) if (quantity := self.quantity(i))}
-        if not any(kind == wanted[0] for kind, _ in known.values()):
+        known = {tail: self.quantity(tail) for tail in self.tails(relation)}
+        if not any(quantity and quantity[0] == wanted[0] for quantity in known.values()):
             raise UserError(
                 f"The question {self.text!r}: the graph states no {wanted[0]} by {relation.name}."
             )
 
         def fits(tail: int, colour: str | None) -> Evidence | None:
-            kind, value = known.get(tail, ("", 0))
-            return () if kind == wanted[0] and SIGNS[sign](value, wanted[1]) else None
+            quantity = known.get(tail)
+            if quantity is None or quantity[0] != wanted[0]:
+                return None
+            return () if SIGNS[sign](quantity[1], wanted[1]) else None
 
         return self.chain(relation, fits)
 
@@ -209,16 +257,15 @@ class QuestionReader:
     def count(self, relation: _Relation, of: Part) -> Part:
         """Read a comparison with the number of values of a relation."""
         sign = self.take(*SIGNS)
-        number = self.take() if sign else ""
+        number = self.take_name() if sign else ""
         if not number.isdecimal() or len(number) > 9:
             raise self.wrong("a comparison such as >= 2")
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            links = self.links(entity, relation)
-            whys = [(text, of(tail, colour if tail == entity else None)) for text, tail in links]
-            reasons = [(text, *why) for text, why in whys if why is not None]
-            fits = SIGNS[sign](len(reasons), int(number))
-            return (*sum(reasons, ()), f"counted: {len(reasons)}") if fits else None
+            reasons = list(self.reasons(entity, colour, relation, of))
+            if not SIGNS[sign](len(reasons), int(number)):
+                return None
+            return (*chain.from_iterable(reasons), f"counted: {len(reasons)}")
 
         return evidence
 
@@ -232,24 +279,33 @@ class QuestionReader:
 
     def relation(self) -> _Relation:
         """Read one word: the name of a relation, its last part or its label."""
-        if not (word := self.take().strip('"')):
+        word = self.take_name().strip('"')
+        if not word:
             raise self.wrong("a relation")
         if name_key(local_name(word)) in _COLOUR:  # the image answers it, whoever else states it
-            names, self.has_relation = self.graph.relation_names, True
-            return _Relation(COLOUR_RELATION, frozenset(names.find_local(COLOUR_RELATION)))
-        relation = self.graph.relation_id(word)
+            ids = self.graph.relation_names.find_local(COLOUR_RELATION)
+            name = COLOUR_RELATION
+        else:
+            ids = [self.graph.relation_id(word)]
+            name = local_name(self.graph.relation_names[ids[0]])
         self.has_relation = True
-        return _Relation(local_name(self.graph.relation_names[relation]), frozenset([relation]))
+        return _Relation(name, frozenset(ids))
 
-    def links(self, entity: int, relation: _Relation) -> Iterator[tuple[str, int]]:
-        """Yield the triples of a relation whose head is an entity, as text, and their tails."""
+    def reasons(
+        self,
+        entity: int,
+        colour: str | None,
+        relation: _Relation,
+        of: Part,
+    ) -> Iterator[Evidence]:
+        """Yield each triple of a relation whose head is an entity, and why its tail fits."""
         graph = self.graph
         for row in graph.out_rows(entity):
-            if int(graph.relations[row]) in relation.ids:
-                tail = int(graph.tails[row])
-                texts = (
-                    local_name(graph.names[entity]),
-                    relation.name,
-                    local_name(graph.names[tail]),
-                )
-                yield " ".join(texts), tail
+            if int(graph.relations[row]) not in relation.ids:
+                continue
+            tail = int(graph.tails[row])
+            reason = of(tail, colour if tail == entity else None)
+            if reason is not None:
+                head_name = local_name(graph.names[entity])
+                tail_name = local_name(graph.names[tail])
+                yield f"{head_name} {relation.name} {tail_name}", *reason

@@ -6,6 +6,7 @@ import tomllib
 import unicodedata
 from collections import defaultdict
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,9 @@ from knowarm.knowledge.vectors.words import DATA, word_forms
 
 MOST_LETTERS = 2_000
 """Most letters of a question."""
-INFLECTED, DERIVED, SYNONYM = 0.1, 0.2, 1.0
+INFLECTED = 0.1
+DERIVED = 0.2
+SYNONYM = 1.0
 """Distances of two words; 0 is the same word, in singular or plural."""
 NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 """Pattern of numbers and dates."""
@@ -40,8 +43,8 @@ class Family(NamedTuple):
     small: str = ""
 
 
-FAMILIES = {name: Family(**each) for name, each in _ENGLISH["relations"].items()}
-WEAK = {word for family in FAMILIES.values() for word in family.weak.split()} | {"by", "about"}
+FAMILIES = {name: Family(**words) for name, words in _ENGLISH["relations"].items()}
+WEAK = {"by", "about", *" ".join(family.weak for family in FAMILIES.values()).split()}
 """Prepositions, and verbs such as "has"."""
 
 
@@ -50,10 +53,10 @@ def tokens(text: str) -> list[str]:
     if len(text) > MOST_LETTERS:
         raise UserError(f"Questions of {len(text):,} letters are not read: {text:.40} ...")
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
-    text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold()).replace(
-        "ca not", "can not"
-    )
-    text = re.sub(r"&&|&", " and ", re.sub(r"\|\|", " or ", text))
+    text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold())
+    text = text.replace("ca not", "can not")
+    text = text.replace("||", " or ")
+    text = re.sub(r"&&|&", " and ", text)
     text = re.sub(r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text)
     text = re.sub(rf"\b({'|'.join(_ENGLISH['compared'])}|than) one\b", r"\1 1", text)
     numbers = WORDS["numbers"]
@@ -79,27 +82,33 @@ def distance(word: str, other: str) -> float | None:
     """Return how far a word is from another one that it may stand for, else None."""
     if name_key(word) == name_key(other):
         return 0.0
-    mine, wanted = _forms(word), _forms(other)
-    if mine & wanted:
+    forms = _forms(word)
+    wanted = _forms(other)
+    if forms & wanted:
         return INFLECTED
-    derived = mine.union(*(_table()["d"][form] for form in mine))
+    derived = forms.union(*map(_table()["d"].__getitem__, forms))
     if derived & wanted:
         return DERIVED
     kinds = "v" if other.endswith("ing") else "na"  # "fixing" is to fix, "store" a shop
-    alike = (_table()[kind][form] for kind in kinds for form in derived)
-    return SYNONYM if any(wanted & each for each in alike) else None
+    for kind, form in product(kinds, derived):
+        if _table()[kind][form] & wanted:
+            return SYNONYM
+    return None
 
 
 @cache
 def _forms(word: str) -> frozenset[str]:
     """Return a word and what it may be an inflected form of."""
-    found = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
-    found |= {word[:-1]} if word.endswith("ed") else set()  # used, stored
-    for ending, other in _ENDINGS.items():
+    forms = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
+    if word.endswith("ed"):
+        forms.add(word[:-1])  # used, stored
+    for ending, noun_ending in _ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending) + 2:
-            found.add(word.removesuffix(ending) + other)
-    doubled = {form[:-1] for form in found if len(form) > 3 and form[-2:] in ("ll", "ss", "tt")}
-    return frozenset(found | doubled)
+            forms.add(word.removesuffix(ending) + noun_ending)
+    for form in tuple(forms):
+        if len(form) > 3 and form.endswith(("ll", "ss", "tt")):
+            forms.add(form[:-1])
+    return frozenset(forms)
 
 
 @cache
@@ -110,5 +119,6 @@ def _table() -> dict[str, dict[str, set[str]]]:
     for line in text.split("\n"):
         kind, *words = line.split(" ")
         for word in words:
-            table[kind][word] |= {*words} - {word}
+            table[kind][word].update(words)
+            table[kind][word].discard(word)
     return table

@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from knowarm.asking.asker import SCENES, Asked, Asker
+from knowarm.asking.asker import SCENES, Asked, Asker, in_words
 from knowarm.errors import UserError
 from knowarm.local_server import ADDRESS, listen, refusal
 from knowarm.perception.config import Unclear
@@ -23,10 +23,16 @@ from knowarm.reading import replacing
 from knowarm.svg import style_sheet
 
 RED = (214, 39, 40)
-FRAME_MS, LAST_MS = 100, 1_500
+FRAME_MS = 100
+LAST_MS = 1_500
 """Display time of each image of the film, and of the last [ms]."""
-LETTER, PADDING, LINE, WIDTH = 7.0, 12.0, 19.0, 340.0
+LETTER = 7.0
+PADDING = 12.0
+LINE = 19.0
+WIDTH = 340.0
 """Sizes of a label and of the narrowest image that it fits in [px]."""
+HIGH = 100 * LINE / WIDTH
+"""Height of a label, in % of the image."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,35 +50,46 @@ class Label:
 
 def place_labels(asked: Asked) -> list[Label]:
     """Place the names that a network gives, none over another one; answers come first."""
-    found = sorted(
-        zip(asked.named, 100 * asked.points, strict=True),
-        key=lambda each: each[0] not in asked.answers.evidence,
-    )
-    high, taken, labels = 100 * LINE / WIDTH, list[tuple[float, float, float]](), list[Label]()
-    for facet, (x, y) in found:
-        text = " ".join(reversed(facet))
-        half = 50 * (LETTER * len(text) + PADDING) / WIDTH
+    named = list(zip(asked.named, 100 * asked.points, strict=True))
+    named.sort(key=lambda item: item[0] not in asked.answers.evidence)
+    labels = list[Label]()
+    for facet, (x, y) in named:
+        text = in_words(facet)
+        half = _half_width(text)
         left = min(max(x, half), 100 - half)
-        steps = [k for i in range(1, 16) for k in (-i, i)]
-        tops = [y + step * high for step in steps if high / 2 <= y + step * high <= 100 - high / 2]
-        free = (
-            top
-            for top in tops
-            if all(abs(top - b) >= high or abs(left - a) >= half + h for a, b, h in taken)
+        tops = _tops(y)
+        free = (top for top in tops if not any(_overlaps(left, top, half, it) for it in labels))
+        labels.append(
+            Label(
+                text=text,
+                answers=facet in asked.answers.evidence,
+                right=facet in asked.shown,
+                x=float(x),
+                y=float(y),
+                left=float(left),
+                top=float(next(free, tops[0])),
+            )
         )
-        top = next(free, tops[0])
-        taken.append((left, top, half))
-        label = Label(
-            text=text,
-            answers=facet in asked.answers.evidence,
-            right=facet in asked.shown,
-            x=float(x),
-            y=float(y),
-            left=float(left),
-            top=float(top),
-        )
-        labels.append(label)
     return labels
+
+
+def _tops(y: float) -> list[float]:
+    """Return the heights on the image where a label may stand, the nearest first."""
+    tops = list[float]()
+    for step in range(1, 16):
+        tops += [y - step * HIGH, y + step * HIGH]
+    return [top for top in tops if HIGH / 2 <= top <= 100 - HIGH / 2]
+
+
+def _half_width(text: str) -> float:
+    """Return half of the width of a label, in % of the image."""
+    return 50 * (LETTER * len(text) + PADDING) / WIDTH
+
+
+def _overlaps(left: float, top: float, half: float, label: Label) -> bool:
+    """Return whether a label of this half width would stand over another one."""
+    beside = abs(left - label.left) < half + _half_width(label.text)
+    return beside and abs(top - label.top) < HIGH
 
 
 def page(
@@ -87,21 +104,29 @@ def page(
     """Return the page as self-contained HTML; an asker adds a form and what can be asked."""
     loader = PackageLoader("knowarm.asking")
     template = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    shown: dict[str, Any] = {"live": asker is not None, "problem": problem}
-    shown |= {"style": Markup(style_sheet())}
-    shown |= {"scene": "" if scene is None else scene, "image": "", "standing": ""}
+    values: dict[str, Any] = {
+        "asked": asked,
+        "question": question,
+        "edits": edits,
+        "live": asker is not None,
+        "problem": problem,
+        "style": Markup(style_sheet()),
+        "scene": "" if scene is None else scene,
+        "image": "",
+        "standing": "",
+    }
     if asker is not None:
-        seen = asker.seen
-        unseen = sorted({name for name, _ in asker.facets} - {*seen})
-        shown |= {"words": asker.words, "examples": asker.examples, "seen": seen, "unseen": unseen}
+        values["words"] = asker.words
+        values["examples"] = asker.examples
+        values["seen"] = asker.seen
+        values["unseen"] = sorted({name for name, _ in asker.facets}.difference(asker.seen))
     if asked is not None:
-        shown |= {**_pictures(asked), "labels": place_labels(asked)}
+        values.update(_pictures(asked), labels=place_labels(asked))
     elif asker is not None:
         image, facets = asker.look(min(scene or 0, SCENES - 1))
-        names = ", ".join(" ".join(reversed(facet)) for facet in facets)
-        shown |= {"image": data_uri("PNG", encode(image, "PNG")), "standing": names}
-    found = {"asked": asked, "question": question, "edits": edits}
-    return template.get_template("ask.html.j2").render(**found, **shown)
+        values["image"] = data_uri("PNG", encode(image, "PNG"))
+        values["standing"] = ", ".join(map(in_words, facets))
+    return template.get_template("ask.html.j2").render(values)
 
 
 def write_page(path: Path, asked: Asked, question: str, edits: Sequence[str]) -> None:
@@ -139,8 +164,12 @@ def make_server(
 
         def do_GET(self) -> None:
             reason = refusal(self.path, self.headers)
-            if reason is not None or (url := urlsplit(self.path)).path != "/":
-                self.send_error(403 if reason else 404, reason)
+            if reason is not None:
+                self.send_error(403, reason)
+                return
+            url = urlsplit(self.path)
+            if url.path != "/":
+                self.send_error(404)
                 return
             with computing:
                 body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
@@ -151,20 +180,24 @@ def make_server(
                 self.end_headers()
                 self.wfile.write(body)
 
-        def _page(self, given: dict[str, list[str]]) -> str:
-            text, lines, number = question, edits, scene
-            if given:
-                text = given.get("q", [""])[0].strip()
-                every = given.get("edit", [""])[0].splitlines()
-                lines = tuple(line.strip() for line in every if line.strip())
-                wanted = given.get("scene", [""])[0].strip()
+        def _page(self, fields: dict[str, list[str]]) -> str:
+            text = question
+            lines = edits
+            number = scene
+            if fields:
+                text = fields.get("q", [""])[0].strip()
+                typed = fields.get("edit", [""])[0].splitlines()
+                lines = tuple(filter(None, map(str.strip, typed)))
+                wanted = fields.get("scene", [""])[0].strip()
                 number = int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
-            asked, problem = None, ""
+            asked = None
+            problem = ""
             try:
                 if text:
                     asked = asker.ask(text, lines, number, unclear)
             except UserError as error:
-                problem, number = str(error), None
+                problem = str(error)
+                number = None
             return page(asked, text, lines, asker=asker, scene=number, problem=problem)
 
         def log_message(self, format: str, *arguments: Any) -> None:
@@ -174,7 +207,8 @@ def make_server(
     server = ThreadingHTTPServer(listener.getsockname(), Handler, bind_and_activate=False)
     server.socket.close()
     server.socket = listener
-    server.server_name, server.server_port = ADDRESS, listener.getsockname()[1]
+    server.server_name = ADDRESS
+    server.server_port = listener.getsockname()[1]
     return server
 
 

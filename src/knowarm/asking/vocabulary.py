@@ -2,9 +2,10 @@
 
 import re
 import unicodedata
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from difflib import get_close_matches
+from itertools import product
 from typing import NamedTuple
 
 from knowarm.asking.lexicon import (
@@ -51,71 +52,85 @@ class Vocabulary:
         colours: Collection[str],
         objects: Collection[str] = (),
     ) -> None:
-        self.graph, self.heads = graph, heads
+        self.graph = graph
+        self.heads = heads
         self.objects = {tuple(words_of(name)) for name in objects}
         self.words = {COLOUR_RELATION: ["has", "colour"]}
-        self.entries = [
-            Entry(tuple(words_of(colour)), COLOUR_RELATION, f"{COLOUR_RELATION} {_quoted(colour)}")
-            for colour in colours
-        ]
+        entries = dict[Entry, None]()  # in order, once each
+        for colour in colours:
+            text = f"{COLOUR_RELATION} {_quoted(colour)}"
+            entries[Entry(tuple(words_of(colour)), COLOUR_RELATION, text)] = None
         for name, tail in self._pairs(heads):
-            if name_key(name) not in ("hascolor", "hascolour"):
-                self.entries.append(self._entry(name, tail))
-                self.entries += [
-                    self._entry(f"{name} ({inner}", end) for inner, end in self._pairs([tail])
-                ]
-        self.entries = list(dict.fromkeys(self.entries))
+            if name_key(name) in ("hascolor", "hascolour"):
+                continue
+            entries[self._entry(name, tail)] = None
+            for inner, end in self._pairs([tail]):
+                entries[self._entry(name, end, inner)] = None
+        self.entries = list(entries)
         self.by_first: dict[str, list[Entry]] = defaultdict(list)
-        for entry in filter(lambda each: each.words, self.entries):
-            self.by_first[entry.words[0]].append(entry)
+        for entry in entries:
+            if entry.words:
+                self.by_first[entry.words[0]].append(entry)
 
     def _label(self, name: str) -> str:
         labels = self.graph.labels
-        return name if name.startswith("/") and name not in labels else label_of(name, labels)
+        if name.startswith("/") and name not in labels:  # of ConceptNet
+            return name
+        return label_of(name, labels)
 
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[str, int]]:
         """Yield the relations of entities and what they lead to, and learn their words."""
         graph = self.graph
-        rows = [row for head in heads for row in graph.out_rows(head)]
-        pairs = {(int(graph.relations[row]), int(graph.tails[row])) for row in rows}
+        pairs = set[tuple[int, int]]()
+        for head in heads:
+            rows = graph.out_rows(head)
+            pairs.update(
+                zip(graph.relations[rows].tolist(), graph.tails[rows].tolist(), strict=True)
+            )
         for relation, tail in sorted(pairs):
             name = graph.relation_names.short(relation)
             self.words.setdefault(name, words_of(self._label(graph.relation_names[relation])))
             yield name, tail
 
-    def _entry(self, relations: str, tail: int) -> Entry:
-        """Return the condition of one relation, or of two: "usedFor (relatedTo"."""
-        graph, (relation, _, inner) = self.graph, relations.partition(" (")
-        words = words_of(self._label(graph.names[tail]))
-        text = f"{relations} {_quoted(local_name(graph.names.short(tail)))}" + ")" * bool(inner)
-        return Entry(tuple(words), relation, text, inner)
+    def _entry(self, relation: str, tail: int, inner: str = "") -> Entry:
+        """Return the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
+        name = self.graph.names[tail]
+        value = _quoted(local_name(self.graph.names.short(tail)))
+        text = f"{relation} ({inner} {value})" if inner else f"{relation} {value}"
+        return Entry(tuple(words_of(self._label(name))), relation, text, inner)
 
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
         name = " ".join(self.words[relation])
-        return next((f for f in FAMILIES.values() if re.search(f.relations, name)), Family())
+        for family in FAMILIES.values():
+            if re.search(family.relations, name):
+                return family
+        return Family()
 
     def said(self, word: str) -> frozenset[str]:
         """Return the relations that a word says: with its own word, or with one of its family."""
-        return frozenset(
-            name
-            for name, words in self.words.items()
-            if any(near(word, each, DERIVED) for each in words if each not in _EMPTY)
-            or any(near(word, each, INFLECTED) for each in self.family(name).strong.split())
-        )
+        relations = set[str]()
+        for relation, words in self.words.items():
+            names = [name for name in words if name not in _EMPTY]
+            strong = self.family(relation).strong.split()
+            is_name = any(near(word, name, DERIVED) for name in names)
+            if is_name or any(near(word, other, INFLECTED) for other in strong):
+                relations.add(relation)
+        return frozenset(relations)
 
     def noun(self, word: str, counted: bool = False) -> str:
         """Return the relation whose values a word counts, as "parts" those of hasPart, or "".
 
         ``counted``: behind a number "use" is a noun; else it may be a verb, as "uses" is not.
         """
-        for name, words in self.words.items():
-            is_noun = words[0] in _HAVE or self.family(name) is FAMILIES["part"]
-            if name != COLOUR_RELATION and is_noun and near(word, words[-1], 0):
-                return name
-            uses = WORDS["uses"] + WORDS["use"] * counted
-            if word in uses and self.family(name) is FAMILIES["use"]:
-                return name
+        uses = WORDS["uses"] + WORDS["use"] if counted else WORDS["uses"]
+        for relation, words in self.words.items():
+            family = self.family(relation)
+            is_noun = words[0] in _HAVE or family is FAMILIES["part"]
+            if relation != COLOUR_RELATION and is_noun and near(word, words[-1], 0):
+                return relation
+            if word in uses and family is FAMILIES["use"]:
+                return relation
         return ""
 
     def allows(self, word: str, relation: str) -> bool:
@@ -124,44 +139,54 @@ class Vocabulary:
 
     def numbers(self, relation: str) -> dict[int, float]:
         """Return the numbers that a relation states, by what it states them of."""
-        texts = [(head, local_name(self.graph.names[tail])) for head, tail in self._links(relation)]
-        return {head: float(text) for head, text in texts if re.fullmatch(r"\d+(\.\d+)?", text)}
+        numbers = dict[int, float]()
+        for head, tail in self._links(relation):
+            text = local_name(self.graph.names[tail])
+            if re.fullmatch(r"\d+(\.\d+)?", text):
+                numbers[head] = float(text)
+        return numbers
 
     def counts(self, relation: str) -> dict[int, float]:
         """Return the number of values that a relation states, by entity."""
-        counted = Counter(head for head, _ in self._links(relation))
-        return {head: float(counted[head]) for head in self.heads}
+        counts = dict.fromkeys(self.heads, 0.0)
+        for head, _ in self._links(relation):
+            counts[head] += 1
+        return counts
 
-    def _links(self, relation: str) -> list[tuple[int, int]]:
+    def _links(self, relation: str) -> Iterator[tuple[int, int]]:
+        """Yield the entities of which a relation states something, and what."""
         graph = self.graph
-        rows = ((head, row) for head in self.heads for row in graph.out_rows(head))
-        short = graph.relation_names.short
-        return [(h, int(graph.tails[r])) for h, r in rows if short(graph.relations[r]) == relation]
+        for head in self.heads:
+            for row in graph.out_rows(head):
+                if graph.relation_names.short(graph.relations[row]) == relation:
+                    yield head, int(graph.tails[row])
 
     def measured(self, word: str) -> tuple[str, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<", or ""."""
-        for sign, kind in ((">", "large"), ("<", "small")):
-            for name in self.words:
-                adjectives = getattr(self.family(name), kind).split()
-                if any(near(word, each, INFLECTED) for each in adjectives) and self.numbers(name):
-                    return name, sign
+        for sign, size in ((">", "large"), ("<", "small")):
+            for relation in self.words:
+                adjectives = getattr(self.family(relation), size).split()
+                is_near = any(near(word, adjective, INFLECTED) for adjective in adjectives)
+                if is_near and self.numbers(relation):
+                    return relation, sign
         return "", ""
 
     def nearest(self, words: Collection[str]) -> str:
         """Return a sentence with the conditions whose values are nearest to words."""
-        every = {word: entry.text for entry in self.entries for word in entry.words}
-        found = [
-            entry.text
-            for entry in self.entries
-            if any(near(word, each, SYNONYM) for word in words for each in entry.words)
-        ]
-        found += [every[near] for word in words for near in get_close_matches(word, every, n=1)]
-        if not found and any(COLOUR_RELATION in self.said(word) for word in words):
-            found = [each.text for each in self.entries if each.relation == COLOUR_RELATION]
-        if found:
-            return f"Nearest: {'; '.join([*dict.fromkeys(found)][:9])}."
-        firsts = {entry.relation: entry.text for entry in self.entries if not entry.inner}
-        return f"It can be asked for, among others: {'; '.join([*firsts.values()][:6])}."
+        texts = list[str]()
+        by_word = dict[str, str]()
+        for entry in self.entries:
+            by_word.update(dict.fromkeys(entry.words, entry.text))
+            if any(near(word, other, SYNONYM) for word, other in product(words, entry.words)):
+                texts.append(entry.text)
+        for word in words:
+            texts += map(by_word.__getitem__, get_close_matches(word, by_word, n=1))
+        if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
+            texts = [entry.text for entry in self.entries if entry.relation == COLOUR_RELATION]
+        if texts:
+            return f"Nearest: {'; '.join(list(dict.fromkeys(texts))[:9])}."
+        examples = {entry.relation: entry.text for entry in self.entries if not entry.inner}
+        return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
 
 
 def words_of(label: str) -> list[str]:
@@ -173,4 +198,6 @@ def words_of(label: str) -> list[str]:
 
 def _quoted(name: str) -> str:
     """Return a name as questions write it."""
-    return name if re.fullmatch(r"[^\s()<>=!\"]+", name) else f'"{name}"'
+    if re.fullmatch(r"[^\s()<>=!\"]+", name):
+        return name
+    return f'"{name}"'

@@ -5,6 +5,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of
@@ -12,14 +14,23 @@ from knowarm.svg import curve, document, element, hover, label, text_width
 
 MAX_ENTITIES = 300
 """Largest graph that is drawn; a larger drawing cannot be read."""
-ROW, GAP, TOP = 26, 22, 46
-PAD, COLUMN = 12, 190
-"""Sizes [px]: of a row, above a group, above the drawing; beside a label, between columns."""
+ROW = 26
+GAP = 22
+TOP = 46
+"""Heights [px]: of a row, above a group, above the drawing."""
+PAD = 12
+COLUMN = 190
+"""Widths [px]: beside a label, between columns."""
 SPOKEN = 60
 """Facts in the description for screen readers."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7f5fb0", "#8c564b")
 """One per root; the first six are Okabe and Ito's, which colour-blind readers can tell apart."""
 GREY = "#8a8a8a"
+
+_Fact = tuple[int, str, int]
+"""Id of the head, label of the relation, id of the tail."""
+_Neighbours = dict[int, list[tuple[str, int]]]
+"""Labels of relations and ids of the entities that they lead to, by the id of an entity."""
 
 
 @dataclass
@@ -53,111 +64,161 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
             f"The graph has {len(graph.nodes):,} entities; a drawing holds at most "
             f"{MAX_ENTITIES}. Select a part by objects, fewer hops or some relations."
         )
-    boxes = _columns(graph, [graph.entity_id(name) for name in dict.fromkeys(roots)])
-    parts = [
+    facts = list[_Fact]()
+    for head, relation, tail in graph.triples.tolist():
+        facts.append((head, label_of(graph.relation_names[relation], graph.labels), tail))
+    beside = _neighbours(facts)
+    boxes = _columns(graph, beside, [graph.entity_id(name) for name in roots])
+    markup = [
         label(16, 26, title, font_size=16, font_weight="bold", fill="#222"),
-        *_headings(graph, boxes),  # places the boxes
-        *_edges(graph, boxes),
+        *_headings(boxes, beside),  # places the boxes
+        *(_edge(boxes[head], words, boxes[tail]) for head, words, tail in facts),
     ]
     for _, box in sorted(boxes.items()):
-        root = box.column == 0
-        fill, line, ink = (
-            (box.colour, box.colour, "#fff") if root else ("#f1f1f1", "#c8c8c8", "#222")
+        fill = "#f1f1f1"
+        line = "#c8c8c8"
+        ink = "#222"
+        if box.column == 0:
+            fill = line = box.colour
+            ink = "#fff"
+        markup.append(
+            element(
+                "rect",
+                x=box.x,
+                y=box.y,
+                width=box.width,
+                height=ROW - 4,
+                rx=6,
+                fill=fill,
+                stroke=line,
+            )
         )
-        size = {"x": box.x, "y": box.y, "width": box.width, "height": ROW - 4, "rx": 6}
         middle = box.x + box.width / 2
-        parts.append(element("rect", **size, fill=fill, stroke=line))
-        parts.append(label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink))
-    facts = ["{} {} {}".format(*(label_of(n, graph.labels) for n in triple)) for triple in graph]
-    more = f"; and {len(facts) - SPOKEN} more" if len(facts) > SPOKEN else ""
+        markup.append(label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink))
+    spoken = list[str]()
+    for head, words, tail in facts[:SPOKEN]:
+        spoken.append(f"{boxes[head].label} {words} {boxes[tail].label}")
+    description = f"{len(graph)} facts: {'; '.join(spoken)}"
+    if len(facts) > SPOKEN:
+        description += f"; and {len(facts) - SPOKEN} more"
     return document(
         round(max(box.x + box.width for box in boxes.values()) + 24),
         round(max(box.y for box in boxes.values()) + ROW + 16),
         title or "Knowledge graph",
-        *parts,
-        description=f"{len(graph)} facts: {'; '.join(facts[:SPOKEN])}{more}",
+        *markup,
+        description=description,
     )
 
 
-def _columns(graph: KnowledgeGraph, roots: list[int]) -> dict[int, _Box]:
+def _neighbours(facts: Sequence[_Fact]) -> _Neighbours:
+    """Return what each entity is linked to, in either direction, and by which relation."""
+    beside: _Neighbours = defaultdict(list)
+    for head, words, tail in facts:
+        beside[head].append((words, tail))
+        beside[tail].append((f"{words} (of)", head))
+    return beside
+
+
+def _columns(graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]) -> dict[int, _Box]:
     """Return every entity's box: its distance from the roots, and the relation that reaches it."""
-    beside: dict[int, list[tuple[str, int]]] = defaultdict(list)
-    for h, r, t in zip(graph.heads, graph.relations, graph.tails, strict=True):
-        words = label_of(graph.relation_names[int(r)], graph.labels)
-        beside[int(h)].append((words, int(t)))
-        beside[int(t)].append((f"{words} (of)", int(h)))
-    nodes: list[int] = graph.nodes.tolist()
     if not roots:
-        reached = set(graph.tails.tolist())
-        roots = [i for i in nodes if i not in reached] or sorted(set(graph.heads.tolist()))
-    boxes: dict[int, _Box] = {}
-
-    def add(entity: int, column: int, group: str, colour: str) -> int:
-        boxes[entity] = _Box(label_of(graph.names[entity], graph.labels), column, group, colour)
-        return entity
-
-    for start in (roots, *([i] for i in nodes)):  # then the components without a root
-        shades = COLOURS if start is roots else (GREY,)
-        new = [i for i in start if i not in boxes]
-        frontier = [add(i, 0, "", shades[place % len(shades)]) for place, i in enumerate(new)]
-        column = 0
-        while frontier:
-            column += 1
-            frontier = sorted(
-                add(other, column, words, boxes[entity].colour)
-                for entity in frontier
-                for words, other in beside[entity]
-                if other not in boxes
-            )
+        roots = np.setdiff1d(graph.nodes, graph.tails).tolist()
+    if not roots:
+        roots = np.unique(graph.heads).tolist()
+    boxes = dict[int, _Box]()
+    for number, root in enumerate(dict.fromkeys(roots)):
+        boxes[root] = _box(graph, root, 0, "", COLOURS[number % len(COLOURS)])
+    _add_columns(graph, beside, boxes, roots)
+    for node in graph.nodes.tolist():  # the components without a root
+        if node not in boxes:
+            boxes[node] = _box(graph, node, 0, "", GREY)
+            _add_columns(graph, beside, boxes, [node])
     return boxes
 
 
-def _headings(graph: KnowledgeGraph, boxes: dict[int, _Box]) -> list[str]:
-    """Set the place of every box; return the headings of the groups."""
-    headings = []
+def _add_columns(
+    graph: KnowledgeGraph,
+    beside: _Neighbours,
+    boxes: dict[int, _Box],
+    frontier: list[int],
+) -> None:
+    """Add the boxes of all that can be reached from some entities of the first column."""
+    column = 0
+    while frontier:
+        column += 1
+        reached = list[int]()
+        for entity in frontier:
+            for words, other in beside[entity]:
+                if other not in boxes:
+                    boxes[other] = _box(graph, other, column, words, boxes[entity].colour)
+                    reached.append(other)
+        frontier = sorted(reached)
+
+
+def _box(graph: KnowledgeGraph, entity: int, column: int, group: str, colour: str) -> _Box:
+    return _Box(label_of(graph.names[entity], graph.labels), column, group, colour)
+
+
+def _headings(boxes: dict[int, _Box], beside: _Neighbours) -> list[str]:
+    """Set the position of every box; return the headings of the groups."""
+    columns: dict[int, list[int]] = defaultdict(list)
+    for entity, box in boxes.items():
+        columns[box.column].append(entity)
+
+    def order(entity: int) -> tuple[str, float, str]:
+        return boxes[entity].group, _barycentre(boxes, beside, entity), boxes[entity].label
+
+    headings = list[str]()
     x = 24.0
     tallest = 0.0
-    columns = range(1 + max(box.column for box in boxes.values()))
-    for column in columns:
-        inside = sorted(
-            (i for i, box in boxes.items() if box.column == column),
-            key=lambda i: (boxes[i].group, _barycentre(graph, boxes, i), boxes[i].label),
-        )
-        y, group = float(TOP), ""
-        for box in (boxes[i] for i in inside):
+    for _, entities in sorted(columns.items()):
+        y = float(TOP)
+        group = ""
+        for entity in sorted(entities, key=order):
+            box = boxes[entity]
             if box.group != group:
-                y, group = y + GAP, box.group
+                group = box.group
+                y += GAP
                 headings.append(label(x, y - 5, group, fill="#666", font_style="italic"))
-            box.x, box.y = x, y
+            box.x = x
+            box.y = y
             y += ROW
         tallest = max(tallest, y)
-        x += max(boxes[i].width for i in inside) + COLUMN
-    roots = sorted((box for box in boxes.values() if box.column == 0), key=lambda box: box.y)
+        x += max(boxes[entity].width for entity in entities) + COLUMN
+    roots = sorted((boxes[entity] for entity in columns[0]), key=lambda box: box.y)
     step = (tallest - TOP) / len(roots)
     if step > ROW:  # spread the roots over the height of their neighbours
-        for place, box in enumerate(roots):
-            box.y = TOP + step * (place + 0.5) - ROW / 2
+        for number, box in enumerate(roots):
+            box.y = TOP + step * (number + 0.5) - ROW / 2
     return headings
 
 
-def _barycentre(graph: KnowledgeGraph, boxes: dict[int, _Box], entity: int) -> float:
+def _barycentre(boxes: dict[int, _Box], beside: _Neighbours, entity: int) -> float:
     """Return the mean height of the neighbours in earlier columns."""
-    beside = [*graph.tails[graph.out_rows(entity)], *graph.heads[graph.in_rows(entity)]]
-    placed = [boxes[int(i)].y for i in beside if boxes[int(i)].column < boxes[entity].column]
-    return math.fsum(placed) / len(placed) if placed else 0.0
+    neighbours = [boxes[other] for _, other in beside[entity]]
+    heights = [box.y for box in neighbours if box.column < boxes[entity].column]
+    return math.fsum(heights) / max(len(heights), 1)
 
 
-def _edges(graph: KnowledgeGraph, boxes: dict[int, _Box]) -> list[str]:
-    """Return one curve per edge, with the fact as its tooltip."""
-    parts = []
-    for h, r, t in zip(graph.heads, graph.relations, graph.tails, strict=True):
-        head, tail = boxes[int(h)], boxes[int(t)]
-        left, right = (head, tail) if head.column <= tail.column else (tail, head)
-        same = left.column == right.column
-        start = (left.x + left.width, left.y + ROW / 2 - 2)
-        end = (right.x + right.width * same, right.y + ROW / 2 - 2)
-        words = label_of(graph.relation_names[int(r)], graph.labels)
-        tooltip = hover(f"{head.label} {words} {tail.label}")
-        line = {"fill": "none", "stroke": head.colour, "stroke_width": 1.4, "stroke_opacity": 0.75}
-        parts.append(curve(start, end, tooltip, bend=40 if same else None, **line))
-    return parts
+def _edge(head: _Box, words: str, tail: _Box) -> str:
+    """Return the curve of an edge, with the fact as its tooltip."""
+    left = head
+    right = tail
+    if head.column > tail.column:
+        left = tail
+        right = head
+    end_x = right.x
+    bend = None
+    if left.column == right.column:
+        end_x += right.width
+        bend = 40
+    return curve(
+        (left.x + left.width, left.y + ROW / 2 - 2),
+        (end_x, right.y + ROW / 2 - 2),
+        hover(f"{head.label} {words} {tail.label}"),
+        bend=bend,
+        fill="none",
+        stroke=head.colour,
+        stroke_width=1.4,
+        stroke_opacity=0.75,
+    )

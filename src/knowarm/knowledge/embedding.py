@@ -6,7 +6,8 @@ A placebo falsifies one of these steps; see the methods ``change_...`` of `Vecto
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,10 @@ class Embedding:
         return EmbeddingFacts(
             source=self.config.source.short_name,
             slots=names,
-            **{name: getattr(self, name) for name in ("slot_dim", "dim", "norm", "note")},
+            slot_dim=self.slot_dim,
+            dim=self.dim,
+            norm=self.norm,
+            note=self.note,
             slot_norms=tuple(np.linalg.norm(self.matrix.astype(float), axis=1).tolist()),
             coverage=self.coverage.describe(),
             sentences=dict(zip(names, self.sentences, strict=True)),
@@ -111,7 +115,9 @@ class SceneEmbedding(Embedding):
     @property
     def dim(self) -> int:
         """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (one facet's)."""
-        return self.matrix.size if self.scope == "scene" else self.slot_dim
+        if self.scope == "scene":
+            return self.matrix.size
+        return self.slot_dim
 
     @property
     def constant(self) -> bool:
@@ -122,7 +128,7 @@ class SceneEmbedding(Embedding):
         """Return the knowledge input of the policy for each facet, (F, K) float32."""
         if self.scope == "scene":
             return np.tile(self.vector, (len(facets), 1))
-        return np.ascontiguousarray(self.matrix[[self._slot(*facet) for facet in facets]])
+        return self.matrix[[self._slot(name, colour) for name, colour in facets]]
 
     def _slot(self, name: str, colour: str) -> int:
         wanted = Facet(name, None if self.config.detail == "partial" else colour)
@@ -165,15 +171,22 @@ class QueryEmbedding(Embedding):
         Raises:
             UserError: no slot describes a condition.
         """
-        numbers = {slot: number for number, slot in enumerate(self.slots)}
-        if new := {c.name for query in queries for c in query.conditions if c not in numbers}:
-            raise UserError(f"No slot describes {', '.join(sorted(new))}: embed the queries first.")
+        slots = dict(zip(self.slots, self.matrix, strict=True))
+        new = set(chain.from_iterable(query.conditions for query in queries)) - slots.keys()
+        if new:
+            names = sorted(condition.name for condition in new)
+            raise UserError(f"No slot describes {', '.join(names)}: embed the queries first.")
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
-            facts = [c for c in query.conditions if not c.is_seen]
-            seen = [c for c in query.conditions if c.is_seen]
-            row[: len(facts)] = self.matrix[[numbers[c] for c in facts]]
-            row[len(row) - len(seen) :] = self.matrix[[numbers[c] for c in seen]]
+            first = 0
+            last = self.width - sum(condition.is_seen for condition in query.conditions)
+            for condition in query.conditions:
+                if condition.is_seen:
+                    row[last] = slots[condition]
+                    last += 1
+                else:
+                    row[first] = slots[condition]
+                    first += 1
         return rows.reshape(len(queries), -1)
 
 
@@ -201,8 +214,7 @@ def scene_embedding(
         (2, 50)
     """
     slots = slots_of(config, facets)
-    done = _embed(config, FacetSlots(slots), graph, run_seed)
-    return SceneEmbedding(config=config, slots=slots, note=config.source.note, **done._asdict())
+    return SceneEmbedding(slots=slots, **_embed(config, FacetSlots(slots), graph, run_seed))
 
 
 def query_embedding(
@@ -231,59 +243,61 @@ def query_embedding(
         >>> query_embedding(config, [Query.of(("usedFor", "drinking"))]).matrix.shape
         (1, 50)
     """
-    every = tuple(dict.fromkeys((*trained_on, *queries)))
-    conditions = tuple(dict.fromkeys(c for query in every for c in query.conditions))
-    done = _embed(config, ConditionSlots(conditions), graph, run_seed)
-    return QueryEmbedding(
-        config=config,
-        slots=conditions,
-        note=config.source.note,
-        queries=every,
-        **done._asdict(),
-    )
-
-
-class _Embedded(NamedTuple):
-    """The fields of `Embedding` that are computed."""
-
-    matrix: np.ndarray
-    sentences: tuple[str, ...]
-    coverage: Coverage
+    embedded = tuple(dict.fromkeys((*trained_on, *queries)))
+    conditions = chain.from_iterable(query.conditions for query in embedded)
+    slots = tuple(dict.fromkeys(conditions))
+    fields = _embed(config, ConditionSlots(slots), graph, run_seed)
+    return QueryEmbedding(slots=slots, queries=embedded, **fields)
 
 
 def _embed(
     config: KnowledgeConfig,
     slots: FacetSlots | ConditionSlots,
     graph: KnowledgeGraph | None,
-    run_seed: int = 0,
-) -> _Embedded:
-    """Compute slots by the config's source, from the config's graph or the given one."""
-    source, coverage = config.source, Coverage()
-    matrix, sentences = np.zeros((len(slots), config.dim), np.float32), ("",) * len(slots)
+    run_seed: int,
+) -> dict[str, Any]:
+    """Compute slots by the config's source; return all fields of `Embedding` but the slots."""
+    source = config.source
+    coverage = Coverage()
+    matrix = np.zeros((len(slots), config.dim), np.float32)
+    sentences = ("",) * len(slots)
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
-        graph = read_graph(config.graph) if graph is None else graph
+        if graph is None:
+            graph = read_graph(config.graph)
         described = slots.describe(graph, config, seed)
         matrix = _vectors(config, described, coverage)
         if not source.content_free:
-            sentences = tuple(" ".join(p.label for p in parts) for parts in described.sentences)
+            sentences = tuple(
+                " ".join(part.label for part in labels.sentence) for labels in described.slots
+            )
     matrix = source.change_vectors(matrix, seed)
     if source.real is not source and not source.content_free:
-        real = _embed(replace(config, source=source.real), slots, graph).matrix
-        wanted, length = (np.linalg.norm(m, axis=1, keepdims=True) for m in (real, matrix))
+        # A placebo with another content has slots as long as those of the source that it copies.
+        real = _embed(replace(config, source=source.real), slots, graph, run_seed=0)["matrix"]
+        wanted = np.linalg.norm(real, axis=1, keepdims=True)
+        length = np.linalg.norm(matrix, axis=1, keepdims=True)
         factor = np.divide(wanted, length, out=np.zeros_like(wanted), where=length > 0)
         matrix = (matrix * factor).astype(np.float32)
-    return _Embedded(matrix, sentences, coverage)
+    return {
+        "config": config,
+        "matrix": matrix,
+        "coverage": coverage,
+        "sentences": sentences,
+        "note": source.note,
+    }
 
 
 def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) -> np.ndarray:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
-    graph = described.graph
-    everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
+    parts = list(chain.from_iterable(labels.sentence for labels in described.slots))
+    everything = list[SentencePart]()
+    if config.centring:
+        everything = graph_parts(described.graph, relation_words=config.relation_words)
     lookup = config.source.open(
         Request(
-            graph=graph,
-            parts=[*(part for parts in described.sentences for part in parts), *everything],
+            graph=described.graph,
+            parts=parts + everything,
             dim=config.dim,
             seed=config.seed,
             aliases=config.aliases,
@@ -295,33 +309,42 @@ def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) 
             f"{lookup.name} has {lookup.dim} numbers per word, but the config expects "
             f"{config.dim}. Take vectors of {config.dim} numbers or set dim to {lookup.dim}."
         )
-    centre = _centre(lookup, everything) if config.centring else 0.0
-    several = len(set(described.hues)) > 1  # a colour less itself would be nothing
-    hue_centre = _centre(lookup, described.hues) if config.centring and several else 0.0
-    rows = []
-    for parts, hue_part, other_parts in zip(*described[:3], strict=True):
-        labels = parts if config.colour_share is None else other_parts
-        vector = pool([lookup.find(p, coverage) for p in labels], config.pooling, centre)
-        if hue_part is not None and config.colour_share is not None:
-            hue = pool([lookup.find(hue_part, coverage)], config.pooling, hue_centre)
-            share, length = config.colour_share, np.linalg.norm(vector)
-            vector = ((1 - share) * _unit(vector) + share * _unit(hue)) * length
-        rows.append(vector if config.slot_norm is None else _unit(vector) * config.slot_norm)
+    centre = np.zeros(lookup.dim)
+    value_centre = np.zeros(lookup.dim)
+    if config.centring:
+        centre = _centre(lookup, everything)
+        if len(set(described.values)) > 1:  # a colour less itself would be nothing
+            value_centre = _centre(lookup, described.values)
+    rows = list[np.ndarray]()
+    for sentence, value, rest in described.slots:
+        labels = sentence if config.colour_share is None else rest
+        vector = pool([lookup.find(part, coverage) for part in labels], config.pooling, centre)
+        if value is not None and config.colour_share is not None:
+            value_vector = pool([lookup.find(value, coverage)], config.pooling, value_centre)
+            length = np.linalg.norm(vector)
+            share = config.colour_share
+            vector = ((1 - share) * _unit(vector) + share * _unit(value_vector)) * length
+        if config.slot_norm is not None:
+            vector = _unit(vector) * config.slot_norm
+        rows.append(vector)
     return np.array(rows, np.float32)
 
 
 def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
-    matrices = []
+    matrices = [np.empty((0, lookup.dim), np.float32)]
     for part in parts:
         with suppress(UserError):
             matrices.append(lookup.find(part, Coverage()).vectors)
-    vectors = np.concatenate([np.empty((0, lookup.dim), np.float32), *matrices])
-    return vectors.mean(axis=0, dtype=np.float64) if len(vectors) else np.zeros(lookup.dim)
+    vectors = np.concatenate(matrices)
+    if not len(vectors):
+        return np.zeros(lookup.dim)
+    return vectors.mean(axis=0, dtype=np.float64)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    if not (length := np.linalg.norm(vector)):
+    length = np.linalg.norm(vector)
+    if length == 0:
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
             "Give aliases, or use ",

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.knowledge.embedding import query_embedding, scene_embedding
+from knowarm.knowledge.embedding import SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name
@@ -50,12 +50,13 @@ class Probe:
 
     def describe(self) -> dict[str, Any]:
         """Return everything as JSON-able values."""
-        cosine = [[None if np.isnan(x) else float(x) for x in row] for row in self.cosine]
+        cosine = self.cosine.astype(object)
+        cosine[np.isnan(self.cosine)] = None
         return {
             "slots": list(self.slots),
-            "cosine": cosine,
+            "cosine": cosine.tolist(),
             "largest_cosine": None if np.isnan(self.largest) else self.largest,
-            "nearly_same": [list(pair) for pair in self.nearly_same],
+            "nearly_same": list(map(list, self.nearly_same)),
             "recovered": self.recovered,
         }
 
@@ -71,25 +72,37 @@ def probe(
     prediction is the k values with the highest scores, where k values are true.
     """
     task = scene_embedding(config, facets, run_seed=run_seed)
-    cosine = _cosine(task.matrix)
-    names = tuple(slot.name for slot in task.slots)
-    if config.source.placebo:
-        return Probe(slots=names, cosine=cosine, recovered={})
-    graph = read_graph(config.graph)
-    everything = scene_embedding(config, _population(graph, facets, config))
-    vectors = everything.matrix.astype(np.float64)
+    recovered: dict[str, dict[str, float]] = {}
+    if not config.source.placebo:
+        graph = read_graph(config.graph)
+        population = scene_embedding(config, _population(graph, facets, config))
+        in_task = np.array([slot in task.slots for slot in population.slots])
+        recovered = _recovered(graph, population, in_task)
+    return Probe(
+        slots=tuple(slot.name for slot in task.slots),
+        cosine=_cosine(task.matrix),
+        recovered={name: scores for name, scores in recovered.items() if scores},
+    )
+
+
+def _recovered(
+    graph: KnowledgeGraph,
+    population: SceneEmbedding,
+    in_task: np.ndarray,
+) -> dict[str, dict[str, float]]:
+    """Return the shares recovered by target, {} for a target without any of the task."""
+    config = population.config
+    vectors = population.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    slots = everything.slots
-    in_task = np.array([slot in task.slots for slot in slots])
-    objects = np.array([slot.object for slot in slots])
+    objects = np.array([slot.object for slot in population.slots])
     recovered: dict[str, dict[str, float]] = {}
     if config.detail == "full":
-        colours = [label_of(config.graph_name(slot.colour or ""), graph.labels) for slot in slots]
+        colours = list[str]()
+        for slot in population.slots:
+            colours.append(label_of(config.graph_name(slot.colour or ""), graph.labels))
         recovered["object"] = _single(vectors, objects, in_task)
         recovered["colour"] = _single(vectors, np.array(colours), in_task)
-    recovered |= _attributes(graph, vectors, objects, in_task, config)
-    scored = {name: scores for name, scores in recovered.items() if scores}
-    return Probe(slots=names, cosine=cosine, recovered=scored)
+    return recovered | _attributes(graph, vectors, objects, in_task, config)
 
 
 def _cosine(matrix: np.ndarray) -> np.ndarray:
@@ -108,15 +121,19 @@ def _population(
     rows = np.flatnonzero(coloured & ~np.isin(graph.heads, task_objects))
     if len(rows) > MOST_OTHERS:
         rows = np.random.default_rng(config.seed).choice(rows, MOST_OTHERS, replace=False)
-    others = ((graph.heads[row], graph.tails[row]) for row in np.sort(rows))
-    return [*facets, *((graph.names[head], graph.names[tail]) for head, tail in others)]
+    population = list(facets)
+    for head, _, tail in graph.rows(np.sort(rows)):
+        population.append((head, tail))
+    return population
 
 
 def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Fit ridge regression without the held rows; return scores for them, (h, classes)."""
     train = ~held
-    mean, centre = vectors[train].mean(axis=0), targets[train].mean(axis=0)
-    x, y = vectors[train] - mean, targets[train] - centre
+    mean = vectors[train].mean(axis=0)
+    centre = targets[train].mean(axis=0)
+    x = vectors[train] - mean
+    y = targets[train] - centre
     gram = x @ x.T + RIDGE * np.eye(len(x))
     return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
 
@@ -125,8 +142,11 @@ def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[
     """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
     if np.isnan(shares[in_task]).all():
         return {}
-    means = {"task": np.nanmean(shares[in_task]), "all": np.nanmean(shares)}
-    return {name: float(mean) for name, mean in (means | {"guess": np.nanmean(guess)}).items()}
+    return {
+        "task": float(np.nanmean(shares[in_task])),
+        "all": float(np.nanmean(shares)),
+        "guess": float(np.nanmean(guess)),
+    }
 
 
 def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
@@ -137,7 +157,8 @@ def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> di
     for row in np.flatnonzero(counts[index] > 1):
         held = np.arange(len(vectors)) == row
         hits[row] = _predict(vectors, targets, held)[0].argmax() == index[row]
-    return _scores(hits, counts.max(keepdims=True) / len(answers), in_task)
+    most_frequent = counts.max(keepdims=True) / len(answers)
+    return _scores(hits, most_frequent, in_task)
 
 
 def _attributes(
@@ -150,35 +171,36 @@ def _attributes(
     """Predict the values of each relation, leaving out all slots of one object at a time."""
     colour = graph.relation_id(config.colour_relation)
     ids = np.array([graph.entity_id(config.graph_name(name)) for name in objects])
-    scores = {}
     about = np.isin(graph.heads, ids)
+    scores = dict[str, dict[str, float]]()
     for relation in np.unique(graph.relations[about]):
         rows = np.flatnonzero((graph.relations == relation) & about)
-        tails, columns, counts = np.unique(
-            graph.tails[rows], return_inverse=True, return_counts=True
-        )
+        tails, columns = np.unique(graph.tails[rows], return_inverse=True)
+        counts = np.bincount(columns)
         if relation == colour or (counts > 1).sum() < 2:
             continue
         true = np.zeros((len(objects), len(tails)))
         for row, column in zip(rows, columns, strict=True):
             true[ids == graph.heads[row], column] = 1.0
         true = true[:, counts > 1]  # a value of a single object cannot be learned from others
-        shares, guess = np.full((2, len(objects)), np.nan)
+        shares = np.full(len(objects), np.nan)
+        guess = np.full(len(objects), np.nan)
         for name in np.unique(objects[true.any(axis=1)]):
             held = objects == name
             frequent = true[~held].mean(axis=0)
-            for row, score in zip(np.flatnonzero(held), _predict(vectors, true, held), strict=True):
+            predicted = _predict(vectors, true, held)
+            for row, score in zip(np.flatnonzero(held), predicted, strict=True):
                 shares[row] = _share_found(score, true[row])
                 guess[row] = _share_found(frequent, true[row])
-        name = local_name(graph.relation_names[int(relation)])
-        scores[name] = _scores(shares, guess, in_task)
+        scores[local_name(graph.relation_names[relation])] = _scores(shares, guess, in_task)
     return scores
 
 
 def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
     """Return the share of the k true values that are among the k highest scores."""
     k = int(true.sum())
-    return float(true[np.argsort(-scores, kind="stable")[:k]].sum() / k)
+    highest = np.argsort(-scores, kind="stable")[:k]
+    return float(true[highest].mean())
 
 
 def query_agreement(
@@ -190,11 +212,14 @@ def query_agreement(
     satisfy both among those that satisfy either. None if all slots are equally similar.
     """
     facts = [query for query in asked.queries("none") if not query.conditions[0].is_seen]
-    cosine = _cosine(query_embedding(config, facts, run_seed=run_seed, graph=asked.graph).matrix)
-    answers = asked.answers(facts)[:, np.unique(asked.owner, return_index=True)[1]]
+    embedding = query_embedding(config, facts, run_seed=run_seed, graph=asked.graph)
+    cosine = _cosine(embedding.matrix)
+    _, first_facets = np.unique(asked.owner, return_index=True)
+    answers = asked.answers(facts)[:, first_facets]
     both = (answers[:, None] & answers).sum(2)
     either = (answers[:, None] | answers).sum(2)
     pairs = np.triu_indices(len(facts), 1)
     if not len(pairs[0]) or not np.ptp(cosine[pairs]) >= 1e-6:  # NaN for slots of zeros
         return None
-    return float(scipy.stats.spearmanr(cosine[pairs], (both / either)[pairs]).statistic)
+    overlap = both / either
+    return float(scipy.stats.spearmanr(cosine[pairs], overlap[pairs]).statistic)

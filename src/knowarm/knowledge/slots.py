@@ -15,13 +15,19 @@ from knowarm.knowledge.vectors.source import Facet, SentencePart
 from knowarm.questions import Condition, ObjectColour
 
 
+class SlotLabels(NamedTuple):
+    """What a slot says."""
+
+    sentence: list[SentencePart]
+    value: SentencePart | None  # The label of its colour, or of the value in a query
+    rest: list[SentencePart]  # The labels beside it
+
+
 class Described(NamedTuple):
     """What S slots say."""
 
-    sentences: list[list[SentencePart]]  # Labels of each slot's sentence
-    own: list[SentencePart | None]  # Label of each slot's colour, or of the value in a query
-    rest: list[list[SentencePart]]  # The labels beside it
-    hues: list[SentencePart]  # Labels that `own` is centred among
+    slots: list[SlotLabels]
+    values: list[SentencePart]  # Labels that the value of a slot is centred among
     graph: KnowledgeGraph  # The graph that they are described by
 
 
@@ -42,33 +48,34 @@ class FacetSlots:
         Placebos change the graph, or the facets.
         """
         graph = config.source.change_graph(graph, seed)
-        named = [
-            Facet(config.graph_name(each.object), each.colour and config.graph_name(each.colour))
-            for each in self.facets
-        ]
-        facets = config.source.change_facets(named, graph, config.colour_relation, seed)
-        return graph, [
-            facet_subgraph(_around(graph, facet.object, config), facet, config.colour_relation)
-            for facet in facets
-        ]
+        named = list[Facet]()
+        for name, colour, _ in self.facets:
+            named.append(
+                Facet(config.graph_name(name), colour and config.graph_name(colour)),
+            )
+        subgraphs = list[tuple[KnowledgeGraph, str | None]]()
+        for facet in config.source.change_facets(named, graph, config.colour_relation, seed):
+            around = _around(graph, facet.object, config)
+            subgraphs.append(facet_subgraph(around, facet, config.colour_relation))
+        return graph, subgraphs
 
     def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
         """Return the sentences of the subgraphs, and the colours."""
         graph, subgraphs = self.subgraphs(graph, config, seed)
-        hues: list[SentencePart] = []
+        colours: list[SentencePart] = []
         if config.detail == "full":  # every colour of the graph
             rows = graph.relations == graph.relation_id(config.colour_relation)
-            hues = [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
-        sentences = [sentence_parts(subgraph, config) for subgraph, _ in subgraphs]
-        own, rest = [], []
-        for parts, (subgraph, colour) in zip(sentences, subgraphs, strict=True):
-            hue, others = _apart(parts, colour)
-            if hue is not None and any(head == tail == colour for head, _, tail in subgraph):
-                place = parts.index(hue)  # an object with the name of its colour, such as an orange
-                others = parts[:place] + parts[place + 1 :]
-            own.append(hue)
-            rest.append(others)
-        return Described(sentences, own, rest, hues, graph)
+            colours = [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
+        slots = list[SlotLabels]()
+        for subgraph, colour in subgraphs:
+            labels = _labels_of_slot(sentence_parts(subgraph, config), colour)
+            if labels.value is not None and any(h == t == colour for h, _, t in subgraph):
+                # An object with the name of its colour, such as an orange, keeps its own label.
+                rest = labels.sentence.copy()
+                rest.remove(labels.value)
+                labels = labels._replace(rest=rest)
+            slots.append(labels)
+        return Described(slots, colours, graph)
 
 
 @dataclass(frozen=True)
@@ -93,29 +100,36 @@ class ConditionSlots:
                 "from."
             )
         graph = config.source.change_graph(graph, seed)
-        conditions = config.source.change_conditions(self.conditions)
-        sentences = [_condition_parts(graph, each, config) for each in conditions]
-        values = [_entity(graph, each, config) or each.value for each in conditions]
-        apart = [_apart(parts, value) for parts, value in zip(sentences, values, strict=True)]
-        own = [value if rest else None for value, rest in apart]
-        rest = [rest or parts for (_, rest), parts in zip(apart, sentences, strict=True)]
-        hues = [entity_part(graph, value) for value in values]
-        return Described(sentences, own, rest, hues, graph)
+        slots = list[SlotLabels]()
+        values = list[SentencePart]()
+        for condition in config.source.change_conditions(self.conditions):
+            value = _entity(graph, condition, config) or condition.value
+            values.append(entity_part(graph, value))
+            labels = _labels_of_slot(_condition_parts(graph, condition, config), value)
+            if not labels.rest:
+                labels = SlotLabels(labels.sentence, None, labels.sentence)
+            slots.append(labels)
+        return Described(slots, values, graph)
 
 
 def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
     """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
     if config.detail == "partial":
-        return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
-    return tuple(Facet(name, colour) for name, colour in dict.fromkeys(map(tuple, facets)))
+        names = dict.fromkeys(name for name, _ in facets)
+        return tuple(Facet(name, None) for name in names)
+    return tuple(dict.fromkeys(Facet(name, colour) for name, colour in facets))
 
 
-def _apart(
-    parts: list[SentencePart], name: str | None
-) -> tuple[SentencePart | None, list[SentencePart]]:
-    """Return the part with a name, if there is one, and the parts with other names."""
-    named = next((part for part in parts if part.name == name), None)
-    return named, [part for part in parts if part.name != name]
+def _labels_of_slot(parts: list[SentencePart], name: str | None) -> SlotLabels:
+    """Return the labels of a sentence, with the value of this name apart, if there is one."""
+    value = None
+    rest = list[SentencePart]()
+    for part in parts:
+        if part.name != name:
+            rest.append(part)
+        elif value is None:
+            value = part
+    return SlotLabels(parts, value, rest)
 
 
 def _condition_parts(
@@ -125,15 +139,19 @@ def _condition_parts(
 
     A value that the graph does not hold, such as a colour without facts, has its own label only.
     """
-    held = _entity(graph, condition, config)
-    names = (name for name in graph.relation_names if local_name(name) == condition.relation)
-    relation = next(names, condition.relation)
-    value = entity_part(graph, held or condition.value)
-    parts = [*relation_parts(graph, relation, config), value]
-    if config.hops == 0 or held is None:
-        return parts
-    around = _around(graph, held, config)
-    return [*parts, *(sentence_parts(around, config) if len(around) else [])]
+    relation = condition.relation
+    for name in graph.relation_names:
+        if local_name(name) == condition.relation:
+            relation = name
+            break
+    value = _entity(graph, condition, config)
+    parts = relation_parts(graph, relation, config)
+    parts.append(entity_part(graph, value or condition.value))
+    if config.hops > 0 and value is not None:
+        around = _around(graph, value, config)
+        if len(around):
+            parts += sentence_parts(around, config)
+    return parts
 
 
 def _entity(graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig) -> str | None:
@@ -149,14 +167,18 @@ def graph_facets(
 
     An object without a colour gets the pair (object, ""), which only detail "partial" accepts.
     """
-    exact = graph.relation_names.find(colour_relation)
-    wanted = graph.relation_names.find_local(colour_relation) if exact is None else [exact]
-    pairs = []
+    relation = graph.relation_names.find(colour_relation)
+    relations = graph.relation_names.find_local(colour_relation)
+    if relation is not None:
+        relations = [relation]
+    pairs = list[tuple[str, str]]()
     for name in objects:
         rows = graph.out_rows(graph.entity_id(name))
-        tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
-        colours = [local_name(graph.names[i]) for i in np.sort(tails)]
-        pairs += [(name, colour) for colour in colours or [""]]
+        tails = graph.tails[rows][np.isin(graph.relations[rows], relations)]
+        for tail in np.sort(tails):
+            pairs.append((name, local_name(graph.names[tail])))
+        if not len(tails):
+            pairs.append((name, ""))
     return pairs
 
 
@@ -180,11 +202,13 @@ def facet_subgraph(
             ".",
         )
     colours = (around.heads == entity) & (around.relations == relation)
-    keep, colour = ~colours, None
+    kept = ~colours
+    colour = None
     if facet.colour is not None:
         row = _colour_row(around, np.flatnonzero(colours), facet, facet.colour)
-        keep[row], colour = True, around.names[around.tails[row]]
-    return around.rows(np.flatnonzero(keep), nodes=np.array([entity])), colour
+        kept[row] = True
+        colour = around.names[around.tails[row]]
+    return around.rows(np.flatnonzero(kept), nodes=np.array([entity])), colour
 
 
 def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: str) -> int:
@@ -241,7 +265,8 @@ def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> lis
     parts: list[SentencePart] = []
     for head, relation, tail in graph:
         parts.append(entity_part(graph, head))
-        parts += [*relation_parts(graph, relation, config), entity_part(graph, tail)]
+        parts += relation_parts(graph, relation, config)
+        parts.append(entity_part(graph, tail))
     return parts
 
 
@@ -249,14 +274,17 @@ def relation_parts(
     graph: KnowledgeGraph, relation: str, config: KnowledgeConfig
 ) -> list[SentencePart]:
     """Return the label of an edge, or nothing where the sentence leaves it out."""
-    words = config.templates.get(relation, config.templates.get(local_name(relation)))
-    label = label_of(relation, graph.labels) if words is None else words.lower()
-    return [SentencePart(relation, label, True)] if config.relation_words and label else []
+    label = config.templates.get(relation, config.templates.get(local_name(relation)))
+    if label is None:
+        label = label_of(relation, graph.labels)
+    if not config.relation_words or not label:
+        return []
+    return [SentencePart(relation, label.lower(), is_relation=True)]
 
 
 def entity_part(graph: KnowledgeGraph, name: str) -> SentencePart:
     """Return the label of a node."""
-    return SentencePart(name, label_of(name, graph.labels), False)
+    return SentencePart(name, label_of(name, graph.labels), is_relation=False)
 
 
 def sentence(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> str:
@@ -266,35 +294,42 @@ def sentence(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> str:
 
 def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[SentencePart]:
     """Return every label of a graph: its entities and, if they are included, its relations."""
+    labels = graph.labels
     parts = [entity_part(graph, name) for name in graph.entities]
-    relations = graph.relations_used if relation_words else []
-    return [*parts, *(SentencePart(n, label_of(n, graph.labels), True) for n in relations)]
+    if relation_words:
+        names = graph.relations_used
+        parts += [SentencePart(name, label_of(name, labels), is_relation=True) for name in names]
+    return parts
 
 
 def _subgraphs(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], run_seed: int
 ) -> tuple[KnowledgeGraph, dict[str, KnowledgeGraph]]:
     """Return the graph that slots are described by, and the subgraph of each by its name."""
-    slots, graph = slots_of(config, facets), read_graph(config.graph)
+    slots = slots_of(config, facets)
+    graph = read_graph(config.graph)
     if not slots:
         return graph, {}
     seed = config.source.draw_seed(config.seed, run_seed)
     graph, subgraphs = FacetSlots(slots).subgraphs(graph, config, seed)
-    return graph, {slot.name: sub for slot, (sub, _) in zip(slots, subgraphs, strict=True)}
+    by_name = dict[str, KnowledgeGraph]()
+    for slot, (subgraph, _) in zip(slots, subgraphs, strict=True):
+        by_name[slot.name] = subgraph
+    return graph, by_name
 
 
 def scene_subgraph(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
 ) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
-    graph, by_slot = _subgraphs(config, facets, run_seed)
-    subgraphs = by_slot.values()
-    triples = [subgraph.triples for subgraph in subgraphs]
+    graph, by_name = _subgraphs(config, facets, run_seed)
+    empty = graph.rows(np.empty(0, np.int64))
+    subgraphs = [empty, *by_name.values()]
     return KnowledgeGraph(
         graph.names,
         graph.relation_names,
-        np.concatenate([np.empty((0, 3), np.int32), *triples]),
-        nodes=np.concatenate([np.empty(0, np.int32), *(s.nodes for s in subgraphs)]),
+        np.concatenate([subgraph.triples for subgraph in subgraphs]),
+        nodes=np.concatenate([subgraph.nodes for subgraph in subgraphs]),
         labels=graph.labels,
     )
 
@@ -303,5 +338,5 @@ def scene_sentences(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
 ) -> dict[str, str]:
     """Return the sentence of each slot, by the slot's name."""
-    by_slot = _subgraphs(config, facets, run_seed)[1]
-    return {name: sentence(sub, config) for name, sub in by_slot.items()}
+    _, by_name = _subgraphs(config, facets, run_seed)
+    return {name: sentence(subgraph, config) for name, subgraph in by_name.items()}

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,65 +24,70 @@ Writer = Callable[[KnowledgeGraph, Path], None]
 
 
 class Format(NamedTuple):
-    """How files are read and written, and what they are recognized by."""
+    """How files are read, and what they are recognized by."""
 
     read: Reader
     suffixes: tuple[str, ...] = ()  # Each may be followed by one of `COMPRESSED`
     begins: str = ""  # Regular expression of how the content begins, behind comments
-    write: Writer | None = None  # Writes files of the first suffix
 
 
-def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "", writes: bool = False) -> Format:
-    write = partial(write_rdf, syntax=syntax) if writes else None
-    return Format(partial(read_rdf, syntax=syntax), suffixes, begins, write)
-
-
-def _table(separator: str, *suffixes: str) -> Format:
-    write = partial(write_table, separator=separator)
-    return Format(partial(read_table, separator=separator), suffixes, write=write)
+def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "") -> Format:
+    return Format(partial(read_rdf, syntax=syntax), suffixes, begins)
 
 
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
+"""What may stand before the first element of XML."""
 _JSON = r'(?:\{\s*["}]|\[\s*[\[{"\]])'
 
 FORMATS: dict[str, Format] = {
     "rdfxml": _rdf(
-        RdfFormat.RDF_XML, ".rdf", ".owl", ".xml", begins=_PROLOG + r"<(\w+:)?RDF\b", writes=True
+        RdfFormat.RDF_XML,
+        ".rdf",
+        ".owl",
+        ".xml",
+        begins=_PROLOG + r"<(\w+:)?RDF\b",
     ),
-    **{
-        kind: Format(partial(read_with_networkx, kind=kind), (f".{kind}",), _PROLOG + f"<{kind}\\b")
-        for kind in ("graphml", "gexf")
-    },
-    **{
-        kind: Format(partial(read_owl, syntax=kind), (f".{kind}",), begins)
-        for kind, begins in (
-            ("ofn", r"(Prefix|Ontology)\("),
-            ("omn", "(Prefix|Ontology):"),
-            ("owx", _PROLOG + r"<(\w+:)?Ontology\b"),
-            ("obo", "format-version:"),
-        )
-    },
-    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=f'(?={_JSON}).*"@[a-z]+"', writes=True),
+    "graphml": Format(
+        partial(read_with_networkx, kind="graphml"),
+        (".graphml",),
+        _PROLOG + r"<graphml\b",
+    ),
+    "gexf": Format(
+        partial(read_with_networkx, kind="gexf"),
+        (".gexf",),
+        _PROLOG + r"<gexf\b",
+    ),
+    "ofn": Format(partial(read_owl, syntax="ofn"), (".ofn",), r"(Prefix|Ontology)\("),
+    "omn": Format(partial(read_owl, syntax="omn"), (".omn",), "(Prefix|Ontology):"),
+    "owx": Format(partial(read_owl, syntax="owx"), (".owx",), _PROLOG + r"<(\w+:)?Ontology\b"),
+    "obo": Format(partial(read_owl, syntax="obo"), (".obo",), "format-version:"),
+    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=rf'(?={_JSON}).*"@[a-z]+"'),
     "json": Format(read_json_graph, (".json",), _JSON),
     "turtle": _rdf(
         RdfFormat.TURTLE,
         ".ttl",
         ".turtle",
         begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<",
-        writes=True,
     ),
-    "ntriples": _rdf(RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]+>\s+<[^<>\s]+>\s", writes=True),
+    "ntriples": _rdf(RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]+>\s+<[^<>\s]+>\s"),
     "nquads": _rdf(RdfFormat.N_QUADS, ".nq"),
     "trig": _rdf(RdfFormat.TRIG, ".trig"),
     "n3": _rdf(RdfFormat.N3, ".n3"),
-    "csv": _table(",", ".csv"),
-    "tsv": _table("\t", ".tsv", ".txt"),
+    "csv": Format(partial(read_table, separator=","), (".csv",)),
+    "tsv": Format(partial(read_table, separator="\t"), (".tsv", ".txt")),
     "conceptnet": Format(read_conceptnet, begins=r"/a/[^\t]*\t/r/"),
     "folder": Format(lambda folder: read_parts(folder)[0]),
 }
 """The formats by name. Content is tried in this order."""
 
-WRITERS = {each.suffixes[0]: each.write for each in FORMATS.values() if each.write}
+WRITERS: dict[str, Writer] = {
+    ".rdf": partial(write_rdf, syntax=RdfFormat.RDF_XML),
+    ".jsonld": partial(write_rdf, syntax=RdfFormat.JSON_LD),
+    ".ttl": partial(write_rdf, syntax=RdfFormat.TURTLE),
+    ".nt": partial(write_rdf, syntax=RdfFormat.N_TRIPLES),
+    ".csv": partial(write_table, separator=","),
+    ".tsv": partial(write_table, separator="\t"),
+}
 """Writer by the file's suffix."""
 
 _TEXT_RDF = ("turtle", "ntriples", "nquads", "trig", "n3")
@@ -94,8 +100,11 @@ _WEB_PAGE = "(?i:<!DOCTYPE html|<html)"
 _DATA = Path(__file__).parent.parent / "data"
 HOUSEHOLD = _DATA / "household.ttl"
 """The default graph: 31 household objects and facts about them that matter to a robot arm."""
-SHIPPED = {"household": HOUSEHOLD} | {
-    name: _DATA / f"{name}.ttl" for name in ("objects", "purposes", "families")
+SHIPPED = {
+    "household": HOUSEHOLD,
+    "objects": _DATA / "objects.ttl",
+    "purposes": _DATA / "purposes.ttl",
+    "families": _DATA / "families.ttl",
 }
 """Graphs that come with the package by name. "objects" holds the objects of the choose task, with
 facts that can be asked; "purposes" what parts of objects are grasped for; "families" the instances
@@ -139,9 +148,11 @@ def read_graph(path: str | Path | None = None, format: str | None = None) -> Kno
         )
     graph, added, others = with_class_axioms(graph)
     if added or others:
-        counts = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
-        rest = f"; class axioms that state none: {counts}" if others else ""
-        warn(f"{path}: {added} facts follow from class axioms of OWL and were added{rest}.")
+        text = f"{path}: {added} facts follow from class axioms of OWL and were added"
+        if others:
+            counts = [f"{count} {kind}" for kind, count in sorted(others.items())]
+            text += f"; class axioms that state none: {', '.join(counts)}"
+        warn(f"{text}.")
     return graph
 
 
@@ -172,27 +183,30 @@ def _format_of(path: Path) -> str:
     """Return the format of a file by its content, and where that is open by its suffix."""
     if path.is_dir():
         return "folder"
-    compressed = path.suffix.lower() in COMPRESSED
-    suffix = (Path(path.stem) if compressed else path).suffix.lower()
-    named = next((name for name, each in FORMATS.items() if suffix in each.suffixes), None)
+    suffix = path.suffix.lower()
+    if suffix in COMPRESSED:
+        suffix = Path(path.stem).suffix.lower()
     with reading(path, "Copy or compress it again."), open_bytes(path) as file:
-        text = file.read(_BEGINNING).decode(errors="replace")
-    body = re.sub(r"\A(\s|#.*\n)*", "", text)
-    tried = ["conceptnet", "json"] if suffix in (".csv", ".tsv") else [*FORMATS]
-    found = next((name for name in tried if _begins(FORMATS[name].begins, body)), None)
-    if named in _TEXT_RDF and found in _TEXT_RDF:
-        return named
-    if found is None and _begins(_WEB_PAGE, body):
+        beginning = file.read(_BEGINNING).decode(errors="replace")
+    content = re.sub(r"\A(\s|#.*\n)*", "", beginning)
+    by_suffix = next((name for name, format in FORMATS.items() if suffix in format.suffixes), None)
+    tried = list(FORMATS)
+    if suffix in (".csv", ".tsv"):
+        tried = ["conceptnet", "json"]  # the first cell may look like any other format
+    by_content = next((name for name in tried if _begins(FORMATS[name].begins, content)), None)
+    if by_suffix in _TEXT_RDF and by_content in _TEXT_RDF:
+        return by_suffix
+    if by_content is None and _begins(_WEB_PAGE, content):
         raise UserError(f"{path}: this is an HTML page. Download the file itself.")
-    known = found or named
-    if known is None:
-        suffixes = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
+    recognized = by_content or by_suffix
+    if recognized is None:
+        suffixes = sorted(chain.from_iterable(format.suffixes for format in FORMATS.values()))
         raise UserError(
             f"{path}: the suffix {suffix!r} and the content belong to no graph format. Known "
             f"suffixes: {', '.join(suffixes)}. Or give the format: {', '.join(FORMATS)}."
         )
-    return known
+    return recognized
 
 
 def _begins(pattern: str, text: str) -> bool:
-    return bool(pattern) and re.match(pattern, text, re.DOTALL) is not None
+    return pattern != "" and re.match(pattern, text, re.DOTALL) is not None

@@ -40,16 +40,24 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
     Raises:
         UserError: they name head and tail, and no relation.
     """
-    keys = [_key(name) for name in names]
-    found = [next((keys.index(n) for n in known if n in keys), -1) for known in ROLES.values()]
-    if found[0] < 0 or found[2] < 0:
+    keys = list(map(_key, names))
+    head, relation, tail = (_column(keys, role) for role in ROLES)
+    if head is None or tail is None:
         return None
-    if found[1] < 0:
+    if relation is None:
         raise UserError(
             f"{where}: none of {listed(names)} names the relation. Name the "
             f"relation one of {', '.join(ROLES['relation'])}."
         )
-    return Columns(*found)
+    return Columns(head, relation, tail)
+
+
+def _column(keys: list[str], role: str) -> int | None:
+    """Return the first of the columns that have the surest of the names for a role."""
+    for name in ROLES[role]:
+        if name in keys:
+            return keys.index(name)
+    return None
 
 
 def _key(name: str) -> str:
@@ -87,4 +95,6 @@ def listed(names: Iterable[str]) -> str:
 
 def cell_of_name(name: str) -> str:
     """Return the cell of which `name_of_cell` makes the name: its IRI where it must be exact."""
-    return name if name_of_cell(name) == name else NAMESPACE + quote(name, safe="")
+    if name_of_cell(name) == name:
+        return name
+    return NAMESPACE + quote(name, safe="")

@@ -24,11 +24,12 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     as NetworkX and D3 write them; a link may give the number of a node, or the node itself.
     """
     with reading(path, "Correct the file."), open_bytes(path) as file:
-        found = json.load(file)
-    links, nodes = found, []
-    if isinstance(found, dict):
-        links = next((found[key] for key in _LISTS if isinstance(found.get(key), list)), None)
-        nodes = found.get("nodes", [])
+        links = json.load(file)
+    nodes: Any = []
+    if isinstance(links, dict):
+        nodes = links.get("nodes", [])
+        lists = [links[key] for key in _LISTS if isinstance(links.get(key), list)]
+        links = lists[0] if lists else None
     if not isinstance(links, list) or not isinstance(nodes, list):
         raise UserError(
             f"{path}: this JSON is neither JSON-LD nor a graph. A graph is a list of "
@@ -37,11 +38,16 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
         )
     graph = _Records(path)
     for number, node in enumerate(nodes):
-        graph.add_node(node.get("id", number) if isinstance(node, dict) else node, node)
+        if isinstance(node, dict):
+            graph.add_node(node.get("id", number), node)
+        else:
+            graph.add_node(node, {})
     if not any(isinstance(key, int) for key in graph.nodes):  # links may count the nodes
-        graph.nodes |= enumerate([*graph.nodes.values()])
+        graph.nodes.update(enumerate(list(graph.nodes.values())))
     for link in links:
-        graph.add_link(dict(zip(ROLES, link, strict=False)) if isinstance(link, list) else link)
+        if isinstance(link, list):
+            link = dict(zip(ROLES, link, strict=False))
+        graph.add_link(link)
     return graph.build()
 
 
@@ -55,16 +61,16 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore", UserWarning)  # values without a type are read as text
-        found = getattr(networkx, f"read_{kind}")(file)
-    if not found.is_directed():
+        network = getattr(networkx, f"read_{kind}")(file)
+    if not network.is_directed():
         raise UserError(
             f"{path}: edges without a direction are no triples. Declare the edges as directed, if "
             "they lead from source to target."
         )
     graph = _Records(path)
-    for name, values in found.nodes(data=True):
+    for name, values in network.nodes(data=True):
         graph.add_node(name, values)
-    for head, tail, values in found.edges(data=True):
+    for head, tail, values in network.edges(data=True):
         graph.add_link({**values, "head": head, "tail": tail})
     return graph.build()
 
@@ -73,16 +79,17 @@ class _Records:
     """Nodes and links with named values, which become a graph."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.builder = path, GraphBuilder()
+        self.path = path
+        self.builder = GraphBuilder()
         self.nodes: dict[Any, str] = {}  # name by identifier
         self.left_out: set[str] = set()
 
-    def add_node(self, key: Any, values: Any) -> None:
+    def add_node(self, key: Any, values: dict[str, Any]) -> None:
         """Add an entity with its label, by its identifier or number."""
         if not isinstance(key, str | int | float):
             raise UserError(f"{self.path}: a node is named by text or a number, not {key!r:.80}.")
-        values = values if isinstance(values, dict) else {}
-        name = self.nodes[key] = name_of_cell(str(key))
+        name = name_of_cell(str(key))
+        self.nodes[key] = name
         self.builder.add_node(name)
         label = values.get("label", values.get("name"))
         if isinstance(label, str) and label != name:
@@ -92,13 +99,16 @@ class _Records:
         """Add a triple."""
         keys = list(values) if isinstance(values, dict) else []
         columns = columns_of(keys, self.path)
-        triple = [self._name(values[keys[i]]) for i in columns or ()]
-        if columns is None or not all(triple):
+        triple = [""]
+        if columns is not None:
+            named = [keys[column] for column in columns]
+            triple = [self._name(values[key]) for key in named]
+            self.left_out.update(set(keys) - set(named))
+        if not all(triple):
             raise UserError(
                 f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a "
                 "relation and a tail. Name them so, or write lists of three."
             )
-        self.left_out.update(key for i, key in enumerate(keys) if i not in columns)
         self.builder.add_statement(*triple)
 
     def _name(self, value: Any) -> str:
@@ -113,6 +123,7 @@ class _Records:
 
     def build(self) -> KnowledgeGraph:
         """Return the graph; say what is not in it."""
-        if others := sorted(self.left_out - {"id", "key"}):
+        others = sorted(self.left_out - {"id", "key"})
+        if others:
             warn(f"{self.path}: these values of links are not read: {listed(others)}.")
         return self.builder.build()

@@ -25,13 +25,16 @@ def open_compressed(path: Path) -> IO[bytes]:
     suffix = path.suffix.lower()
     if suffix == ".zip":
         archive = zipfile.ZipFile(path)
-        if len(names := archive.namelist()) != 1:
+        names = archive.namelist()
+        if len(names) != 1:
             raise UserError(
                 f"{path} must contain one file, but contains {', '.join(names[:6]) or 'none'}. "
                 f"Unpack it and give the path of the file."
             )
         return archive.open(names[0])
-    return OPENERS[suffix](path) if suffix in OPENERS else path.open("rb")
+    if suffix in OPENERS:
+        return OPENERS[suffix](path)
+    return path.open("rb")
 
 
 def open_bytes(path: Path) -> IO[bytes]:
@@ -62,7 +65,8 @@ def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield (line number, text without its end) of a UTF-8 file."""
-    return ((number, decode(line, path, number)) for number, line in byte_lines(path))
+    for number, line in byte_lines(path):
+        yield number, decode(line, path, number)
 
 
 def decode(line: bytes, path: Path, number: int) -> str:

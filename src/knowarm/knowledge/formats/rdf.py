@@ -23,14 +23,12 @@ from knowarm.knowledge.formats.files import open_bytes, open_compressed
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
-    LABEL_RELATIONS,
     NAMESPACE,
     RDF,
     RDFS,
     Term,
     blank_names,
     iri_of_name,
-    literal,
     name_of_iri,
     triple_of_names,
 )
@@ -75,15 +73,14 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
         try:
-            return _read(partial(open_bytes, path), path, syntax)
-        except SyntaxError as error:
-            if syntax != RdfFormat.RDF_XML:
-                raise _malformed(path, syntax, error.lineno, _reason(error)) from error
-        try:
+            try:
+                return _read(partial(open_bytes, path), path, syntax)
+            except SyntaxError:
+                if syntax != RdfFormat.RDF_XML:
+                    raise
             return _read(partial(_plain_xml, path), path, syntax)
         except xml.sax.SAXParseException as error:
-            line, reason = error.getLineNumber(), error.getMessage()
-            raise _malformed(path, syntax, line, reason) from error
+            raise _malformed(path, syntax, error.getLineNumber(), error.getMessage()) from error
         except SyntaxError as error:
             raise _malformed(path, syntax, error.lineno, _reason(error)) from error
 
@@ -110,7 +107,9 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
             ontology = pyhornedowl.open_ontology_from_string(text, syntax)
         except ValueError as error:
             line = re.search(r"line_col: Pos\(\((\d+)", str(error))
-            where = f"{path}, line {line[1]}" if line else str(path)
+            where = str(path)
+            if line is not None:
+                where += f", line {line[1]}"
             raise UserError(
                 f"{where}: not well-formed {OWL_SYNTAXES[syntax]}. Correct it."
             ) from error
@@ -122,54 +121,62 @@ def _read(
     opened: Callable[[], IO[bytes]],
     path: Path,
     syntax: RdfFormat,
-    found: Sequence[SyntaxError] = (),
+    bad_iris: Sequence[SyntaxError] = (),
 ) -> KnowledgeGraph:
-    """Read an RDF file; again, triple by triple, if malformed IRIs were ``found`` in it.
+    """Read an RDF file; again, triple by triple, if malformed IRIs were found in it.
 
     Raises:
         SyntaxError: more than single statements are malformed.
     """
-    builder, bad = GraphBuilder(), list[SyntaxError]()
+    builder = GraphBuilder()
+    errors = list(bad_iris)
     about = set[str]()  # terms that stand for triples
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
     with opened() as file:
-        quads = parse(file, format=syntax, base_iri=base, lenient=bool(found))
-        for quad in _sound(quads, syntax, bad):
-            head, tail, relation = quad.subject, quad.object, quad.predicate.value
+        quads = parse(file, format=syntax, base_iri=base, lenient=bool(bad_iris))
+        for quad in _sound(quads, syntax, errors):
+            head = quad.subject
+            tail = quad.object
+            relation = quad.predicate.value
             if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
                 raise UserError(
                     f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
                 )
-            if found and not all(map(_is_sound, (head, quad.predicate, tail))):
+            if bad_iris and not all(map(_is_sound, (head, quad.predicate, tail))):
                 no_iri += 1
-                continue
-            if type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
+            elif type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
                 builder.add(head.value, relation, tail.value)
             elif isinstance(head, Triple) or isinstance(tail, Triple):
                 about.add(str(head))
             elif str(head) not in about:
                 builder.add_statement(_name(head), relation, _name(tail))
-    if not found and any("IRI" in _reason(error) for error in bad):
-        return _read(opened, path, syntax, bad)
-    errors = [*found, *bad]
-    if len(bad) + no_iri > len(builder.ids) // 30 + bool(builder.ids):
+    if not bad_iris and any("IRI" in _reason(error) for error in errors):
+        return _read(opened, path, syntax, errors)
+    malformed = len(errors) - len(bad_iris)
+    if malformed + no_iri > len(builder.ids) // 30 + bool(builder.ids):
         raise errors[0]
     if errors:
         lines = ", ".join(str(error.lineno) for error in errors[:10])
         warn(
-            f"{path}: {no_iri} triples with a malformed IRI and {len(bad)} malformed statements "
+            f"{path}: {no_iri} triples with a malformed IRI and {malformed} malformed statements "
             f"are left out, in line {lines}: {_reason(errors[0])}."
         )
     if about:
         warn(f"{path}: what is said about {len(about)} triples (RDF 1.2) is left out.")
-    unnamed: dict[str, str] = defaultdict(blank_names({*builder.entities}).__next__)
-    builder.rename(lambda n: unnamed[n] if _GENERATED.fullmatch(n) else name_of_iri(n))
+    unnamed: dict[str, str] = defaultdict(blank_names(set(builder.entities)).__next__)
+
+    def graph_name(name: str) -> str:
+        if _GENERATED.fullmatch(name):
+            return unnamed[name]
+        return name_of_iri(name)
+
+    builder.rename(graph_name)
     return builder.build()
 
 
-def _sound(quads: Iterator[Quad], syntax: RdfFormat, bad: list[SyntaxError]) -> Iterator[Quad]:
-    """Yield the quads of statements in which no line or IRI is malformed; collect the errors."""
+def _sound(quads: Iterator[Quad], syntax: RdfFormat, errors: list[SyntaxError]) -> Iterator[Quad]:
+    """Yield the quads of statements in which no line or IRI is malformed; append the errors."""
     while True:
         try:
             yield from quads
@@ -179,7 +186,7 @@ def _sound(quads: Iterator[Quad], syntax: RdfFormat, bad: list[SyntaxError]) -> 
             of_file = re.search("UTF-8|end of file", _reason(error))
             if of_file or not (syntax in LINES or of_term):
                 raise
-            bad.append(error)
+            errors.append(error)
 
 
 def _is_sound(term: Term | Triple) -> bool:
@@ -222,13 +229,14 @@ class _NoOtherDocuments(EntityResolver):
 
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
     """Write triples and labels, sorted by head. Entities without either are not in RDF."""
-    bad = next((n for n in graph.relations_used if not _XML_NAME.search(iri_of_name(n))), None)
-    if syntax == RdfFormat.RDF_XML and bad is not None:
-        raise UserError(
-            f"{path}: RDF/XML cannot hold the relation {bad!r}, whose IRI does not end in an XML "
-            f"name. Write Turtle or N-Triples."
-        )
-    if doubtful := graph.own_confidence():
+    for relation in graph.relations_used:
+        if syntax == RdfFormat.RDF_XML and not _XML_NAME.search(iri_of_name(relation)):
+            raise UserError(
+                f"{path}: RDF/XML cannot hold the relation {relation!r}, whose IRI does not end in "
+                f"an XML name. Write Turtle or N-Triples."
+            )
+    doubtful = graph.own_confidence()
+    if doubtful:
         warn(
             f"{path}: the confidence of {len(doubtful)} triples is left out; tables have a column."
         )
@@ -238,15 +246,16 @@ def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
 
 def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
     """Yield triples and labels as RDF, sorted by head."""
-    labels = sorted((n, LABEL_RELATIONS[0], literal(t)) for n, t in graph.own_labels().items())
-    return (triple_of_names(*statement) for statement in heapq.merge(graph, labels))
+    for statement in heapq.merge(graph, graph.label_statements()):
+        yield triple_of_names(*statement)
 
 
 def _refuse_binary(path: Path) -> None:
     """Refuse a file with a zero byte."""
     with open_bytes(path) as file:
         start = file.read(1 << 16)
-    if (zero := start.find(b"\0")) >= 0:
+    zero = start.find(b"\0")
+    if zero >= 0:
         line = 1 + start.count(b"\n", 0, zero)
         raise UserError(
             f"{path}, line {line}: contains a zero byte, so this is "
@@ -271,8 +280,8 @@ def _malformed(path: Path, syntax: RdfFormat, line: int | None, reason: str) -> 
             f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
             f"network. Write the context into the file."
         )
-    location = f"{path}, line {line}" if line else str(path)
+    where = f"{path}, line {line}" if line else str(path)
     return UserError(
-        f"{location}: not well-formed {syntax.name}: {reason}. "
+        f"{where}: not well-formed {syntax.name}: {reason}. "
         f"Correct the file, or give the right format."
     )

@@ -21,7 +21,7 @@ from knowarm.knowledge.formats.columns import (
 )
 from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
 from knowarm.knowledge.graph.builder import GraphBuilder
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
 
 Row = tuple[int, list[str]]
@@ -43,61 +43,73 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     csv.field_size_limit(MAX_LINE)
     builder = GraphBuilder()
     rows = _rows(path, _separator(path, separator))
-    first = next(rows, None)
-    if first is None:
+    first_row = next(rows, None)
+    if first_row is None:
         return builder.build()
-    names = first[1]
+    names = first_row[1]
     columns = columns_of(names, path)
-    named = columns is not None
+    has_header = columns is not None
     if columns is None:
-        columns, names, rows = Columns(0, 1, 2), list(ROLES), chain([first], rows)
-    by_name = {name: i for i, name in enumerate(names)}
-    beside = {by_name.get(f"{names[i]};label"): place for place, i in enumerate(columns)}  # KGTK
-    labels = [(place, number) for number, place in beside.items() if number is not None]
-    sure = by_name.get(CONFIDENCE, -1)
-    read = {*columns, *beside, sure}
-    if others := [name for i, name in enumerate(names) if name and i not in read]:
+        columns = Columns(0, 1, 2)
+        names = list(ROLES)
+        rows = chain([first_row], rows)
+    numbers = {name: number for number, name in enumerate(names)}
+    labels = dict[int, int]()  # place in the triple by the column of its label, as KGTK has them
+    for role, column in enumerate(columns):
+        if f"{names[column]};label" in numbers:
+            labels[numbers[f"{names[column]};label"]] = role
+    confidence_column = numbers.get(CONFIDENCE)
+    read = {*columns, *labels, confidence_column}
+    others = [name for number, name in enumerate(names) if name and number not in read]
+    if others:
         warn(f"{path}: these columns are not read: {listed(others)}.")
-    count, again, words = 0, named, {name_of_cell(cell) for cell in first[1]}
+    words = set(map(name_of_cell, first_row[1]))
+    occurs_again = has_header
+    count = 0
     for number, row in rows:
         triple = _triple(path, number, row, names, columns)
         builder.add_statement(*triple)
-        if sure >= 0:
-            fact = triple[0], triple[1], triple[2]
-            confidence = confidence_of(row[sure], f"{path}, line {number}")
-            builder.confidence[fact] = max(confidence, builder.confidence.get(fact, 0.0))
-        for name, label in labels:
-            if row[label]:
-                builder.add_statement(triple[name], LABEL_RELATIONS[0], literal(row[label]))
-        again = again or (count > 0 and not words.isdisjoint(triple))
+        if confidence_column is not None:
+            confidence = confidence_of(row[confidence_column], f"{path}, line {number}")
+            # A triple of several rows is as certain as the surest of them.
+            builder.confidence[triple] = max(confidence, builder.confidence.get(triple, 0.0))
+        for column, role in labels.items():
+            if row[column]:
+                builder.add_statement(triple[role], LABEL_RELATIONS[0], literal(row[column]))
+        if count > 0 and not words.isdisjoint(triple):
+            occurs_again = True
         count += 1
-    if not again and max(3, len(builder.relations)) < count:
+    if not occurs_again and max(3, len(builder.relations)) < count:
         warn(
-            f"{path}, line {first[0]}: {listed(first[1])} was read as a triple, but no word of "
-            "it occurs again. If these are names of columns, write head,relation,tail."
+            f"{path}, line {first_row[0]}: {listed(first_row[1])} was read as a triple, but no "
+            "word of it occurs again. If these are names of columns, write head,relation,tail."
         )
     return builder.build()
 
 
 def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
     """Write triples, with any confidence, then labels as rdfs:label; no entities without either."""
-    labels = [
-        (name, LABEL_RELATIONS[0], literal(text))
-        for name, text in sorted(graph.own_labels().items())
-    ]
     doubtful = graph.own_confidence()
-    rows = (
-        [*map(cell_of_name, triple), *([doubtful.get(triple, 1)] if doubtful else [])]
-        for triple in (*graph, *labels)
-    )
+    header = list(ROLES)
+    if doubtful:
+        header.append(CONFIDENCE)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, delimiter=separator, lineterminator="\n")
-        writer.writerows(chain([[*ROLES, *([CONFIDENCE] if doubtful else [])]], rows))
+        writer.writerow(header)
+        for triple in chain(graph, graph.label_statements()):
+            row: list[object] = list(map(cell_of_name, triple))
+            if doubtful:
+                row.append(doubtful.get(triple, 1))
+            writer.writerow(row)
 
 
 def _triple(
-    path: Path, number: int, row: list[str], names: Sequence[str], columns: Columns
-) -> list[str]:
+    path: Path,
+    number: int,
+    row: list[str],
+    names: Sequence[str],
+    columns: Columns,
+) -> Triple:
     """Return the names of head, relation and tail of a row."""
     if len(row) < len(names) or any(row[len(names) :]):
         remedy = (
@@ -110,17 +122,18 @@ def _triple(
                 f"per property: pandas.read_csv({path.name!r}).melt({row[0]!r}).dropna()"
                 ".to_csv('triples.csv', index=False, header=False)."
             )
+        plural = "" if len(row) == 1 else "s"
         raise UserError(
-            f"{path}, line {number}: has {len(row)} column{'s' * (len(row) != 1)}, but a row has "
+            f"{path}, line {number}: has {len(row)} column{plural}, but a row has "
             f"{len(names)} ({listed(names)}). {remedy}"
         )
-    triple = [name_of_cell(row[i]) for i in columns]
-    if not all(triple):
-        empty = [*ROLES][triple.index("")]
-        raise UserError(
-            f"{path}, line {number}: the {empty} is empty. Fill it in or delete the line."
-        )
-    return triple
+    head, relation, tail = (name_of_cell(row[column]) for column in columns)
+    for role, name in zip(ROLES, (head, relation, tail), strict=True):
+        if not name:
+            raise UserError(
+                f"{path}, line {number}: the {role} is empty. Fill it in or delete the line."
+            )
+    return head, relation, tail
 
 
 def _separator(path: Path, expected: str) -> str:
@@ -136,9 +149,11 @@ def _separator(path: Path, expected: str) -> str:
 
 def _rows(path: Path, separator: str) -> Iterator[Row]:
     """Yield rows that are not blank, their cells without blanks around them."""
-    raw = _tab_rows(path) if separator == "\t" else _csv_rows(path, separator)
-    stripped = ((number, [cell.strip() for cell in row]) for number, row in raw)
-    return ((number, row) for number, row in stripped if any(row))
+    rows = _tab_rows(path) if separator == "\t" else _csv_rows(path, separator)
+    for number, row in rows:
+        cells = list(map(str.strip, row))
+        if any(cells):
+            yield number, cells
 
 
 def _tab_rows(path: Path) -> Iterator[Row]:
@@ -146,12 +161,16 @@ def _tab_rows(path: Path) -> Iterator[Row]:
     for number, line in text_lines(path):
         cells = line.split("\t")
         if '"' in line:
-            quoted = map(_QUOTED.fullmatch, cells)
-            cells = [
-                match[1].replace('""', '"') if match else cell
-                for cell, match in zip(cells, quoted, strict=True)
-            ]
+            cells = list(map(_unquoted, cells))
         yield number, cells
+
+
+def _unquoted(cell: str) -> str:
+    """Return the content of a cell that may be quoted."""
+    match = _QUOTED.fullmatch(cell)
+    if match is None:
+        return cell
+    return match[1].replace('""', '"')
 
 
 def _csv_rows(path: Path, separator: str) -> Iterator[Row]:
@@ -185,7 +204,9 @@ def read_conceptnet(
     `/c/en/teapot/n` becomes the entity "teapot", `/r/UsedFor` the relation "UsedFor". Kept are
     edges of at least a weight between terms of these languages, of these or all relations.
     """
-    wanted = None if relations is None else {f"/r/{name}".encode() for name in relations}
+    wanted = None
+    if relations is not None:
+        wanted = {f"/r/{name}".encode() for name in relations}
     prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
     builder = GraphBuilder()
     for number, line in byte_lines(path):
@@ -205,8 +226,10 @@ def read_conceptnet(
             continue
         if min_weight > 0 and _weight(properties, path, number) < min_weight:
             continue
-        head, name, tail = (decode(column, path, number) for column in (start, relation, end))
-        builder.add(head.split("/")[3], name.removeprefix("/r/"), tail.split("/")[3])
+        name = decode(relation, path, number).removeprefix("/r/")
+        head = decode(start, path, number).split("/")[3]
+        tail = decode(end, path, number).split("/")[3]
+        builder.add(head, name, tail)
     return builder.build()
 
 

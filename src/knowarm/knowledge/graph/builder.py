@@ -39,7 +39,11 @@ class GraphBuilder:
         if text is None:
             self.add(head, relation, tail)
             return
-        rank = 1 if text.language is None else 0 if text.language.startswith("en") else 2
+        rank = 2
+        if text.language is None:
+            rank = 1
+        elif text.language.startswith("en"):
+            rank = 0
         label = (rank, text.value)
         self._labels[head] = min(label, self._labels.get(head, label))
 
@@ -50,13 +54,11 @@ class GraphBuilder:
     def rename(self, new_name: Callable[[str], str]) -> None:
         """Replace every name, after all triples were added; equal new names are one name."""
         ids = np.frombuffer(self.ids, np.int32).reshape(-1, 3)
-        renamed = []
-        for old, columns in ((self.entities, [0, 2]), (self.relations, [1])):
-            new: dict[str, int] = defaultdict(count().__next__)
-            new_ids = np.array([new[new_name(name)] for name in old], np.int32)
-            ids[:, columns] = new_ids[ids[:, columns]]
-            renamed.append(new)
-        self.entities, self.relations = renamed
+        self.entities, new_ids = _renamed(self.entities, new_name)
+        ids[:, ::2] = new_ids[ids[:, ::2]]
+        self.relations, new_ids = _renamed(self.relations, new_name)
+        ids[:, 1] = new_ids[ids[:, 1]]
+        # Of names that become equal, the label of the lowest rank comes last and stays.
         labels = sorted(self._labels.items(), key=lambda item: item[1], reverse=True)
         self._labels = {new_name(name): label for name, label in labels}
 
@@ -65,28 +67,41 @@ class GraphBuilder:
 
         Labels are those of the statements and the given ones, of names that are in the graph.
         """
-        entity_names, entity_rank = _sorted(self.entities)
-        relation_names, relation_rank = _sorted(self.relations)
+        entities, entity_ids = _sorted(self.entities)
+        relations, relation_ids = _sorted(self.relations)
         triples = np.frombuffer(self.ids, np.int32).reshape(-1, 3).copy()
-        for column, rank in enumerate((entity_rank, relation_rank, entity_rank)):
-            triples[:, column] = rank[triples[:, column]]
-        written = {name: text for name, (_, text) in self._labels.items()} | dict(labels or {})
-        inside = sorted(written.keys() & (self.entities.keys() | self.relations.keys()))
-        kept = {name: written[name] for name in inside}
-        nodes = np.arange(len(self.entities), dtype=np.int32)
-        doubtful = {triple: sure for triple, sure in self.confidence.items() if sure < 1}
-        names = entity_names, relation_names
-        return KnowledgeGraph(*names, triples, nodes=nodes, labels=kept, confidence=doubtful)
+        triples[:, ::2] = entity_ids[triples[:, ::2]]
+        triples[:, 1] = relation_ids[triples[:, 1]]
+        texts = {name: text for name, (_, text) in self._labels.items()}
+        texts.update(labels or {})
+        inside = texts.keys() & (self.entities.keys() | self.relations.keys())
+        return KnowledgeGraph(
+            entities,
+            relations,
+            triples,
+            nodes=np.arange(len(entities), dtype=np.int32),
+            labels={name: texts[name] for name in sorted(inside)},
+            confidence={triple: p for triple, p in self.confidence.items() if p < 1},
+        )
+
+
+def _renamed(
+    ids: dict[str, int], new_name: Callable[[str], str]
+) -> tuple[dict[str, int], np.ndarray]:
+    """Rename names; return the new ids by name, and the new id of each old id, (n,) int32."""
+    renamed: dict[str, int] = defaultdict(count().__next__)
+    new_ids = [renamed[new_name(name)] for name in ids]
+    return renamed, np.array(new_ids, np.int32)
 
 
 def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
-    """Sort names; return them and the new id of each provisional id, (n,) int32."""
+    """Sort names; return them and the new id of each provisional id, (n,) int64."""
     names = Names(sorted(ids))
-    if bad := next((name for name in names if "\0" in name), None):
-        raise UserError(f"The name {bad!r} contains a zero byte. Rename it.")
-    rank = np.empty(len(names), np.int32)
-    rank[[ids[name] for name in names]] = np.arange(len(names))
-    return names, rank
+    for name in names:
+        if "\0" in name:
+            raise UserError(f"The name {name!r} contains a zero byte. Rename it.")
+    order = [ids[name] for name in names]
+    return names, np.argsort(order)
 
 
 def graph_of(
@@ -113,9 +128,16 @@ def graph_of(
     return builder.build(labels)
 
 
+def with_triples(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
+    """Return a graph of other triples with the entities, labels and confidence of a graph."""
+    return graph_of(
+        triples, nodes=graph.entities, labels=graph.own_labels(), confidence=graph.confidence
+    )
+
+
 def with_facts(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
     """Return a graph with more triples of its names and of new ones."""
-    return graph_of((*graph, *triples), **graph.beside())
+    return with_triples(graph, (*graph, *triples))
 
 
 def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
@@ -123,24 +145,35 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
 
     Blank nodes of two graphs are never the same: those of the second get names that are free.
     """
-    first_names = set(first.entities)
-    free = blank_names(first_names.union(second.entities))
-    new = {n: next(free) for n in second.entities if n.startswith("_:") and n in first_names}
-    triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
-    nodes = (*first_names, *(new.get(name, name) for name in second.entities))
-    labels = {new.get(name, name): label for name, label in second.own_labels().items()}
-    doubted = second.own_confidence().items()
-    sure = {(new.get(h, h), r, new.get(t, t)): each for (h, r, t), each in doubted}
-    sure = {fact: each for fact, each in sure.items() if fact not in first} | {**first.confidence}
-    labels |= first.own_labels()
-    return graph_of((*first, *triples), nodes=nodes, labels=labels, confidence=sure)
+    taken = set(first.entities)
+    free = blank_names(taken.union(second.entities))
+    new_names = dict[str, str]()
+    for name in second.entities:
+        if name.startswith("_:") and name in taken:
+            new_names[name] = next(free)
+
+    def renamed(triple: Triple) -> Triple:
+        head, relation, tail = triple
+        return new_names.get(head, head), relation, new_names.get(tail, tail)
+
+    confidence = dict[Triple, float]()
+    for triple, probability in second.own_confidence().items():
+        if renamed(triple) not in first:
+            confidence[renamed(triple)] = probability
+    labels = {new_names.get(name, name): text for name, text in second.own_labels().items()}
+    return graph_of(
+        (*first, *map(renamed, second)),
+        nodes=(*taken, *(new_names.get(name, name) for name in second.entities)),
+        labels=labels | first.own_labels(),
+        confidence=confidence | dict(first.confidence),
+    )
 
 
 def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     """Return the triples of the first graph that the second lacks, with the entities they name."""
     excluded = set(second)
-    keep = [row for row, triple in enumerate(first) if triple not in excluded]
-    return first.rows(np.array(keep, np.int64))
+    kept = [triple not in excluded for triple in first]
+    return first.rows(np.flatnonzero(kept))
 
 
 def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:

@@ -36,41 +36,59 @@ def damaged(
     if not 0 <= share <= 1:
         raise UserError(f"The share of damaged triples must lie between 0 and 1, got {share}.")
     rng = np.random.default_rng(seed_sequence(seed, "damage", get_args(Damage).index(kind)))
-    triples = graph.triples
-    about = np.flatnonzero(np.isin(graph.heads, [graph.entity_id(name) for name in objects]))
-    count, order = round(share * len(about)), rng.permutation(about)
+    ids = [graph.entity_id(name) for name in objects]
+    about = np.flatnonzero(np.isin(graph.heads, ids))
+    order = rng.permutation(about)
+    count = round(share * len(about))
     if kind == "missing":
-        keep = np.setdiff1d(np.arange(len(triples)), order[:count])
-        return graph.rows(keep, nodes=graph.nodes)
+        kept = np.setdiff1d(np.arange(len(graph)), order[:count])
+        return graph.rows(kept, nodes=graph.nodes)
     if kind == "wrong":
-        stated = set(map(tuple, triples.tolist()))
-        for row in order:  # all are drawn, so that every share draws the same
-            head, relation, _ = triples[row].tolist()
-            tails = np.unique(graph.tails[about][graph.relations[about] == relation])
-            new = [t for t in rng.permutation(tails).tolist() if (head, relation, t) not in stated]
-            if new and count > 0:
-                triples[row, 2], count = new[0], count - 1
-                stated.add((head, relation, new[0]))
-    else:
-        triples[:, 2] = _swapped(graph, rng, about, count)
-    return graph.with_triples(triples)
+        return graph.with_triples(_wrong(graph, rng, about, order, count))
+    return graph.with_triples(_swapped(graph, rng, about, count))
+
+
+def _wrong(
+    graph: KnowledgeGraph,
+    rng: np.random.Generator,
+    about: np.ndarray,
+    order: np.ndarray,
+    count: int,
+) -> np.ndarray:
+    """Return the triples, of which up to ``count`` get another tail, in an order of rows."""
+    triples = graph.triples
+    stated = set(map(tuple, triples.tolist()))
+    for row in order:  # all are drawn, so that every share draws the same
+        head, relation, _ = triples[row].tolist()
+        candidates = np.unique(graph.tails[about][graph.relations[about] == relation])
+        for tail in rng.permutation(candidates).tolist():
+            if count > 0 and (head, relation, tail) not in stated:
+                stated.add((head, relation, tail))
+                triples[row, 2] = tail
+                count -= 1
+                break
+    return triples
 
 
 def _swapped(
     graph: KnowledgeGraph, rng: np.random.Generator, about: np.ndarray, count: int
 ) -> np.ndarray:
-    """Swap values of one relation in pairs until ``count`` of some rows have another tail."""
-    pairs, relations, tails = [], graph.relations[about], graph.tails.copy()
+    """Return the triples with swapped pairs of values, until ``count`` have another tail."""
+    triples = graph.triples
+    relations = graph.relations[about]
+    tails = graph.tails[about]
+    pairs = list[tuple[int, int, int]]()
     for relation in np.unique(relations):
-        values = rng.permutation(np.unique(tails[about][relations == relation]))
-        pairs += [(relation, *values[i : i + 2]) for i in range(0, len(values) - 1, 2)]
+        values = rng.permutation(np.unique(tails[relations == relation]))
+        for first, second in zip(values[::2], values[1::2], strict=False):
+            pairs.append((relation, first, second))
     for number in rng.permutation(len(pairs)):
-        relation, one, other = pairs[number]
-        rows = [
-            about[(relations == relation) & (graph.tails[about] == value)] for value in (one, other)
-        ]
         if count <= 0:
             break
-        tails[rows[0]], tails[rows[1]] = other, one
-        count -= sum(map(len, rows))
-    return tails
+        relation, first, second = pairs[number]
+        with_first = about[(relations == relation) & (tails == first)]
+        with_second = about[(relations == relation) & (tails == second)]
+        triples[with_first, 2] = second
+        triples[with_second, 2] = first
+        count -= len(with_first) + len(with_second)
+    return triples

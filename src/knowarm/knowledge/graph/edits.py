@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import graph_of, with_facts
+from knowarm.knowledge.graph.builder import with_facts, with_triples
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
 
 
@@ -26,23 +26,26 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 f"The edit {text!r} must be + or - and a head, a relation and a tail, such as "
                 "'+ mug usedFor lighting'; put names with spaces in double quotes."
             )
-        head, tail = (_known(name, graph.find_entity, graph.names) for name in words[1::2])
-        triple = head, _known(words[2], graph.find_relation, graph.relation_names), tail
-        if words[0] == "+":
+        sign, head, relation, tail = words
+        head = _known(head, graph.find_entity, graph.names)
+        relation = _known(relation, graph.find_relation, graph.relation_names)
+        tail = _known(tail, graph.find_entity, graph.names)
+        triple = (head, relation, tail)
+        if sign == "+":
             graph = with_facts(graph, [triple])
             continue
         if triple not in graph:
-            stated = "; ".join(" ".join(fact) for fact in graph if fact[0] == head)
+            facts = [" ".join(fact) for fact in graph if fact[0] == head]
+            stated = "; ".join(facts) or f"nothing about {head}"
             raise UserError(
                 f"The edit {text!r} removes a triple that the graph does not hold. It states: "
-                f"{stated or f'nothing about {head}'}."
+                f"{stated}."
             )
-        kept = [fact for fact in graph if fact != triple]
-        graph = graph_of(kept, **graph.beside())
+        graph = with_triples(graph, filter(triple.__ne__, graph))
     return graph
 
 
 def _known(name: str, find: Callable[[str], int | None], names: Names) -> str:
     """Return the graph's full name, or the name itself if the graph does not hold it."""
-    entity = find(name)
-    return name if entity is None else names[entity]
+    index = find(name)
+    return name if index is None else names[index]

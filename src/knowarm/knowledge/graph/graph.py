@@ -1,20 +1,23 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
+import copy
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal, get_args
+from itertools import chain
+from typing import Literal, get_args
 
 import numpy as np
 
 from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.graph.names import AmbiguousNameError, Names, Spellings
-from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal, local_name
 
 Triple = tuple[str, str, str]
 """(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
 Direction = Literal["out", "in", "both"]
 _FEW = 20_000
 """With more entities than this, an error suggests names with the same first letter only."""
+_NO_NODES = np.empty(0, np.int32)
 
 
 class KnowledgeGraph:
@@ -53,14 +56,13 @@ class KnowledgeGraph:
         if len(triples):
             new = np.ones(len(triples), bool)
             np.any(triples[1:] != triples[:-1], axis=1, out=new[1:])
-            triples = triples if new.all() else triples[new]
-        self.names, self.relation_names = names, relation_names
-        self.heads, self.relations, self.tails = (
-            np.ascontiguousarray(triples[:, i]) for i in range(3)
-        )
-        self._alone = np.empty(0, np.int32) if nodes is None else nodes
-        self.labels: Mapping[str, str] = {} if labels is None else labels
-        self.confidence: Mapping[Triple, float] = {} if confidence is None else confidence
+            triples = triples[new]
+        self.names = names
+        self.relation_names = relation_names
+        self.heads, self.relations, self.tails = np.ascontiguousarray(triples.T)
+        self._alone = _NO_NODES if nodes is None else nodes
+        self.labels: Mapping[str, str] = labels or {}
+        self.confidence: Mapping[Triple, float] = confidence or {}
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
@@ -89,13 +91,15 @@ class KnowledgeGraph:
 
     def __iter__(self) -> Iterator[Triple]:
         """Yield (head, relation, tail) names, sorted."""
-        entity, relation = self.names, self.relation_names
+        entity = self.names
+        relation = self.relation_names
         for h, r, t in zip(self.heads, self.relations, self.tails, strict=True):
             yield entity[h], relation[r], entity[t]
 
     def __contains__(self, triple: Triple) -> bool:
-        head, tail = self.names.find(triple[0]), self.names.find(triple[2])
+        head = self.names.find(triple[0])
         relation = self.relation_names.find(triple[1])
+        tail = self.names.find(triple[2])
         if head is None or tail is None or relation is None:
             return False
         rows = self.out_rows(head)
@@ -107,9 +111,12 @@ class KnowledgeGraph:
             return NotImplemented
         if len(self) != len(other) or len(self.nodes) != len(other.nodes):
             return False
-        same = set(self) == set(other) and set(self.entities) == set(other.entities)
-        sure = self.own_confidence() == other.own_confidence()
-        return same and sure and self.own_labels() == other.own_labels()
+        return (
+            set(self) == set(other)
+            and set(self.entities) == set(other.entities)
+            and self.own_confidence() == other.own_confidence()
+            and self.own_labels() == other.own_labels()
+        )
 
     __hash__ = None  # type: ignore[assignment]  # equality compares every triple
 
@@ -133,44 +140,53 @@ class KnowledgeGraph:
 
     def own_labels(self) -> dict[str, str]:
         """Return the labels of the entities and relations of this graph."""
-        inside = {*self.entities, *self.relations_used} if self.labels else set()
+        if not self.labels:
+            return {}
+        inside = {*self.entities, *self.relations_used}
         return {name: label for name, label in self.labels.items() if name in inside}
+
+    def label_statements(self) -> Iterator[Triple]:
+        """Yield a triple per label: the name, rdfs:label and a literal; sorted by name."""
+        for name, label in sorted(self.own_labels().items()):
+            yield name, LABEL_RELATIONS[0], literal(label)
 
     def own_confidence(self) -> dict[Triple, float]:
         """Return the confidence of those triples of this graph that are not certain."""
-        return {triple: sure for triple, sure in self.confidence.items() if triple in self}
-
-    def beside(self) -> dict[str, Any]:
-        """Return what `graph_of` takes beside the triples."""
-        about = {"labels": self.own_labels(), "confidence": self.confidence}
-        return {"nodes": self.entities, **about}
+        return {triple: share for triple, share in self.confidence.items() if triple in self}
 
     def out_rows(self, entity: int) -> np.ndarray:
         """Return the rows whose head is the entity id, (k,) int64."""
         low = np.searchsorted(self.heads, np.int32(entity))
-        return np.arange(low, np.searchsorted(self.heads, np.int32(entity), side="right"))
+        high = np.searchsorted(self.heads, np.int32(entity), side="right")
+        return np.arange(low, high)
 
     def in_rows(self, entity: int) -> np.ndarray:
         """Return the rows whose tail is the entity id, (k,) int32."""
         low = np.searchsorted(self.tails_sorted, np.int32(entity))
-        return self.by_tail[low : np.searchsorted(self.tails_sorted, np.int32(entity), "right")]
+        high = np.searchsorted(self.tails_sorted, np.int32(entity), side="right")
+        return self.by_tail[low:high]
 
     def rows(self, rows: np.ndarray, nodes: np.ndarray | None = None) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
-        part = object.__new__(KnowledgeGraph)
-        part.names, part.relation_names, part.labels = self.names, self.relation_names, self.labels
-        part.confidence = self.confidence
-        part.entity_spellings = self.entity_spellings
-        part.relation_spellings = self.relation_spellings
-        part.heads, part.relations = self.heads[rows], self.relations[rows]
-        part.tails = self.tails[rows]
-        part._alone = np.empty(0, np.int32) if nodes is None else nodes
-        return part
+        subgraph = copy.copy(self)
+        for cached in ("nodes", "by_tail", "tails_sorted"):
+            subgraph.__dict__.pop(cached, None)
+        subgraph.heads = self.heads[rows]
+        subgraph.relations = self.relations[rows]
+        subgraph.tails = self.tails[rows]
+        subgraph._alone = _NO_NODES if nodes is None else nodes
+        return subgraph
 
     def with_triples(self, triples: np.ndarray) -> "KnowledgeGraph":
         """Return a graph with the entities, names and labels of this one and other triples."""
-        about: dict[str, Any] = {"labels": self.labels, "confidence": self.confidence}
-        return KnowledgeGraph(self.names, self.relation_names, triples, nodes=self.nodes, **about)
+        return KnowledgeGraph(
+            self.names,
+            self.relation_names,
+            triples,
+            nodes=self.nodes,
+            labels=self.labels,
+            confidence=self.confidence,
+        )
 
     def find_entity(self, name: str) -> int | None:
         """Return the id by name, last part of the IRI, label or spelling; None without.
@@ -190,7 +206,8 @@ class KnowledgeGraph:
 
     def entity_id(self, name: str) -> int:
         """Return the id as `find_entity`; raise a `UserError` without."""
-        if (entity := self.find_entity(name)) is not None:
+        entity = self.find_entity(name)
+        if entity is not None:
             return entity
         names = {local_name(n) for n in self.entities if not n.startswith('"')}
         if len(names) > _FEW:
@@ -199,14 +216,17 @@ class KnowledgeGraph:
 
     def values(self, name: str) -> list[int]:
         """Return the ids of what a value names: an entity, and all literals of this text."""
+        ids = list(filter(self._has_node, self.names.find_literals(name)))
         entity = self.find_entity(name)
-        literals = [i for i in self.names.find_literals(name) if self._has_node(i)]
-        return literals if entity is None or entity in literals else [entity, *literals]
+        if entity is not None and entity not in ids:
+            ids.insert(0, entity)
+        return ids
 
     def alike(self, name: str) -> list[int]:
         """Return the ids of all entities and literals that a name may stand for."""
-        ids = {i for found in self.entity_spellings.alike(name) for i in found}
-        return sorted(filter(self._has_node, ids.union(self.names.find_literals(name))))
+        ids = set(chain.from_iterable(self.entity_spellings.alike(name)))
+        ids.update(self.names.find_literals(name))
+        return sorted(filter(self._has_node, ids))
 
     def find_relation(self, name: str) -> int | None:
         """Return the id as `find_entity`."""
@@ -214,9 +234,10 @@ class KnowledgeGraph:
 
     def relation_id(self, name: str) -> int:
         """Return the id as `find_relation`; raise a `UserError` without."""
-        if (relation := self.find_relation(name)) is not None:
+        relation = self.find_relation(name)
+        if relation is not None:
             return relation
-        raise unknown_name("relation", name, [local_name(n) for n in self.relation_names])
+        raise unknown_name("relation", name, map(local_name, self.relation_names))
 
     def _has_node(self, entity: int) -> bool:
         index = int(np.searchsorted(self.nodes, np.int32(entity)))
@@ -242,28 +263,43 @@ def gamma(
     Further hops keep their direction: `mug -> red` may continue to `red -> color` and never returns
     through `red <- fire_truck`, so that an attribute that many objects share stays a leaf.
     """
-    for option, least in (("hops", hops), ("max_degree", max_degree)):
-        if least is not None and least < 0:
-            raise UserError(f"{option} is {least}; it must be 0 or more.")
+    for option, number in {"hops": hops, "max_degree": max_degree or 0}.items():
+        if number < 0:
+            raise UserError(f"{option} is {number}; it must be 0 or more.")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
-    start = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)
-    allowed = None if relations is None else [graph.relation_id(name) for name in relations]
+    start = np.unique(np.array([graph.entity_id(name) for name in entities], np.int32))
+    allowed = None
+    if relations is not None:
+        allowed = [graph.relation_id(name) for name in relations]
+    ways: Iterable[Direction] = ("out", "in") if direction == "both" else (direction,)
     rows = [np.empty(0, np.int64)]
-    for way in ("out", "in") if direction == "both" else (direction,):
-        seen = frontier = start
-        for hop in range(hops):
-            reached = [seen[:0]]
-            for entity in frontier:
-                edges = graph.out_rows(entity) if way == "out" else graph.in_rows(entity)
-                if hop and max_degree is not None and len(edges) > max_degree:
-                    continue
-                if allowed is not None:
-                    edges = edges[np.isin(graph.relations[edges], allowed)]
-                rows.append(edges)
-                reached.append((graph.tails if way == "out" else graph.heads)[edges])
-            frontier = np.setdiff1d(np.concatenate(reached), seen)
-            if not len(frontier):
-                break
-            seen = np.union1d(seen, frontier)
+    for way in ways:
+        rows += _rows_around(graph, start, way, hops, allowed, max_degree)
     return graph.rows(np.unique(np.concatenate(rows)), nodes=start)
+
+
+def _rows_around(
+    graph: KnowledgeGraph,
+    start: np.ndarray,
+    direction: Direction,
+    hops: int,
+    allowed: list[int] | None,
+    max_degree: int | None,
+) -> list[np.ndarray]:
+    """Return the rows of the edges in one direction that are at most `hops` from the start."""
+    rows = list[np.ndarray]()
+    seen = frontier = start
+    for hop in range(hops):
+        reached = [_NO_NODES]
+        for entity in frontier:
+            edges = graph.out_rows(entity) if direction == "out" else graph.in_rows(entity)
+            if hop and max_degree is not None and len(edges) > max_degree:
+                continue
+            if allowed is not None:
+                edges = edges[np.isin(graph.relations[edges], allowed)]
+            rows.append(edges)
+            reached.append((graph.tails if direction == "out" else graph.heads)[edges])
+        frontier = np.setdiff1d(np.concatenate(reached), seen)
+        seen = np.union1d(seen, frontier)
+    return rows

@@ -15,28 +15,40 @@ class Names(tuple[str, ...]):
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
         index = bisect_left(self, name)
-        return index if index < len(self) and self[index] == name else None
+        if index < len(self) and self[index] == name:
+            return index
+        return None
 
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
-        return self._by_local[False].get(local, [])
+        return self._by_local.get(local, [])
 
     def find_literals(self, text: str) -> list[int]:
         """Return the ids of the literals of this text, in any case, ascending."""
-        return self._by_local[True].get(text.casefold(), [])
+        return self._literals.get(text.casefold(), [])
 
     def short(self, index: int) -> str:
         """Return the last part of a name, or the whole where several have the same."""
         local = local_name(self[index])
-        return local if len(self.find_local(local)) < 2 else self[index]
+        if len(self.find_local(local)) > 1:
+            return self[index]
+        return local
 
     @cached_property
-    def _by_local(self) -> tuple[dict[str, list[int]], dict[str, list[int]]]:
-        ids = defaultdict[str, list[int]](list), defaultdict[str, list[int]](list)
+    def _by_local(self) -> Mapping[str, list[int]]:
+        ids = defaultdict[str, list[int]](list)
         for index, name in enumerate(self):
-            is_literal, local = name.startswith('"'), local_name(name)
-            ids[is_literal][local.casefold() if is_literal else local].append(index)
-        return dict(ids[False]), dict(ids[True])
+            if not name.startswith('"'):
+                ids[local_name(name)].append(index)
+        return ids
+
+    @cached_property
+    def _literals(self) -> Mapping[str, list[int]]:
+        ids = defaultdict[str, list[int]](list)
+        for index, name in enumerate(self):
+            if name.startswith('"'):
+                ids[local_name(name).casefold()].append(index)
+        return ids
 
 
 class AmbiguousNameError(UserError):
@@ -47,57 +59,61 @@ class Spellings:
     """Finds names that are written otherwise, or by their labels."""
 
     def __init__(self, names: Names, labels: Mapping[str, str]) -> None:
-        self.names, self.labels = names, labels
+        self.names = names
+        self.labels = labels
 
-    def find(self, name: str, kind: str, among: Callable[[int], bool]) -> int | None:
+    def find(self, name: str, kind: str, counts: Callable[[int], bool]) -> int | None:
         """Return the id of a name, its last part, its label or another spelling; None without.
 
         Raises:
-            AmbiguousNameError: several ids ``among`` those that count are found alike.
+            AmbiguousNameError: several ids that count are found alike.
         """
         exact = self.names.find(name)
-        if exact is not None and among(exact):
+        if exact is not None and counts(exact):
             return exact
-        for ids in self.alike(name):
-            found = [i for i in ids if among(i)]
-            if len(found) > 1:
-                full = ", ".join(self.names[i] for i in found[:5])
+        for candidates in self.alike(name):
+            ids = list(filter(counts, candidates))
+            if len(ids) > 1:
+                full = ", ".join(map(self.names.__getitem__, ids[:5]))
                 raise AmbiguousNameError(
-                    f"{name!r} names {len(found)} {kind} of the graph: {full}. "
+                    f"{name!r} names {len(ids)} {kind} of the graph: {full}. "
                     f"Give the full name of one of them."
                 )
-            if found:
-                return found[0]
+            if ids:
+                return ids[0]
         return None
 
     def near(self, name: str) -> list[str]:
         """Return the last parts of names that end with a name ("CoffeeMug"), shortest first."""
-        key = name_key(name)
-        ids = {i for each, found in self._by_key.items() if each.endswith(key) for i in found}
-        return sorted((self.names.short(i) for i in ids), key=lambda n: (len(n), n))
+        wanted = name_key(name)
+        ids = set[int]()
+        for key, with_key in self._by_key.items():
+            if key.endswith(wanted):
+                ids.update(with_key)
+        return sorted(sorted(map(self.names.short, ids)), key=len)
 
     def alike(self, name: str) -> Iterator[list[int]]:
         """Yield the ids of last part, of label and of spelling."""
         yield self.names.find_local(name)
-        if self.labels:
-            yield self._by_label.get(name, [])
+        yield self._by_label.get(name, [])
         yield self._by_key.get(name_key(name), [])
 
     @cached_property
-    def _by_label(self) -> dict[str, list[int]]:
+    def _by_label(self) -> Mapping[str, list[int]]:
         ids = defaultdict[str, list[int]](list)
         for name, label in self.labels.items():
-            if (index := self.names.find(name)) is not None:
+            index = self.names.find(name)
+            if index is not None:
                 ids[label].append(index)
-        return dict(ids)
+        return ids
 
     @cached_property
-    def _by_key(self) -> dict[str, list[int]]:
+    def _by_key(self) -> Mapping[str, list[int]]:
         ids = defaultdict[str, list[int]](list)
         for index, name in enumerate(self.names):
-            if not name.startswith(('"', "_:")):
-                for key in {
-                    name_key(text) for text in (local_name(name), self.labels.get(name, name))
-                }:
-                    ids[key].append(index)
-        return dict(ids)
+            if name.startswith(('"', "_:")):
+                continue
+            label = self.labels.get(name, name)
+            for key in {name_key(local_name(name)), name_key(label)}:
+                ids[key].append(index)
+        return ids

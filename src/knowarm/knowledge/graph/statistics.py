@@ -1,6 +1,6 @@
 """Graph statistics: sizes, hubs, cycles and ambiguous labels."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import NamedTuple
 
 import numpy as np
@@ -41,26 +41,32 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     size = len(graph.names)
     degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
     node_degree = degree[graph.nodes]
-    part = _components(graph.heads, graph.tails, size, "weak")
-    order = graph.nodes[np.lexsort((graph.nodes, -node_degree))][:MOST]
-    counts = np.bincount(graph.relations, minlength=len(graph.relation_names))
-    used = sorted(np.flatnonzero(counts), key=lambda i: (-counts[i], i))
-    owners: dict[str, list[str]] = defaultdict(list)
-    for name in graph.entities if graph.labels else ():
-        owners[label_of(name, graph.labels)].append(local_name(name))
-    double = [(label, tuple(names)) for label, names in sorted(owners.items()) if len(names) > 1]
+    hubs = graph.nodes[np.argsort(-node_degree, kind="stable")][:MOST]
+    component = _components(graph.heads, graph.tails, size, "weak")
+    relations = Counter(np.sort(graph.relations).tolist())  # of equal counts by number
+    names_by_label: dict[str, list[str]] = defaultdict(list)
+    if graph.labels:
+        for name in graph.entities:
+            names_by_label[label_of(name, graph.labels)].append(local_name(name))
+    shared = dict[str, tuple[str, ...]]()
+    for label, names in sorted(names_by_label.items()):
+        if len(names) > 1 and len(shared) < MOST:
+            shared[label] = tuple(names)
+    by_relation = dict[str, int]()
+    for relation, count in relations.most_common():
+        by_relation[graph.relation_names[relation]] = count
     return GraphStatistics(
         triples=len(graph),
         entities=len(graph.nodes),
-        relations=len(used),
-        labelled=sum(graph.names.find(name) is not None for name in graph.own_labels()),
+        relations=len(relations),
+        labelled=len(graph.own_labels().keys() & graph.names),
         alone=int((node_degree == 0).sum()),
-        components=len(np.unique(part[graph.nodes])),
+        components=len(np.unique(component[graph.nodes])),
         max_degree=int(node_degree.max(initial=0)),
-        hubs=tuple((graph.names[int(i)], int(degree[i])) for i in order),
-        by_relation={graph.relation_names[int(i)]: int(counts[i]) for i in used},
+        hubs=tuple((graph.names[node], int(degree[node])) for node in hubs),
+        by_relation=by_relation,
         cycles=_cycles(graph),
-        same_labels=dict(double[:MOST]),
+        same_labels=shared,
     )
 
 
@@ -72,16 +78,22 @@ def _components(heads: np.ndarray, tails: np.ndarray, size: int, kind: str) -> n
 
 def _cycles(graph: KnowledgeGraph) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Find entities that reach each other along a relation that is not mostly symmetric."""
-    size, cycles = len(graph.names), []
+    size = len(graph.names)
+    cycles = list[tuple[str, tuple[str, ...]]]()
     for relation in np.unique(graph.relations):
         rows = graph.relations == relation
-        heads, tails = graph.heads[rows].astype(np.int64), graph.tails[rows].astype(np.int64)
+        heads = graph.heads[rows].astype(np.int64)
+        tails = graph.tails[rows].astype(np.int64)
         reverse = np.isin(tails * size + heads, heads * size + tails)
         if reverse.mean() > 0.5 and len(heads) > 2:
             continue
-        part = _components(heads, tails, size, "strong")
-        groups = [np.flatnonzero(part == i) for i in np.flatnonzero(np.bincount(part) > 1)[:MOST]]
-        groups += [np.array([node]) for node in np.unique(heads[heads == tails])[:MOST]]
-        name = graph.relation_names[int(relation)]
-        cycles += [(name, tuple(graph.names[i] for i in group[:8])) for group in groups]
+        component = _components(heads, tails, size, "strong")
+        several = np.flatnonzero(np.bincount(component) > 1)[:MOST]
+        groups = [np.flatnonzero(component == number) for number in several]
+        groups.extend(
+            np.unique(heads[heads == tails])[:MOST, None]
+        )  # entities that reach themselves
+        for group in groups:
+            names = tuple(graph.names[node] for node in group[:8])
+            cycles.append((graph.relation_names[relation], names))
     return tuple(cycles[:MOST])

@@ -34,7 +34,7 @@ RDF_TYPE = RDF + "type"
 
 _IRI = re.compile(r'[A-Za-z][A-Za-z0-9+.-]*:[^\s<>"{}|\\^`\x00-\x20]+')
 _QUOTED = re.compile(r"[\x00-\x7f]+|\W+")
-_ASCII = "".join(map(chr, range(128)))
+_ASCII = bytes(range(128)).decode()
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SPACE = re.compile(r"[\s_\-]+")
 _SENSE = re.compile(r"\.[a-z](\.\d+)?$")
@@ -49,8 +49,9 @@ Term = NamedNode | BlankNode | Literal
 
 def literal(text: str, *, language: str | None = None, datatype: str | None = None) -> str:
     """Return the name of a literal, with an optional language tag or datatype IRI."""
-    kind = None if datatype is None else NamedNode(datatype)
-    return str(Literal(text, language=language, datatype=kind))
+    if datatype is None:
+        return str(Literal(text, language=language))
+    return str(Literal(text, datatype=NamedNode(datatype)))
 
 
 def parse_literal(name: str) -> Literal | None:
@@ -79,13 +80,15 @@ def name_of_iri(iri: str) -> str:
 
     Other names, such as literals, are returned unchanged.
     """
-    if iri.startswith(NAMESPACE):
-        name = unquote(iri[len(NAMESPACE) :])
-        if name and not name.startswith(('"', "_:")) and "\0" not in name:
-            same = iri_of_name(name)
-            if same == iri or quote(same, safe=_ASCII) == quote(iri, safe=_ASCII):  # é or %C3%A9
-                return name
-    return iri
+    if not iri.startswith(NAMESPACE):
+        return iri
+    name = unquote(iri.removeprefix(NAMESPACE))
+    if not name or name.startswith(('"', "_:")) or "\0" in name:
+        return iri
+    # Only the IRI that `iri_of_name` makes stands for the name, written with é or with %C3%A9.
+    if quote(iri_of_name(name), safe=_ASCII) != quote(iri, safe=_ASCII):
+        return iri
+    return name
 
 
 def triple_of_names(head: str, relation: str, tail: str) -> Triple:
@@ -95,7 +98,10 @@ def triple_of_names(head: str, relation: str, tail: str) -> Triple:
 
 def blank_names(taken: Container[str]) -> Iterator[str]:
     """Yield names of blank nodes that are not taken: _:unnamed0, _:unnamed1, ..."""
-    return (name for name in map("_:unnamed{}".format, count()) if name not in taken)
+    for number in count():
+        name = f"_:unnamed{number}"
+        if name not in taken:
+            yield name
 
 
 def name_of_term(term: Term | Triple) -> str:
@@ -112,9 +118,10 @@ def name_of_term(term: Term | Triple) -> str:
 
 def local_name(name: str) -> str:
     """Return the short form of a name: the last part of an IRI, the text of a literal."""
-    if (term := parse_literal(name)) is not None:
+    term = parse_literal(name)
+    if term is not None:
         return term.value
-    if _IRI.fullmatch(name):
+    if is_iri(name):
         return unquote(re.split(r"[#/:]", name.rstrip("#/:"))[-1])
     return name
 
@@ -125,18 +132,23 @@ def name_key(text: str) -> str:
     Case, separators, number and sense make no difference, but in a text without letters.
     """
     text = _CONCEPT.sub(r"\1", unicodedata.normalize("NFC", text).casefold())
-    key = re.sub(r"[\s_\-]+", "", _SENSE.sub("", text))
+    key = _SPACE.sub("", _SENSE.sub("", text))
     if not any(map(str.isalpha, key)):
         return text
-    endings = (key[-n:] for n in (4, 3, 2, 1) if len(key) > max(n, 3))
-    ending = next((each for each in endings if each in _PLURALS), None)
-    return key if ending is None else key.removesuffix(ending) + _PLURALS[ending]
+    for length in (4, 3, 2, 1):
+        ending = key[-length:]
+        if ending in _PLURALS and len(key) > max(length, 3):
+            return key[:-length] + _PLURALS[ending]
+    return key
 
 
 def label_of(name: str, labels: Mapping[str, str]) -> str:
     """Return the label of an entity or relation in lower case, words separated by one space."""
-    written = labels.get(name, "is a" if name == RDF_TYPE else None)
-    text = written if written is not None else _CAMEL.sub(" ", local_name(name))
+    text = labels.get(name)
+    if text is None and name == RDF_TYPE:
+        text = "is a"
+    elif text is None:
+        text = _CAMEL.sub(" ", local_name(name))
     return _SPACE.sub(" ", text).strip().lower()
 
 
@@ -150,7 +162,7 @@ def _end(name: str) -> NamedNode | BlankNode:
 
 def _node(name: str) -> NamedNode:
     """Return the IRI of a name that is neither a literal nor a blank node."""
-    if _IRI.fullmatch(name):
+    if is_iri(name):
         with suppress(ValueError):
             return NamedNode(name)
     return NamedNode(NAMESPACE + _QUOTED.sub(lambda match: quote(match[0], safe=""), name))

@@ -4,14 +4,16 @@ Every draw keeps what training needs: conditions with objects that answer them, 
 facts to be asked by.
 """
 
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.builder import with_triples
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
@@ -49,20 +51,22 @@ class HeldOutQuestions:
 
     def hold_kinds(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out all instances of some kinds; each condition keeps half of its kinds (S3b)."""
-        names = self.asked.objects
-        kinds = sorted({kind_of(name) for name in names if kind_of(name) != name})
+        kinds = {kind_of(name) for name in self.asked.objects if kind_of(name) != name}
         wanted = max(2, round(SHARES["S3b"] * len(kinds)))
-        held = self._some(rng, kinds, wanted, per_episode)
-        self._hold("S3b", {name for name in names if kind_of(name) in held})
+        held = self._some(rng, sorted(kinds), wanted, per_episode)
+        self._hold("S3b", {name for name in self.asked.objects if kind_of(name) in held})
 
     def hold_instances(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
+        instances: dict[str, list[str]] = defaultdict(list)
+        for name in sorted(set(self.asked.objects) - self.objects):
+            if kind_of(name) != name:
+                instances[kind_of(name)].append(name)
         held: set[str] = set()
-        in_training = sorted(set(self.asked.objects) - self.objects)
-        for kind in sorted({kind_of(name) for name in in_training if kind_of(name) != name}):
-            names = [name for name in in_training if kind_of(name) == kind]
-            held.update(rng.permutation(names)[: round(SHARES["S3a"] * len(names))].tolist())
-        if len({kind_of(name) for name in held}) <= per_episode:
+        for _, names in sorted(instances.items()):
+            count = round(SHARES["S3a"] * len(names))
+            held.update(rng.permutation(names)[:count].tolist())
+        if len(set(map(kind_of, held))) <= per_episode:
             raise UserError(
                 f"the objects have instances of {per_episode} kinds or fewer, of which some could "
                 "be held out. Take objects with several instances of each kind."
@@ -74,16 +78,24 @@ class HeldOutQuestions:
         self.objects |= names
 
     def _some(
-        self, rng: np.random.Generator, names: list[str], wanted: int, per_episode: int
+        self,
+        rng: np.random.Generator,
+        names: list[str],
+        wanted: int,
+        per_episode: int,
     ) -> set[str]:
         """Draw objects or kinds such that each condition keeps half of them or more."""
-        holders = [{n if n in names else kind_of(n) for n in self.holders[c]} for c in self.facts]
-        shared = [group for group in holders if len(group) > 1]
+        shared = list[set[str]]()  # objects or kinds of each condition
+        for condition in self.facts:
+            holders = {n if n in names else kind_of(n) for n in self.holders[condition]}
+            if len(holders) > 1:
+                shared.append(holders)
         held: set[str] = set()
         for index in rng.permutation(len(names)):
-            new = {*held, names[index]}
-            if len(new) <= wanted and all(2 * len(new & group) <= len(group) for group in shared):
-                held = new
+            larger = held | {names[index]}
+            keeps_half = all(2 * len(larger & holders) <= len(holders) for holders in shared)
+            if len(larger) <= wanted and keeps_half:
+                held = larger
         if len(held) < wanted or len(names) - len(held) <= per_episode:
             raise UserError(
                 f"{wanted} of the {len(names)} objects would have to be held out and more than "
@@ -99,16 +111,17 @@ class HeldOutQuestions:
         """
         values = sorted({condition.value for condition in self.facts})
         links = self._links(values)
-        answering = {name for condition in self.facts for name in self.holders[condition]}
+        answering = self._holders_of(values)
         wanted = max(1, round(SHARES["S4"] * len(values)))
         held: set[str] = set()
         beside = 0
         for index in rng.permutation(len(values)):
-            new = {*held, values[index]}
-            linked = all(links[value] - new for value in new)
-            left = {name for c in self.facts if c.value not in new for name in self.holders[c]}
-            if (len(new) <= wanted or beside < per_episode - 1) and linked and left == answering:
-                held, beside = new, self._most_beside(new)
+            larger = held | {values[index]}
+            is_small = len(larger) <= wanted or beside < per_episode - 1
+            is_linked = all(links[value] - larger for value in larger)
+            if is_small and is_linked and self._holders_of(set(values) - larger) == answering:
+                held = larger
+                beside = self._most_beside(held)
         if beside < per_episode - 1:
             raise UserError(
                 f"of the objects whose values can be held out, {beside} can stand beside another "
@@ -123,30 +136,34 @@ class HeldOutQuestions:
 
         Each object keeps a fact to be asked by.
         """
-        new = self.objects
-        names = sorted({kind_of(name) for name in self.asked.objects})
-        kinds = {c: sorted({kind_of(n) for n in held}) for c, held in self.holders.items()}
-        total = {name: sum(name in group for group in kinds.values()) for name in names}
-        load = dict.fromkeys(names, 0)
-        facts = {
-            name: sum(name in kinds[c] for c in self.facts if c.value not in self.values)
-            for name in names
-        }
+        conditions_of = Counter[str]()
+        facts_of = Counter[str]()
+        held_of = Counter[str]()
+        for condition, names in self.holders.items():
+            kinds = set(map(kind_of, names))
+            conditions_of.update(kinds)
+            if not condition.is_seen and condition.value not in self.values:
+                facts_of.update(kinds)
         conditions = list(self.holders)
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
-            members = [name for name in self.holders[condition] if name not in new]
-            member_kinds = sorted({kind_of(name) for name in members})
+            members = [name for name in self.holders[condition] if name not in self.objects]
+            member_kinds = sorted(set(map(kind_of, members)))
             is_object = condition.relation == OBJECT_RELATION
             if condition.value in self.values or is_object or len(member_kinds) < 2:
                 continue
-            spare = [name for name in member_kinds if condition.is_seen or facts[name] > 1]
-            free = [name for name in spare if load[name] < total[name] // 3]
-            order = sorted(rng.permutation(free).tolist(), key=lambda n: load[n] / total[n])
-            for name in order[: max(1, round(SHARES["S2"] * len(member_kinds)))]:
-                self.pairs |= {(condition, member) for member in members if kind_of(member) == name}
-                load[name] += 1
-                facts[name] -= not condition.is_seen
+            free = list[str]()
+            for kind in member_kinds:
+                keeps_fact = condition.is_seen or facts_of[kind] > 1
+                if keeps_fact and held_of[kind] < conditions_of[kind] // 3:
+                    free.append(kind)
+            drawn = rng.permutation(free).tolist()
+            drawn.sort(key=lambda kind: held_of[kind] / conditions_of[kind])
+            for kind in drawn[: max(1, round(SHARES["S2"] * len(member_kinds)))]:
+                self.pairs.update((condition, name) for name in members if kind_of(name) == kind)
+                held_of[kind] += 1
+                if not condition.is_seen:
+                    facts_of[kind] -= 1
         if len({kind_of(name) for _, name in self.pairs}) < per_episode:
             self.pairs = set()
             raise UserError(
@@ -156,39 +173,48 @@ class HeldOutQuestions:
 
     def _most_beside(self, values: set[str]) -> int:
         """Return how many objects that some of the values belong to lack one of them, at most."""
-        held = [set(self.holders[c]) - self.objects for c in self.facts if c.value in values]
-        return max((len(set().union(*held) - group) for group in held), default=0)
+        holders = list[set[str]]()
+        for condition in self.facts:
+            if condition.value in values:
+                holders.append(set(self.holders[condition]) - self.objects)
+        every = set[str]().union(*holders)
+        return max((len(every - names) for names in holders), default=0)
+
+    def _holders_of(self, values: Collection[str]) -> set[str]:
+        """Return the objects that some of the values belong to."""
+        conditions = [condition for condition in self.facts if condition.value in values]
+        return set[str]().union(*map(self.holders.__getitem__, conditions))
 
     def _links(self, values: list[str]) -> dict[str, set[str]]:
         """Return the values that a triple links to each value, in either direction."""
         links: dict[str, set[str]] = {value: set() for value in values}
-        for head, _, tail in self.asked.graph:
-            one, other = local_name(head), local_name(tail)
-            if one != other and one in links and other in links:
-                links[one].add(other)
-                links[other].add(one)
+        for triple in self.asked.graph:
+            head = local_name(triple[0])
+            tail = local_name(triple[2])
+            if head != tail and head in links and tail in links:
+                links[head].add(tail)
+                links[tail].add(head)
         return links
 
     @cached_property
     def asked_in_training(self) -> set[Condition]:
         """Conditions that training asks for some object; read it when all draws are done."""
-        return {
-            c
-            for c, names in self.holders.items()
-            if any(self.in_training(Query((c,)), name) for name in names)
-        }
+        asked = set[Condition]()
+        for condition, names in self.holders.items():
+            query = Query((condition,))
+            if any(self.in_training(query, name) for name in names):
+                asked.add(condition)
+        return asked
 
     def in_training(self, query: Query, name: str) -> bool:
         """Return whether training may ask a query for an object."""
-        return name not in self.objects and not any(
-            c.value in self.values or (c, name) in self.pairs for c in query.conditions
-        )
+        is_held = name in self.objects or self._asks_value(query) or self._asks_pair(query, name)
+        return not is_held
 
     def is_new_pair(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S2."""
-        held = any((c, name) in self.pairs for c in query.conditions)
-        values = {c.value for c in query.conditions}
-        return held and name not in self.objects and not values & self.values
+        is_pair = self._asks_pair(query, name) and not self._asks_value(query)
+        return is_pair and name not in self.objects
 
     def is_new_object(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S3, S3a or S3b."""
@@ -196,9 +222,16 @@ class HeldOutQuestions:
 
     def is_new_value(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S4."""
-        held = any(c.value in self.values for c in query.conditions)
-        is_held_pair = any((c, name) in self.pairs for c in query.conditions)
-        return held and not is_held_pair and name not in self.objects
+        is_value = self._asks_value(query) and not self._asks_pair(query, name)
+        return is_value and name not in self.objects
+
+    def _asks_value(self, query: Query) -> bool:
+        """Return whether a query has a condition whose value is held out."""
+        return any(condition.value in self.values for condition in query.conditions)
+
+    def _asks_pair(self, query: Query, name: str) -> bool:
+        """Return whether a query has a condition that is held out together with an object."""
+        return any((condition, name) in self.pairs for condition in query.conditions)
 
 
 def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGraph:
@@ -207,30 +240,32 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
     Conditions that training asks are swapped in pairs that no object satisfies both of, so that
     every old answer is a new one as well.
     """
-    graph, facts = held.asked.graph, held.facts
-    free = [c for c in facts if c.value not in held.values and set(held.holders[c]) - held.objects]
+    graph = held.asked.graph
+    free = list[Condition]()
+    for condition in held.facts:
+        if condition.value not in held.values and set(held.holders[condition]) - held.objects:
+            free.append(condition)
     order = [free[index] for index in rng.permutation(len(free))]
-    wanted = max(1, round(SHARES["S5"] * len(facts) / 2))
-    swapped: list[tuple[Condition, Condition]] = []
-    for place, one in enumerate(order):
-        used = {condition for pair in swapped for condition in pair}
-        for other in order[place + 1 :]:
-            disjoint = not set(held.holders[one]) & set(held.holders[other])
-            fits = one.relation == other.relation and disjoint
-            if len(swapped) < wanted and fits and not {one, other} & used:
-                swapped.append((one, other))
-                break
+    wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))
+    swapped = dict[Condition, Condition]()  # both of each pair, by the other one
+    for first, second in combinations(order, 2):
+        is_disjoint = set(held.holders[first]).isdisjoint(held.holders[second])
+        is_free = first not in swapped and second not in swapped
+        fits = first.relation == second.relation and is_disjoint and is_free
+        if fits and len(swapped) < 2 * wanted:
+            swapped[first] = second
+            swapped[second] = first
     if not swapped:
         raise UserError(
             "no two values of one relation belong to different objects, so none can be swapped. "
             "Add facts, or give an edited graph of your own."
         )
     moved = dict[Triple, Triple]()
-    for pair in swapped:
-        relation = graph.relation_names[graph.relation_id(pair[0].relation)]
-        values = [graph.names[graph.entity_id(each.value)] for each in pair]
-        for condition, (old, new) in zip(pair, (values, values[::-1]), strict=True):
-            heads = [graph.names[graph.entity_id(name)] for name in held.holders[condition]]
-            moved |= {(head, relation, old): (head, relation, new) for head in heads}
-    triples = [moved.get(triple, triple) for triple in graph]
-    return graph_of(triples, **graph.beside())
+    for old, new in swapped.items():
+        relation = graph.relation_names[graph.relation_id(old.relation)]
+        old_value = graph.names[graph.entity_id(old.value)]
+        new_value = graph.names[graph.entity_id(new.value)]
+        for name in held.holders[old]:
+            head = graph.names[graph.entity_id(name)]
+            moved[head, relation, old_value] = (head, relation, new_value)
+    return with_triples(graph, [moved.get(triple, triple) for triple in graph])

@@ -1,8 +1,9 @@
 """Queries that a graph answers: which there are, and which objects with colours answer them."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, compress
 from typing import Literal, get_args
 
 import numpy as np
@@ -34,13 +35,16 @@ def parse_query(text: str) -> Query:
             parts[-1] += AND + part
         else:
             parts.append(part)
-    pairs = [part.strip().partition(" ") for part in parts]
-    for relation in (relation for relation, _, value in pairs if not value):
-        raise UserError(
-            f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', or two of "
-            f"these joined by 'and'; got {relation!r}."
-        )
-    return Query.of(*((relation, value.strip()) for relation, _, value in pairs))
+    conditions = list[tuple[str, str]]()
+    for part in parts:
+        relation, _, value = part.strip().partition(" ")
+        if not value:
+            raise UserError(
+                f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', or two "
+                f"of these joined by 'and'; got {relation!r}."
+            )
+        conditions.append((relation, value.strip()))
+    return Query.of(*conditions)
 
 
 class QueryGraph:
@@ -50,7 +54,8 @@ class QueryGraph:
     """
 
     def __init__(self, graph: KnowledgeGraph, facets: Iterable[ObjectColour]) -> None:
-        self.graph, self.facets = graph, tuple((name, colour) for name, colour in facets)
+        self.graph = graph
+        self.facets = tuple((name, colour) for name, colour in facets)
         self.objects = tuple(dict.fromkeys(name for name, _ in self.facets))
         if not self.facets:
             raise UserError("There are no facets to ask about: give at least one object.")
@@ -64,22 +69,26 @@ class QueryGraph:
         A value that is one of the objects is no condition, since a query
         never names an object.
         """
-        graph, stated = self.graph, set[Condition]()
+        graph = self.graph
+        stated = set[Condition]()
         for entity in self._ids:
-            rows = graph.out_rows(entity)
-            pairs = zip(graph.relations[rows], graph.tails[rows], strict=True)
-            stated |= {
-                Condition(graph.relation_names.short(r), graph.names.short(t))
-                for r, t in pairs
-                if t not in self._ids and not graph.names[t].startswith(('"', "_:"))
-            }
-        facts = sorted(c for c in stated if not Condition(local_name(c.relation), c.value).is_seen)
-        colours = sorted({colour for _, colour in self.facets})
-        every = [*facts, *(Condition(COLOUR_RELATION, colour) for colour in colours)]
-        whole = sorted({object_of(name) for name in self.objects} - {*self.objects})
-        every += [Condition(OBJECT_RELATION, name) for name in whole]
-        answers = self.answers([Query((condition,)) for condition in every])
-        return tuple(c for c, row in zip(every, answers, strict=True) if row.any())
+            for row in graph.out_rows(entity):
+                tail = graph.tails[row]
+                if tail in self._ids or graph.names[tail].startswith(('"', "_:")):
+                    continue
+                relation = graph.relation_names.short(graph.relations[row])
+                condition = Condition(relation, graph.names.short(tail))
+                if not condition._replace(relation=local_name(relation)).is_seen:
+                    stated.add(condition)
+        colours = {colour for _, colour in self.facets}
+        whole = set(map(object_of, self.objects)).difference(self.objects)
+        conditions = [
+            *sorted(stated),
+            *(Condition(COLOUR_RELATION, colour) for colour in sorted(colours)),
+            *(Condition(OBJECT_RELATION, name) for name in sorted(whole)),
+        ]
+        answers = self.answers([Query((condition,)) for condition in conditions])
+        return tuple(compress(conditions, np.any(answers, axis=1)))
 
     def queries(self, pairs: Pairs = "colour") -> tuple[Query, ...]:
         """Return the queries that some facets answer and others do not.
@@ -89,24 +98,26 @@ class QueryGraph:
         if pairs not in get_args(Pairs):
             raise unknown_name("value of pairs", pairs, get_args(Pairs))
         answers = self.answers([Query((condition,)) for condition in self.conditions])
-        every = zip(self.conditions, answers, strict=True)
-        rows = {condition: row for condition, row in every if row.any() and not row.all()}
+        rows = dict[Condition, np.ndarray]()
+        for condition, row in zip(self.conditions, answers, strict=True):
+            if not row.all():
+                rows[condition] = row
         if not rows:
             raise UserError(
                 f"The graph has no fact that tells {', '.join(self.objects[:8])} apart, so there "
                 "is nothing to ask. Add facts that some of the objects share and others do not."
             )
-        double = [
-            (one, other)
-            for one, other in combinations(rows, 2)
-            if one.is_seen != other.is_seen or (pairs == "all" and not one.is_seen)
-        ]
-        kept = []
-        for pair in double if pairs != "none" else ():
-            both = rows[pair[0]] & rows[pair[1]]
-            if both.any() and all((both != rows[each]).any() for each in pair):
-                kept.append(pair)
-        return tuple(Query(each) for each in (*((condition,) for condition in rows), *kept))
+        queries = [Query((condition,)) for condition in rows]
+        if pairs == "none":
+            return tuple(queries)
+        for first, second in combinations(rows, 2):
+            is_mixed = first.is_seen != second.is_seen
+            if not is_mixed and (pairs == "colour" or first.is_seen):
+                continue
+            both = rows[first] & rows[second]
+            if both.any() and (both != rows[first]).any() and (both != rows[second]).any():
+                queries.append(Query((first, second)))
+        return tuple(queries)
 
     def answers(self, queries: Sequence[Query]) -> np.ndarray:
         """Return whether each facet answers each query, (Q, F) bool.
@@ -121,11 +132,13 @@ class QueryGraph:
 
         It is 0 or 1, but for triples with a confidence, which are taken as independent.
         """
-        rows = {c: self._holders(c) for query in queries for c in query.conditions}
+        holders = dict[Condition, np.ndarray]()
         table = np.ones((len(queries), len(self.facets)), np.float32)
         for row, query in zip(table, queries, strict=True):
             for condition in query.conditions:
-                row *= rows[condition]
+                if condition not in holders:
+                    holders[condition] = self._holders(condition)
+                row *= holders[condition]
         return table
 
     def possible(self) -> np.ndarray:
@@ -133,10 +146,11 @@ class QueryGraph:
 
         An object of which the graph states colours has these only, any other has all.
         """
-        stated = {name: set[str]() for name in self.objects}
+        stated: dict[str, set[str]] = defaultdict(set)
         for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
-            stated[name] |= {colour} - {""}
-        allowed = np.array([not stated[n] or colour in stated[n] for n, colour in self.facets])
+            if colour:
+                stated[name].add(colour)
+        allowed = np.array([colour in stated.get(name, {colour}) for name, colour in self.facets])
         for number, name in enumerate(self.objects):
             if not allowed[self.owner == number].any():
                 colours = ", ".join(colour for other, colour in self.facets if other == name)
@@ -158,9 +172,11 @@ class QueryGraph:
     def _holders(self, condition: Condition) -> np.ndarray:
         """Return the probability that each facet satisfies a condition, (F,)."""
         if condition.is_seen:
-            is_object = condition.relation == OBJECT_RELATION
-            seen = ((object_of(name) if is_object else colour) for name, colour in self.facets)
-            return np.array([each == condition.value for each in seen])
+            if condition.relation == OBJECT_RELATION:
+                seen = [object_of(name) for name, _ in self.facets]
+            else:
+                seen = [colour for _, colour in self.facets]
+            return np.array(seen) == condition.value
         graph = self.graph
         relation = graph.find_relation(condition.relation)
         if relation is None:  # an edited graph may lack what another one knows
@@ -170,8 +186,8 @@ class QueryGraph:
         held = np.isin(self._ids, graph.heads[rows]).astype(float)
         if graph.confidence:
             wrong = np.ones(len(self._ids))  # probability that no triple about an object holds
-            part = graph.rows(np.flatnonzero(rows))
-            for head, triple in zip(part.heads, part, strict=True):
+            triples = graph.rows(np.flatnonzero(rows))
+            for head, triple in zip(triples.heads, triples, strict=True):
                 wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
             held = 1 - wrong
         return np.asarray(held[self.owner])

@@ -4,6 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, NamedTuple
 
 from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store, Triple
@@ -47,13 +48,16 @@ class SparqlQuery:
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
         text = _QUIET.sub(lambda quiet: " " if quiet[1] else "_", query)
-        if word := next((match[2] for match in _REMOTE.finditer(text) if not match[1]), None):
-            raise UserError(
-                f"SPARQL query: {word.upper()} refers to other data, but a query reads the given "
-                f"graph only and nothing is fetched from the network. Leave it out, or load the "
-                f"other graph and unite the two first."
-            )
-        self.query, self._entities, self._store = query, set(graph.entities), Store()
+        for match in _REMOTE.finditer(text):
+            if not match[1]:
+                raise UserError(
+                    f"SPARQL query: {match[2].upper()} refers to other data, but a query reads the "
+                    f"given graph only and nothing is fetched from the network. Leave it out, or "
+                    f"load the other graph and unite the two first."
+                )
+        self.query = query
+        self._entities = set(graph.entities)
+        self._store = Store()
         self._store.bulk_extend(map(_quad, rdf_triples(graph)))
 
     def answer(self) -> Answer:
@@ -66,7 +70,9 @@ class SparqlQuery:
 
         def name(term: Any) -> str:
             text = "" if term is None else name_of_term(term)
-            return made[text] if text.startswith("_:") and text not in self._entities else text
+            if text.startswith("_:") and text not in self._entities:
+                return made[text]
+            return text
 
         try:
             result: Any = self._store.query(self.query, prefixes=PREFIXES)
@@ -78,7 +84,8 @@ class SparqlQuery:
             if isinstance(result, QueryBoolean):
                 return Answer(("answer",), (("yes" if result else "no",),))
             columns = tuple(variable.value for variable in result.variables)
-            return Answer(columns, tuple(sorted(tuple(map(name, row)) for row in result)))
+            rows = sorted(tuple(map(name, row)) for row in result)
+            return Answer(columns, tuple(rows))
         except UserError:
             raise
         except SyntaxError as error:
@@ -89,9 +96,12 @@ class SparqlQuery:
     @contextmanager
     def stating(self, head: str, relations: Iterable[str], tails: Iterable[str]) -> Iterator[None]:
         """State, in a ``with`` block, that relations lead from a head to these tails alone."""
-        new = [_quad(triple_of_names(head, r, tail)) for r in relations for tail in tails]
-        ends = {(quad.subject, quad.predicate) for quad in new}
-        old = [quad for end in ends for quad in self._store.quads_for_pattern(*end, None)]
+        new = list[Quad]()
+        old = set[Quad]()
+        for relation, tail in product(relations, tails):
+            quad = _quad(triple_of_names(head, relation, tail))
+            new.append(quad)
+            old.update(self._store.quads_for_pattern(quad.subject, quad.predicate, None))
         self._replace(old, new)
         yield
         self._replace(new, old)

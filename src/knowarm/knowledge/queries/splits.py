@@ -4,6 +4,7 @@ One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from itertools import chain, compress, product, starmap
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.held_out import HeldOutQuestions, draw_edits
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
-from knowarm.questions import ObjectColour, Query, QuestionTable, with_distractors
+from knowarm.questions import Condition, ObjectColour, Query, QuestionTable, with_distractors
 from knowarm.seeding import seed_sequence
 
 Split = Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"]
@@ -106,13 +107,15 @@ def query_splits(
     tables: dict[str, QuestionTable | None] = {"S1": train}
     if held.pairs:
         tables["S2"] = maker.table(held.is_new_pair)
-    for name in filter(held.new.__contains__, NEW_OBJECTS):
-        tables[name] = maker.table(held.is_new_object, show=held.new[name])
+    for name in NEW_OBJECTS:
+        if name in held.new:
+            tables[name] = maker.table(held.is_new_object, show=held.new[name])
     if held.values:
         tables["S4"] = maker.table(held.is_new_value)
     try:
         if edited is None:
-            edited = draw_edits(held, np.random.default_rng(seed_sequence(seed, "splits", 5)))
+            rng = np.random.default_rng(seed_sequence(seed, "splits", 5))
+            edited = draw_edits(held, rng)
         tables["S5"] = maker.edited_table(edited)
     except UserError as error:
         reasons["S5"] = str(error)
@@ -121,23 +124,31 @@ def query_splits(
         f"no question of it has {objects - 1} distractors that share something with the "
         "target. Give more objects or facts, or fewer objects per episode."
     )
-    reasons |= dict.fromkeys(tables.keys() - tests.keys(), no_distractors)
-    reasons = {name: reasons[name] for name in SPLITS if name in reasons and name not in tests}
-    return QuerySplits(train=train, tests=tests, reasons=reasons, held_out=held, edited=edited)
+    reasons |= dict.fromkeys(tables, no_distractors)
+    return QuerySplits(
+        train=train,
+        tests=tests,
+        reasons={name: reasons[name] for name in SPLITS if name in reasons.keys() - tests.keys()},
+        held_out=held,
+        edited=edited,
+    )
 
 
 class _Maker:
     """Makes tables from rules about (query, object)."""
 
     def __init__(self, asked: QueryGraph, pairs: Pairs, objects: int) -> None:
-        self.asked, self.pairs, self.objects, self.owner = asked, pairs, objects, asked.owner
+        self.asked = asked
+        self.pairs = pairs
+        self.objects = objects
+        self.owner = asked.owner
         self.queries = asked.queries(pairs)
         self.satisfies = asked.answers(self.queries)
-        single = [q.conditions[0] for q in self.queries if len(q.conditions) == 1]
-        holders = {
-            condition: sorted({asked.objects[i] for i in self.owner[row]})
-            for condition, row in zip(single, list(self.satisfies), strict=False)
-        }
+        holders = dict[Condition, list[str]]()
+        for query, row in zip(self.queries, self.satisfies, strict=True):
+            if len(query.conditions) == 1:
+                names = {asked.objects[number] for number in self.owner[row]}
+                holders[query.conditions[0]] = sorted(names)
         self.held = HeldOutQuestions(asked, holders)
 
     def table(
@@ -149,8 +160,11 @@ class _Maker:
         tell what is asked. ``show`` names the objects that may be seen; None: those of training.
         """
         satisfies = self.satisfies
-        held = np.isin(self.owner, self._numbers(self.held.objects if show is None else show))
-        shown = self.asked.possible() & (~held if show is None else held)
+        shown = self.asked.possible()
+        if show is None:
+            shown &= ~self._of(self.held.objects)
+        else:
+            shown &= self._of(show)
         related = _related(satisfies[: len(self.held.holders)])
         allowed = satisfies & self._allowed(self.queries, rule)
         while True:
@@ -169,11 +183,12 @@ class _Maker:
         answer may stand beside the new one.
         """
         other = QueryGraph(edited, self.asked.facets)
-        conditions = {condition for query in self.queries for condition in query.conditions}
+        conditions = set(chain.from_iterable(query.conditions for query in self.queries))
         added = [q for q in other.queries(self.pairs) if not conditions.issuperset(q.conditions)]
         queries = [*self.queries, *added]
-        satisfies, before = other.answers(queries), self.asked.answers(queries)
-        shown = other.possible() & ~np.isin(self.owner, self._numbers(self.held.objects))
+        satisfies = other.answers(queries)
+        before = self.asked.answers(queries)
+        shown = other.possible() & ~self._of(self.held.objects)
         new = satisfies & ~before & self._allowed(queries, self.held.in_training) & shown
         if not new.any():
             raise UserError(
@@ -183,25 +198,32 @@ class _Maker:
         single = np.array([len(query.conditions) == 1 for query in queries])
         related = _related(np.concatenate([satisfies[single], before[single]]))
         askable = with_distractors(new, satisfies, related, shown, self.owner, self.objects)
-        kept = np.asarray(satisfies.any(1))
-        kept_queries = [query for query, keep in zip(queries, kept, strict=True) if keep]
+        kept = np.any(satisfies, axis=1)
+        kept_queries = list(compress(queries, kept))
         return self._table(kept_queries, satisfies[kept], askable[kept], related, shown)
 
-    def _numbers(self, names: Collection[str]) -> list[int]:
-        return [self.asked.objects.index(name) for name in names]
+    def _of(self, names: Collection[str]) -> Mask:
+        """Return which facets are those of some objects, (F,) bool."""
+        numbers = [self.asked.objects.index(name) for name in names]
+        return np.isin(self.owner, numbers)
 
     def _allowed(self, queries: Sequence[Query], rule: Callable[[Query, str], bool]) -> Mask:
         """Return a rule about (query, object) for each query and facet, (Q, F) bool."""
-        by_object = np.array([[rule(q, name) for name in self.asked.objects] for q in queries])
-        return np.asarray(by_object[:, self.owner])
+        pairs = product(queries, self.asked.objects)
+        by_object = np.fromiter(starmap(rule, pairs), bool).reshape(len(queries), -1)
+        return by_object[:, self.owner]
 
     def _table(
-        self, queries: Sequence[Query], satisfies: Mask, askable: Mask, related: Mask, shown: Mask
+        self,
+        queries: Sequence[Query],
+        satisfies: Mask,
+        askable: Mask,
+        related: Mask,
+        shown: Mask,
     ) -> QuestionTable | None:
         if not askable.any():
             return None
-        facets = self.asked.facets
-        return QuestionTable(tuple(queries), facets, satisfies, askable, related, shown)
+        return QuestionTable(tuple(queries), self.asked.facets, satisfies, askable, related, shown)
 
 
 def _related(conditions: Mask) -> Mask:

@@ -42,16 +42,7 @@ def source_named(name: str) -> VectorSource:
     if name in SHIPPED:
         return WordVectors(name=name)
     if kind in SOURCES:
-        cls = SOURCES[kind]
-        if issubclass(cls, Placebo):
-            return cls(matches=source_named(value)) if value else cls()
-        first = next((field.name for field in fields(cls) if field.name != "kind"), None)
-        if value and not first:
-            raise UserError(f"The source {kind!r} takes no value, got {name!r}. Give {kind!r}.")
-        try:
-            return cls(**{first: value}) if first and value else cls()
-        except TypeError as error:
-            raise UserError(f"{name!r} needs a value for {first}: {name}:{first}.") from error
+        return _source_of_kind(SOURCES[kind], kind, value)
     if name.endswith(".safetensors"):
         return GraphEmbedding(file=name)
     if "/" in name or "\\" in name or Path(name).suffix in (".txt", ".vec", *COMPRESSED):
@@ -63,6 +54,23 @@ def source_named(name: str) -> VectorSource:
     if Path(name).is_file():
         return WordVectors(file=name)
     raise unknown_name("vector source", name, [*SHIPPED, *MODELS, *SOURCES])
+
+
+def _source_of_kind(cls: type[VectorSource], kind: str, value: str) -> VectorSource:
+    """Return the source of a kind, with a value of its first field if there is one."""
+    if issubclass(cls, Placebo):
+        return cls(matches=source_named(value)) if value else cls()
+    names = [field.name for field in fields(cls) if field.name != "kind"]
+    try:
+        if not value:
+            return cls()
+        if names:
+            return cls(**{names[0]: value})
+    except TypeError as error:
+        raise UserError(f"{kind!r} needs a value for {names[0]}: {kind}:{names[0]}.") from error
+    raise UserError(
+        f"The source {kind!r} takes no value, got {f'{kind}:{value}'!r}. Give {kind!r}."
+    )
 
 
 __all__ = ["SOURCES", "VectorSource", "source_named"]

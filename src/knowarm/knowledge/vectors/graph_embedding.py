@@ -1,5 +1,6 @@
 """Graph embeddings as a vector source: trained on the graph itself, or read from a file."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -54,7 +55,8 @@ class EntityLookup:
         self.name = name
         self.dim = int(entities.shape[1])
         self.graph = graph
-        self.entities, self.relations = entities, relations
+        self.entities = entities
+        self.relations = relations
         ends = np.concatenate([graph.heads, graph.tails])
         self.entity_shares = np.bincount(ends, minlength=len(entities)) / max(len(ends), 1)
         uses = np.bincount(graph.relations, minlength=len(relations))
@@ -76,9 +78,10 @@ def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> En
 
     config = KgeConfig(model=model, dim=dim, seed=seed, epochs=EMBED_EPOCHS)
     relations = len(graph.relation_names)
-    done = train(config, graph.triples, len(graph.names), relations)
-    vectors = done.model.relation.detach().numpy()[:relations]
-    return EntityLookup(model, graph, done.model.entity.detach().numpy(), vectors)
+    fitted = train(config, graph.triples, len(graph.names), relations).model
+    entity_vectors = fitted.entity.detach().numpy()
+    relation_vectors = fitted.relation.detach().numpy()[:relations]
+    return EntityLookup(model, graph, entity_vectors, relation_vectors)
 
 
 def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
@@ -86,20 +89,23 @@ def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
     from knowarm.knowledge.kge.train import load_model  # torch takes a second to import
 
     stored = load_model(path)
-    tables = []
-    for kind, stored_names, matrix, names in (
-        ("entity", stored.entities, stored.model.entity, graph.names),
-        ("relation", stored.relations, stored.model.relation, graph.relation_names),
-    ):
-        row = {name: i for i, name in enumerate(stored_names)}
-        missing = [name for name in names if name not in row]
-        if missing:
-            raise UserError(
-                f"{path} has no vector for {len(missing)} of the graph's names, first the {kind} "
-                f"{missing[0]!r}. Fit the model on this graph."
-            )
-        tables.append(matrix.detach().numpy()[[row[name] for name in names]])
-    return EntityLookup(path.name, graph, tables[0], tables[1])
+    entities = _rows(path, "entity", stored.entities, graph.names)
+    relations = _rows(path, "relation", stored.relations, graph.relation_names)
+    entity_vectors = stored.model.entity.detach().numpy()[entities]
+    relation_vectors = stored.model.relation.detach().numpy()[relations]
+    return EntityLookup(path.name, graph, entity_vectors, relation_vectors)
+
+
+def _rows(path: Path, kind: str, stored: Sequence[str], names: Sequence[str]) -> list[int]:
+    """Return the row of each of the graph's names among those of a file."""
+    rows = {name: row for row, name in enumerate(stored)}
+    missing = [name for name in names if name not in rows]
+    if missing:
+        raise UserError(
+            f"{path} has no vector for {len(missing)} of the graph's names, first the {kind} "
+            f"{missing[0]!r}. Fit the model on this graph."
+        )
+    return [rows[name] for name in names]
 
 
 @cache

@@ -1,5 +1,6 @@
 """Placebos: slots of the real shape that carry no meaning, or a false one."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -139,20 +140,23 @@ class WrongObject(DrawnPlacebo):
         self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
     ) -> Sequence[Facet]:
         """Replace each object by another one of the graph with as many colours."""
-        true = list(dict.fromkeys(facet.object for facet in facets))
-        needed = max(sum(facet.object == name for facet in facets) for name in true)
-        in_task = {graph.entity_id(name) for name in true}
+        task_objects = list(dict.fromkeys(facet.object for facet in facets))
+        colours_per_object = Counter(facet.object for facet in facets)
+        needed = max(colours_per_object.values())
+        in_task = [graph.entity_id(name) for name in task_objects]
         relation = graph.relation_id(colour_relation)
         heads, colours = np.unique(graph.heads[graph.relations == relation], return_counts=True)
-        others = [graph.names[i] for i in heads[colours >= needed] if i not in in_task]
-        if len(others) < len(true):
+        others = np.setdiff1d(heads[colours >= needed], in_task)
+        if len(others) < len(task_objects):
             raise UserError(
-                f"The placebo 'wrong-object' needs {len(true)} other objects with {needed} colours "
-                f"in the graph, which has {len(others)}. Take another placebo, e.g. 'shuffled'."
+                f"The placebo 'wrong-object' needs {len(task_objects)} other objects with {needed} "
+                f"colours in the graph, which has {len(others)}. Take another placebo, e.g. "
+                "'shuffled'."
             )
-        drawn = np.random.default_rng(seed).choice(len(others), len(true), replace=False)
-        false = {name: others[i] for name, i in zip(true, drawn, strict=True)}
-        return _number_colours([facet._replace(object=false[facet.object]) for facet in facets])
+        rng = np.random.default_rng(seed)
+        drawn = rng.choice(others, len(task_objects), replace=False)
+        wrong = dict(zip(task_objects, map(graph.names.__getitem__, drawn), strict=True))
+        return _number_colours([facet._replace(object=wrong[facet.object]) for facet in facets])
 
     def change_conditions(self, conditions: Sequence[Condition]) -> Sequence[Condition]:
         """Refuse queries."""
@@ -164,10 +168,12 @@ class WrongObject(DrawnPlacebo):
 
 def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
     """Number the colours of each object in the order of its facets."""
-    return [
-        facet._replace(colour_number=sum(other.object == facet.object for other in facets[:index]))
-        for index, facet in enumerate(facets)
-    ]
+    numbered = list[Facet]()
+    colours = Counter[str]()
+    for facet in facets:
+        numbered.append(facet._replace(colour_number=colours[facet.object]))
+        colours[facet.object] += 1
+    return numbered
 
 
 def _one_hot(slots: int, dim: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Interface of vector sources: what a config selects, how labels are looked up and encoded."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
@@ -33,8 +34,9 @@ class Facet(NamedTuple):
     @property
     def name(self) -> str:
         """The slot's name in tables: "red mug", "mug"."""
-        words = self.object if self.colour is None else f"{self.colour} {self.object}"
-        return label_of(words, {})
+        if self.colour is None:
+            return label_of(self.object, {})
+        return label_of(f"{self.colour} {self.object}", {})
 
 
 class SentencePart(NamedTuple):
@@ -57,19 +59,20 @@ class Coverage:
     @property
     def share(self) -> float:
         """Share of the labels of which all words were found, 0 to 1."""
-        return 1.0 - len(self._incomplete) / len(self.how) if self.how else 1.0
+        return 1.0 - len(self._incomplete) / max(len(self.how), 1)
 
     @property
     def _incomplete(self) -> list[str]:
-        return sorted(k for k, how in self.how.items() if how in ("part", "hash", "missing"))
+        incomplete = ("part", "hash", "missing")
+        return sorted(label for label, how in self.how.items() if how in incomplete)
 
     def describe(self) -> dict[str, Any]:
         """Return the report as JSON-able values."""
-        kinds = sorted(set(self.how.values()))
+        by_kind = Counter(sorted(self.how.values()))
         return {
             "share": self.share,
             "labels": len(self.how),
-            "by_kind": {kind: sum(k == kind for k in self.how.values()) for kind in kinds},
+            "by_kind": dict(by_kind),
             "not_whole": self._incomplete,
             "missing_words": sorted(self.missing),
         }

@@ -5,7 +5,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import chain, islice
@@ -38,9 +37,17 @@ _HEADER = re.compile(rb"\d+ \d+ *")
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
 _FIRST_LINES = 100
 _BEGINNING = 4096  # bytes by which binary vectors are recognized
-_BRITISH = ["colour", "grey", "aluminium", "centre", "fibre", "jewellery", "mould", "tyre"]
-_AMERICAN = ["color", "gray", "aluminum", "center", "fiber", "jewelry", "mold", "tire"]
-_SPELLINGS = dict(zip(_BRITISH + _AMERICAN, _AMERICAN + _BRITISH, strict=True))
+_AMERICAN = {
+    "colour": "color",
+    "grey": "gray",
+    "aluminium": "aluminum",
+    "centre": "center",
+    "fibre": "fiber",
+    "jewellery": "jewelry",
+    "mould": "mold",
+    "tyre": "tire",
+}
+_SPELLINGS = _AMERICAN | {american: british for british, american in _AMERICAN.items()}
 """Other spelling of a word."""
 
 
@@ -92,19 +99,21 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
             f"{path}: binary vectors are not read. Save them as text: in gensim "
             f"`KeyedVectors.load_word2vec_format(..., binary=True).save_word2vec_format('v.txt')`."
         )
-    keep = None if wanted is None else {word.encode() for word in wanted}
-    first_words = None if keep is None else {word.split(b" ", 1)[0] for word in keep}
-    words: list[str] = []
-    rows: list[np.ndarray] = []
-    ranks: list[int] = []
-    seen: set[bytes] = set()
-    count = 0
+    kept = None
+    first_words = None
+    if wanted is not None:
+        kept = {word.encode() for word in wanted}
+        first_words = {word.split(b" ", 1)[0] for word in kept}
     lines = byte_lines(path)
     beginning = list(islice(lines, _FIRST_LINES))
-    header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
-    dim = _dimension([line for _, line in beginning[header:]], path, header)
-    lengths = [_length(line, dim) for _, line in beginning[header:]]
-    length = float(np.median([value for value in lengths if np.isfinite(value)] or [1.0]))
+    header = 0
+    if beginning and _HEADER.fullmatch(beginning[0][1]):
+        header = 1
+    sample = [line for _, line in beginning[header:]]
+    dim = _dimension(sample, path, header)
+    vectors: dict[str, np.ndarray] = {}
+    ranks: list[int] = []
+    count = 0
     for number, line in chain(beginning, lines):
         if line.count(b" ") != dim:
             if number <= header or not line.strip():
@@ -113,25 +122,31 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
             if line.count(b" ") != dim:
                 _check_wide(line, dim, path, number)
         count += 1
+        # The first word is compared before the line is split, which takes most of the time.
         if first_words is not None and line[: line.find(b" ")] not in first_words:
             continue
         word, *numbers = line.rsplit(b" ", dim)
-        if word in seen or (keep is not None and word not in keep):
+        if kept is not None and word not in kept:
             continue
-        seen.add(word)
-        words.append(decode(word, path, number))
-        ranks.append(count)
-        try:
-            rows.append(np.array(numbers, dtype=np.float32))
-        except ValueError:
-            rows.append(np.full(dim, np.nan, np.float32))
-        if not np.isfinite(rows[-1]).all():
+        text = decode(word, path, number)
+        if text in vectors:
+            continue
+        vector = _parse(numbers)
+        if not np.isfinite(vector).all():
             raise UserError(
-                f"{path}, line {number}: the vector of {words[-1]!r} contains a non-finite value "
+                f"{path}, line {number}: the vector of {text!r} contains a non-finite value "
                 "or text. Correct or delete the line."
             )
-    vectors = np.array(rows, np.float32).reshape(len(rows), dim)
-    return WordTable(path.name, tuple(words), vectors, np.array(ranks), count, length)
+        vectors[text] = vector
+        ranks.append(count)
+    return WordTable(
+        name=path.name,
+        words=tuple(vectors),
+        vectors=np.array(list(vectors.values()), np.float32).reshape(-1, dim),
+        ranks=np.array(ranks),
+        size=count,
+        length=_median_length(sample, dim),
+    )
 
 
 def _is_binary(path: Path) -> bool:
@@ -144,8 +159,8 @@ def _is_binary(path: Path) -> bool:
 
 def _dimension(lines: list[bytes], path: Path, header: int) -> int:
     """Return the dimension of most of the first lines."""
-    fields = Counter(len(line.split()) - 1 for line in lines if line.strip())
-    dim = max(fields, key=lambda n: fields[n], default=0)
+    dims = Counter(len(line.split()) - 1 for line in lines if line.strip())
+    dim = max(dims, key=dims.__getitem__, default=0)
     if dim < 2:
         raise UserError(
             f"{path}, line {1 + header}: expected a word and its numbers, separated by spaces. "
@@ -154,11 +169,23 @@ def _dimension(lines: list[bytes], path: Path, header: int) -> int:
     return dim
 
 
-def _length(line: bytes, dim: int) -> float:
-    """Return the length of the vector of a line, NaN if it holds none."""
-    with suppress(ValueError):
-        return float(np.linalg.norm(np.array(line.rstrip(b" ").rsplit(b" ", dim)[1:], np.float32)))
-    return math.nan
+def _parse(numbers: list[bytes]) -> np.ndarray:
+    """Return numbers as float32, or one NaN if there is text among them."""
+    try:
+        return np.array(numbers, np.float32)
+    except ValueError:
+        return np.full(1, np.nan, np.float32)
+
+
+def _median_length(lines: list[bytes], dim: int) -> float:
+    """Return the median length of the vectors of some lines; 1 if none of them holds one."""
+    lengths = list[float]()
+    for line in lines:
+        numbers = line.rstrip(b" ").rsplit(b" ", dim)[1:]
+        length = float(np.linalg.norm(_parse(numbers)))
+        if math.isfinite(length):
+            lengths.append(length)
+    return float(np.median(lengths or [1.0]))
 
 
 def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
@@ -191,8 +218,9 @@ class WordVectors(VectorSource):
     def open(self, request: Request) -> VectorLookup:
         """Load the shipped vectors, or read the words of the request from the file."""
         if self.file is not None:
-            parts, aliases = request.parts, request.aliases
-            forms = {form for part in parts for form in all_forms(part.label, aliases)}
+            forms = set[str]()
+            for part in request.parts:
+                forms |= all_forms(part.label, request.aliases)
             table = read_word_vectors(Path(self.file), forms)
         elif self.name in SHIPPED:
             table = shipped_vectors(self.name)
@@ -206,9 +234,15 @@ def shipped_vectors(name: str) -> WordTable:
     """Load shipped word vectors, all words, once per process."""
     tensors = load_file(SHIPPED[name])
     words = tuple(tensors["words"].tobytes().decode().split("\n"))
-    vectors, ranks = tensors["vectors"].astype(np.float32), np.arange(1, len(words) + 1)
-    length = float(np.median(np.linalg.norm(vectors, axis=1)))
-    return WordTable(name, words, vectors, ranks, len(words), length)
+    vectors = tensors["vectors"].astype(np.float32)
+    return WordTable(
+        name=name,
+        words=words,
+        vectors=vectors,
+        ranks=np.arange(1, len(words) + 1),
+        size=len(words),
+        length=float(np.median(np.linalg.norm(vectors, axis=1))),
+    )
 
 
 class WordLookup:
@@ -228,7 +262,7 @@ class WordLookup:
         self.words = vectors
         self.name = vectors.name
         self.dim = vectors.dim
-        self.aliases = {k.lower(): v.lower() for k, v in (aliases or {}).items()}
+        self.aliases = _word_aliases(aliases or {})
         self.on_missing = on_missing
 
     def find(self, part: SentencePart, coverage: Coverage) -> Found:
@@ -260,7 +294,7 @@ class WordLookup:
         if label in index:
             return [index[label]], "word", []
         if label in self.aliases:
-            rows, _, missing = self._word_by_word(self.aliases[label].split())
+            rows, _, missing = self._word_by_word(self.aliases[label])
             return rows, "alias", missing
         for form in joined_forms(label):
             if form in index:
@@ -268,33 +302,42 @@ class WordLookup:
         return self._word_by_word(label.split())
 
     def _word_by_word(self, words: list[str]) -> tuple[list[int], str, list[str]]:
-        rows, missing, kind = list[int](), list[str](), "words"
+        rows = list[int]()
+        missing = list[str]()
+        kind = "words"
         for word in words:
-            word_rows, how = self._one(word)
-            rows += word_rows
-            missing += [] if word_rows else [word]
+            rows_of_word, how = self._rows_of_word(word)
+            rows += rows_of_word
+            if not rows_of_word:
+                missing.append(word)
             kind = how or kind
-        return rows, ("part" if rows else "missing") if missing else kind, missing
+        if missing:
+            kind = "part" if rows else "missing"
+        return rows, kind, missing
 
-    def _one(self, word: str) -> tuple[list[int], str]:
+    def _rows_of_word(self, word: str) -> tuple[list[int], str]:
         """Return the rows of one word, and how it was found if that was not unchanged."""
         index = self.words.index
         if word in index:
             return [index[word]], ""
-        if rows := [index[w] for w in self.aliases.get(word, "").split() if w in index]:
+        known = filter(index.__contains__, self.aliases.get(word, ()))
+        rows = list(map(index.__getitem__, known))
+        if rows:
             return rows, "alias"
-        rows = [index[form] for form in word_forms(word) if form in index][:1]
-        return rows, "form" if rows else ""
+        for form in word_forms(word):
+            if form in index:
+                return [index[form]], "form"
+        return [], ""
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
-        vectors = []
+        vectors = list[np.ndarray]()
         for word in label.split():
             seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
             vector = np.random.default_rng(seed).standard_normal(self.dim)
             vectors.append(vector * (self.words.length / np.linalg.norm(vector)))
         coverage.how[label] = "hash"
-        coverage.missing |= set(label.split())
+        coverage.missing.update(label.split())
         rarest = np.full(len(vectors), 1.0 / self.words.size)
         return Found(np.array(vectors, np.float32).reshape(-1, self.dim), rarest)
 
@@ -302,23 +345,32 @@ class WordLookup:
 def joined_forms(label: str) -> list[str]:
     """Return the spellings of a label of several words as one word."""
     words = label.split()
-    return [glue.join(words) for glue in ("-", "_", "", " ")] if len(words) > 1 else []
+    if len(words) < 2:
+        return []
+    return [glue.join(words) for glue in ("-", "_", "", " ")]
 
 
 def word_forms(word: str) -> list[str]:
     """Return other forms of a word, nearest first: spelling, singular, lemma."""
-    forms = [_SPELLINGS[word]] if word in _SPELLINGS else []
-    forms += _stems(word)
-    return list(dict.fromkeys(form for form in forms if len(form) > 1 and form != word))
+    forms = dict.fromkeys([_SPELLINGS.get(word, word), *_stems(word)])
+    return [form for form in forms if len(form) > 1 and form != word]
 
 
 def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
     """Return every spelling that the lookup of a label may try."""
-    aliased = {key.lower(): alias.lower().split() for key, alias in aliases.items()}
-    words = [*label.split(), *aliased.get(label, ())]
-    words += [other for word in words for other in aliased.get(word, ())]
-    forms = (form for word in words for form in (word, *word_forms(word)))
-    return {label, *joined_forms(label), *forms}
+    other_words = _word_aliases(aliases)
+    words = [*label.split(), *other_words.get(label, ())]
+    for word in tuple(words):
+        words += other_words.get(word, ())
+    forms = {label, *joined_forms(label), *words}
+    for word in words:
+        forms.update(word_forms(word))
+    return forms
+
+
+def _word_aliases(aliases: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the words that labels stand for, in lower case."""
+    return {label.lower(): alias.lower().split() for label, alias in aliases.items()}
 
 
 def _stems(word: str) -> Iterator[str]:
