@@ -66,9 +66,8 @@ assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
     subprocess.run([sys.executable, "-c", code, str(folder)], check=True, cwd=tmp_path)
 
 
-def test_the_runner_is_short_and_imports_two_libraries():
+def test_the_runner_imports_two_libraries():
     text = Path(runner_module.__file__).read_text()
-    assert len(text.splitlines()) <= 200
     names = {
         (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
         for node in ast.walk(ast.parse(text))

@@ -23,8 +23,10 @@ with packages_of("serve", "Serving"):
     from websockets.exceptions import WebSocketException
     from websockets.sync.client import ClientConnection, connect
 
-METADATA_S, ANSWER_S = 30.0, 10.0
-"""How long a client waits for the metadata of a server, and for an answer [s]."""
+METADATA_S = 30.0
+"""How long a client waits for the metadata of a server [s]."""
+ANSWER_S = 10.0
+"""How long it waits for an answer [s]."""
 
 
 class Client:
@@ -53,18 +55,20 @@ class Client:
                 f"The policy server at {self._url} moves other joints than {[*batch.joints]}, or "
                 f"in another order: {self._joints!r:.300}"
             )
-        self._batch, self._reset = batch, True
+        self._batch = batch
+        self._reset = True
 
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Return the levels (n, J) that lead nearest to the joint targets of the server."""
         joints = observations["joint_targets"].astype(np.float64)
         joint_map = self._map or JointMap({"names": range(joints.shape[1])})
-        real, wanted = joint_map.to_real(joints), np.empty_like(joints)
+        real = joint_map.to_real(joints)
+        wanted = np.empty_like(joints)
         for i, image in enumerate(observations["image"]):
-            seen = {IMAGE: image, STATE: real[i], RESET: self._reset}
+            observation = {IMAGE: image, STATE: real[i], RESET: self._reset}
             if self._batch.queries is not None:
-                seen[PROMPT] = self._batch.queries[i]
-            wanted[i] = joint_map.from_real(self._ask(self._links[i], seen))
+                observation[PROMPT] = self._batch.queries[i]
+            wanted[i] = joint_map.from_real(self._ask(self._links[i], observation))
         self._reset = False
         reached = joints[..., None] + self._batch.increments
         reached = reached.clip(*self._batch.limits[..., None])
@@ -84,10 +88,10 @@ class Client:
             self._map = JointMap(joints)
         return link
 
-    def _ask(self, link: ClientConnection, seen: dict[str, Any]) -> np.ndarray:
+    def _ask(self, link: ClientConnection, observation: dict[str, Any]) -> np.ndarray:
         """Return the joint targets (J,) that a connection answers."""
         try:
-            link.send(pack(seen))
+            link.send(pack(observation))
             answer = link.recv(ANSWER_S)
         except (OSError, WebSocketException) as error:
             raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
@@ -95,9 +99,9 @@ class Client:
             targets = np.asarray(unpack(answer)["actions"], np.float64)[0]
         except (ValueError, TypeError, KeyError, IndexError):  # a line of text, or no such array
             targets = np.array(np.nan)
-        if targets.shape != seen[STATE].shape or not np.isfinite(targets).all():
+        if targets.shape != observation[STATE].shape or not np.isfinite(targets).all():
             raise UserError(
                 f"The policy server at {self._url} refuses, or gives no finite actions (n, "
-                f"{len(seen[STATE])}): {answer!r:.300}"
+                f"{len(observation[STATE])}): {answer!r:.300}"
             )
         return targets

@@ -80,7 +80,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         UserError: the policy closes fingers, its MPI is larger than that of the robot, or the joint
             map does not fit.
     """
-    env, policy = trained.config.env, trained.policy
+    env = trained.config.env
     rows = env.task.knowledge_rows(facets_of(env))
     recognition = trained.agent.recognition
     step = None if recognition is None else RecognitionStep(recognition)
@@ -91,12 +91,15 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             f"Policies of the task {env.task.name!r} close fingers, which deployments "
             "cannot do. Export a policy of another task."
         )
-    if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
-        table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
-    increments, real = joint_increments(scene.robot, env), real_joints(scene, joint_map)
-    given = [(joint["name"], joint["scale"], joint["offset"]) for joint in real]
-    is_mapped = given != [(name, 1.0, 0.0) for name in scene.joint_names]
-    if (mpi := increments.max()) > scene.robot.mpi_rad:
+    if not table.size:
+        table = np.zeros((1, 0))
+        rows = ["any"]
+    elif (table == table[:1]).all():  # the same knowledge in every episode
+        table = table[:1]
+        rows = ["any"]
+    increments = joint_increments(scene.robot, env)
+    mpi = increments.max()
+    if mpi > scene.robot.mpi_rad:
         raise UserError(
             f"{trained.folder.path} moves a joint by up to {mpi:g} rad per step, and the "
             f"description of {scene.robot.name} allows mpi_rad = {scene.robot.mpi_rad:g}. A run "
@@ -112,6 +115,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "digest": digest(network.to_bytes()),
             "when": "in the first image of an episode",
         }
+    lower, upper = workspace(scene)
     contract = {
         "format": FORMAT,
         "origin": {
@@ -122,8 +126,8 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         },
         "control_period_s": CONTROL_PERIOD_S,
         "max_episode_steps": env.max_episode_steps,
-        "joints": _joints(scene, increments) | ({"real": real} if is_mapped else {}),
-        "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
+        "joints": _joints(scene, increments, joint_map),
+        "workspace_m": {"lower": lower.tolist(), "upper": upper.tolist()},
         "camera": _camera(scene, env.image_size),
         "knowledge": {
             "file": "knowledge.npy",
@@ -133,7 +137,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         },
         "recognition": recognized,
         "recurrent": {
-            "size": policy.hidden_size,
+            "size": trained.policy.hidden_size,
             "inputs": INPUTS[2:4],
             "outputs": OUTPUTS[3:],
             "reset": "zeros and episode_start true at the first step of every episode",
@@ -145,7 +149,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         ],
         "digests": {},
     }
-    return Deployment(PolicyStep(policy), step, table, contract, scene)
+    return Deployment(PolicyStep(trained.policy), step, table, contract, scene)
 
 
 def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -> Deployment:
@@ -157,20 +161,25 @@ def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -
     parts = deployment(trained, joint_map)
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
+        files = ["policy.onnx", "knowledge.npy"]
         about = {"contract": fingerprint(parts.contract)}
-        export_onnx(parts.policy, parts.policy.example(), folder / "policy.onnx", about=about)
+        example = parts.policy.example()
+        export_onnx(parts.policy, example, folder / "policy.onnx", about=about)
         if parts.recognition is not None:
-            image = parts.policy.example()[0]
-            example = (image, torch.from_numpy(parts.knowledge[[0, 0]]))
-            names = {"inputs": RECOGNITION_INPUTS, "outputs": RECOGNITION_OUTPUTS}
-            path = folder / "recognition.onnx"
-            export_onnx(parts.recognition, example, path, about=about, **names)
+            files.append("recognition.onnx")
+            image, *_ = example
+            export_onnx(
+                parts.recognition,
+                (image, torch.from_numpy(parts.knowledge[[0, 0]])),
+                folder / "recognition.onnx",
+                about=about,
+                inputs=RECOGNITION_INPUTS,
+                outputs=RECOGNITION_OUTPUTS,
+            )
         with replacing(folder / "knowledge.npy") as temporary:
             np.save(temporary, parts.knowledge)
         with replacing(folder / "runner.py") as temporary:
             temporary.write_bytes(Path(runner.__file__).read_bytes())
-        files = ["policy.onnx", "knowledge.npy"]
-        files += ["recognition.onnx"] * (parts.recognition is not None)
         digests = {name: digest((folder / name).read_bytes()) for name in files}
         parts = replace(parts, contract=parts.contract | {"digests": digests})
         write_json(folder / "contract.json", parts.contract)
@@ -179,7 +188,8 @@ def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -
 
 def play_once(player: Runner) -> None:
     """Let a runner import and compile what it needs: later no file may be free to open."""
-    joints, size = player.contract["joints"], player.contract["camera"]["size"]
+    joints = player.contract["joints"]
+    size = player.contract["camera"]["size"]
     home = dict(zip(joints["names"], joints["home"], strict=True))
     player.reset(Start(home, player.contract["knowledge"]["rows"][0]))
     player.act({"image": np.zeros((1, size, size, 3), np.uint8)})
@@ -203,25 +213,32 @@ def workspace(scene: Scene) -> NDArray[np.float64]:
     It ends at the height of the support.
     """
     robot = scene.robot
-    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    centre = np.array(robot.rectangle_centre_m)
+    half = np.array(robot.rectangle_half_size_m)
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
     corners = target_places(scene, centre + signs * half)
     points = [corners[None] + scene.grasp_position[:, None]]
-    spread, moved = start_spread(scene), list(robot.start_joints)
+    spread = start_spread(scene)
+    moved = list(robot.start_joints)
     grid = np.linspace(-1, 1, 5)
     offsets = np.stack(np.meshgrid(*[grid] * len(moved)), -1)
     for factors in offsets.reshape(-1, len(moved)):
         start = scene.home.copy()
         start[moved] += factors * spread[moved]
-        points.append(tcp_position(scene, start.clip(scene.joint_lower, scene.joint_upper))[None])
-    every = np.concatenate([each.reshape(-1, 3) for each in points])
-    box = np.stack([every.min(0) - WORKSPACE_MARGIN_M, every.max(0) + WORKSPACE_MARGIN_M])
-    box[0, 2] = robot.support_height_m
-    return box
+        start = start.clip(scene.joint_lower, scene.joint_upper)
+        points.append(tcp_position(scene, start)[None])
+    reached = np.concatenate([group.reshape(-1, 3) for group in points])
+    lower = reached.min(0) - WORKSPACE_MARGIN_M
+    upper = reached.max(0) + WORKSPACE_MARGIN_M
+    lower[2] = robot.support_height_m
+    return np.stack([lower, upper])
 
 
-def _joints(scene: Scene, increments: NDArray[np.float64]) -> dict[str, Any]:
-    return {
+def _joints(
+    scene: Scene, increments: NDArray[np.float64], joint_map: Path | None
+) -> dict[str, Any]:
+    """Describe the policy's joints, and those of the real arm where they differ."""
+    joints: dict[str, Any] = {
         "robot": scene.robot.name,
         "names": scene.robot.joints,
         "unit": "rad (slides: m)",
@@ -233,6 +250,11 @@ def _joints(scene: Scene, increments: NDArray[np.float64]) -> dict[str, Any]:
         "increments": increments.tolist(),
         "command": "position target: previous target + increments[action], clipped to the limits",
     }
+    real = real_joints(scene, joint_map)
+    same = [(name, 1.0, 0.0) for name in scene.joint_names]
+    if [(joint["name"], joint["scale"], joint["offset"]) for joint in real] != same:
+        joints["real"] = real
+    return joints
 
 
 def _camera(scene: Scene, size: int) -> dict[str, Any]:

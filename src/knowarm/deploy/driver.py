@@ -86,55 +86,73 @@ class Driver:
         *,
         resize: bool = False,
     ) -> None:
-        about, self._map = runner.contract, runner.joint_map
-        self.joint_names, self._names = self._map.names, runner.joint_names
-        self._runner, self._gripper, self.safety = runner, gripper, safety
-        self._knowledge, self._resize = knowledge, resize
-        self.period_s, self._mpi = float(about["control_period_s"]), float(about["joints"]["mpi"])
-        self.max_steps = safety.max_steps or int(about["max_episode_steps"])
-        self._box = np.array([about["workspace_m"][end] for end in ("lower", "upper")])
-        self.status, self.end, self.completed, self.steps = "waiting", "", False, 0
-        self._inputs: dict[str, Any] = dict.fromkeys(("image", "joint angles"), "not yet seen")
+        contract = runner.contract
+        self._runner = runner
+        self._gripper = gripper
+        self.safety = safety
+        self._knowledge = knowledge
+        self._resize = resize
+        self._map = runner.joint_map
+        self.joint_names = self._map.names
+        self._names = runner.joint_names
+        self.period_s = float(contract["control_period_s"])
+        self._mpi = float(contract["joints"]["mpi"])
+        self.max_steps = safety.max_steps or int(contract["max_episode_steps"])
+        self._box_lower = np.array(contract["workspace_m"]["lower"])
+        self._box_upper = np.array(contract["workspace_m"]["upper"])
+        self.status = "waiting"
+        self.end = ""
+        self.completed = False
+        self.steps = 0
+        self._inputs: dict[str, Any] = {"image": "not yet seen", "joint angles": "not yet seen"}
         self._before: dict[str, Any] = {}  # the runner's state before the proposal
         self._proposal: Targets | None = None
         self._is_confirmed = False
         self.clock: Callable[[], float] = time.monotonic
         self._ticked_at: float | None = None
-        self._proposed_at = self._sent_at = -np.inf
+        self._proposed_at = -np.inf
+        self._sent_at = -np.inf
         self._held_since = np.inf
         self._felt: tuple[Targets, float] | None = None  # the last angles and their stamp
         self._seen: dict[int, Targets] = {}  # hash of every image, and the angles at its first time
-        rows = about["knowledge"]["rows"]
-        if knowledge not in (rows if len(rows) > 1 else (None, *rows)):
+        rows = contract["knowledge"]["rows"]
+        is_constant = len(rows) == 1
+        if knowledge not in rows and not (is_constant and knowledge is None):
             raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
         runner.is_started = False
 
     def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
         """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
+        if isinstance(image, str):
+            self._inputs["image"] = image
+            return
         size = self._runner.contract["camera"]["size"]
-        if not isinstance(image, str) and self._resize:
+        if self._resize:
             image = shrunk(image, size)
-        if not isinstance(image, str) and (image.shape, image.dtype) != ((size, size, 3), np.uint8):
-            image = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
-        if not isinstance(image, str) and image.min() == image.max():
-            image = "shows a single colour"
-        self._inputs["image"] = image if isinstance(image, str) else (image, stamp_s)
+        if image.shape != (size, size, 3) or image.dtype != np.uint8:
+            self._inputs["image"] = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+        elif image.min() == image.max():
+            self._inputs["image"] = "shows a single colour"
+        else:
+            self._inputs["image"] = (image, stamp_s)
 
     def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
         """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored."""
-        found = dict(zip(names, positions, strict=False))
-        if found.keys().isdisjoint(self._map.moved):
+        readings = dict(zip(names, positions, strict=False))
+        if readings.keys().isdisjoint(self._map.moved):
             return  # of a gripper or another robot
-        angles = self._map.from_real([found.get(name, np.nan) for name in self.joint_names])
-        if bad := ", ".join(np.array(self._map.moved)[~np.isfinite(angles)]):
-            self._inputs["joint angles"] = f"lack a number for {bad}"
+        angles = self._map.from_real([readings.get(name, np.nan) for name in self.joint_names])
+        unknown = np.array(self._map.moved)[~np.isfinite(angles)]
+        if len(unknown):
+            self._inputs["joint angles"] = f"lack a number for {', '.join(unknown)}"
             return
         before, before_s = self._felt or (angles, stamp_s)
-        self._felt = angles, stamp_s
+        self._felt = (angles, stamp_s)
         most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
-        jumped = (abs(angles - before) > most).any()
-        problem = "jump; does another robot publish these joints?"
-        self._inputs["joint angles"] = problem if jumped else (angles, stamp_s)
+        if (abs(angles - before) > most).any():
+            self._inputs["joint angles"] = "jump; does another robot publish these joints?"
+        else:
+            self._inputs["joint angles"] = (angles, stamp_s)
 
     def confirm(self) -> None:
         """Confirm the step that ``status`` shows; without effect where there is none."""
@@ -142,7 +160,9 @@ class Driver:
 
     def stop(self, reason: str) -> None:
         """End the episode."""
-        self.end = self.status = self.end or reason
+        if not self.end:
+            self.end = reason
+        self.status = self.end
 
     def tick(self, now_s: float, obstacle: str = "") -> Targets | None:
         """Return what to send the real arm now, (R,), or None; once per control period.
@@ -151,7 +171,8 @@ class Driver:
         """
         steady = self.clock()
         longest = self.safety.patience_s if self.steps else self.safety.wait_s
-        before, self._ticked_at = self._ticked_at, steady
+        before = self._ticked_at
+        self._ticked_at = steady
         if before is not None and not 0 <= steady - before <= longest:
             self.stop(f"stopped: {steady - before:.1f} s passed between two control periods")
         if self.end or steady - self._sent_at < EARLIEST * self.period_s:
@@ -159,20 +180,25 @@ class Driver:
         if self._proposal is not None and steady - self._proposed_at > self.safety.patience_s:
             vars(self._runner).update(self._before)  # what is confirmed must be what is seen now
             self._proposal = None
-        if not (problem := obstacle or self._old_input(now_s) or self._frozen()):
-            image, angles = (given[0] for given in self._inputs.values())
+        problem = obstacle or self._old_input(now_s) or self._frozen()
+        if not problem:
+            image, _ = self._inputs["image"]
+            angles, _ = self._inputs["joint angles"]
             try:
                 if self._proposal is None:
-                    self._proposal, self._proposed_at = self._propose(image, angles), steady
+                    self._proposal = self._propose(image, angles)
+                    self._proposed_at = steady
                 self._check(self._proposal)
             except ValueError as error:
                 self.stop(f"stopped: {error}")
                 return None
             for share in SHARES:
                 targets = self._previous + share * (self._proposal - self._previous)
-                if not (problem := self._barred(targets, angles)):
+                problem = self._barred(targets, angles)
+                if not problem:
                     return None if self.end else self._released(targets, steady)
-            self._runner.targets, self._proposal = self._previous[None], None
+            self._runner.targets = self._previous[None]
+            self._proposal = None
         self.status = f"hold: {problem}"
         self._held_since = min(self._held_since, steady)
         if steady - self._held_since > longest:
@@ -187,66 +213,79 @@ class Driver:
             runner.reset(Start(joints, self._knowledge))
         if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
-        self._previous, self._is_confirmed = runner.targets[0].copy(), False
+        self._previous = runner.targets[0].copy()
+        self._is_confirmed = False
         self._before = dict(vars(runner))
         runner.act({"image": image[None]})
         return runner.targets[0]
 
     def _released(self, targets: Targets, steady: float) -> Targets | None:
         """Return checked targets if the step needs no confirmation or has it."""
-        self._held_since, dry = np.inf, self.safety.dry_run
+        self._held_since = np.inf
+        is_dry = self.safety.dry_run
         moves = zip(self._names, targets - self._previous, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
-        if not (dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
+        if not (is_dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
             self.status += "; Enter moves, anything else stops"
             return None
-        self.status = f"dry run, {self.status}" if dry else "moving"
-        self._runner.targets, self._proposal = targets[None].copy(), None
-        self._sent_at, self.steps = steady, self.steps + 1
+        self.status = f"dry run, {self.status}" if is_dry else "moving"
+        self._runner.targets = targets[None].copy()
+        self._proposal = None
+        self._sent_at = steady
+        self.steps += 1
         if self.steps == self.max_steps:
             self.completed = True
             self.stop(f"all {self.max_steps} steps are played")
-        return None if dry else self._map.to_real(targets)
+        return None if is_dry else self._map.to_real(targets)
 
     def _old_input(self, now_s: float) -> str:
         """Say which input is missing, wrong, old or from the future."""
         most = self.safety.max_age_s
-        for name, given in self._inputs.items():
-            if isinstance(given, str) or not given[1]:
-                return f"{name} {given if isinstance(given, str) else 'without a time stamp'}"
-            if not -most <= (age := now_s - given[1]) <= most:
-                far = "in the future; synchronize the clocks" if age < 0 else "old"
-                return f"{name} more than {most:g} s {far}"
+        for name, content in self._inputs.items():
+            if isinstance(content, str):
+                return f"{name} {content}"
+            _, stamp_s = content
+            if not stamp_s:
+                return f"{name} without a time stamp"
+            age = now_s - stamp_s
+            if -most <= age <= most:
+                continue
+            if age < 0:
+                return f"{name} more than {most:g} s in the future; synchronize the clocks"
+            return f"{name} more than {most:g} s old"
         return ""
 
     def _frozen(self) -> str:
         """Say whether the image equals one, to the byte, from before the arm moved."""
-        image, angles = (given[0] for given in self._inputs.values())
+        image, _ = self._inputs["image"]
+        angles, _ = self._inputs["joint angles"]
         before = self._seen.setdefault(hash(image.tobytes()), angles)
         frozen = abs(angles - before).max() > FROZEN * self._mpi
         return "the image is the same as before the arm moved" if frozen else ""
 
     def _check(self, targets: Targets) -> None:
         """Raise `ValueError` for targets (J,) that no intact policy computes."""
-        lower, upper, most = self._runner.lower, self._runner.upper, self._mpi * (1 + 1e-6)
-        for broken, text in (
+        most = self._mpi * (1 + 1e-6)
+        is_beyond = (targets < self._runner.lower) | (targets > self._runner.upper)
+        is_fast = abs(targets - self._previous) > most
+        for is_broken, text in (
             (~np.isfinite(targets), "the target is not finite"),
-            ((targets < lower) | (targets > upper), "the target is beyond its limit"),
-            (abs(targets - self._previous) > most, f"faster than {most / self.period_s:g} / s"),
+            (is_beyond, "the target is beyond its limit"),
+            (is_fast, f"faster than {most / self.period_s:g} / s"),
         ):
-            if broken.any():
-                raise ValueError(f"{', '.join(np.array(self._names)[broken])}: {text}")
+            if is_broken.any():
+                raise ValueError(f"{', '.join(np.array(self._names)[is_broken])}: {text}")
 
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
         far = abs(targets - angles) > self.safety.following_steps * self._mpi
         if far.any():
             return f"{', '.join(np.array(self._names)[far])}: blocked, or moved by hand"
-        place = self._gripper(targets)
-        if ((place >= self._box[0]) & (place <= self._box[1])).all():
+        position = self._gripper(targets)
+        if ((position >= self._box_lower) & (position <= self._box_upper)).all():
             return ""
-        return f"the gripper would leave the workspace, to {place.round(2).tolist()} m"
+        return f"the gripper would leave the workspace, to {position.round(2).tolist()} m"
 
 
 def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
@@ -262,8 +301,12 @@ def decoded(
 ) -> NDArray[np.uint8] | str:
     """Return the pixels (H, W, 3) RGB of a ROS image, or the reason why it cannot be read."""
     if encoding not in ENCODINGS:
-        grey = " is grey, and the policy sees colours; publish" if "mono" in encoding else " is not"
-        return f"of the encoding {encoding!r}{grey} {', '.join(ENCODINGS)}"
+        known = ", ".join(ENCODINGS)
+        if "mono" in encoding:
+            why = f"is grey, and the policy sees colours; publish {known}"
+        else:
+            why = f"is not {known}"
+        return f"of the encoding {encoding!r} {why}"
     size = len(encoding) - 1  # bytes per pixel
     if not 0 < size * width <= step or not 0 < len(data) == height * step:
         return f"has {len(data)} bytes, which are not {height} rows of {step}"

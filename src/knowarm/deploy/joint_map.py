@@ -33,37 +33,58 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             raise UserError(f"{str(file)!r} has no table joint_map.")
         robot = override(robot, {"joint_map": values["joint_map"]}, where=str(file))
     ranges = zip(scene.joint_lower, scene.joint_upper, strict=True)
-    limits, held = dict(zip(scene.joint_names, ranges, strict=True)), dict(robot.held_joints)
-    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
-    places = zip(scene.joint_names, scene.qpos_index, strict=True)
-    slides = [name for name, place in places if types[place] == mujoco.mjtJoint.mjJNT_SLIDE]
-    if others := [name for name in robot.joint_map if name not in limits]:
+    limits = dict(zip(scene.joint_names, ranges, strict=True))
+    held = dict(robot.held_joints)
+    others = [name for name in robot.joint_map if name not in limits]
+    if others:
         owner = f"Robot {robot.name!r}"
         part = read_mjcf(robot.mjcf, owner)
         check_names(owner, "joint_map", others, robot.mjcf, "joints", part.joints)
         model = part.compile()
-        limits |= {name: tuple(model.joint(name).range) for name in others}
-        held = {name: float(model.joint(name).qpos0[0]) for name in others} | held
+        for name in others:
+            limits[name] = tuple(model.joint(name).range)
+            held.setdefault(name, float(model.joint(name).qpos0[0]))
+    slides = _slides(scene)
     same = {name: RealJoint() for name in scene.joint_names if name not in robot.joint_map}
     entries = []
     for joint, real in {**robot.joint_map, **same}.items():
-        lower, upper = map(float, limits[joint])
-        scale, zero, unit = 1.0, 0.0, real.unit
-        if unit == "deg":
-            scale = math.degrees(1)
-        elif unit != "rad":
-            if lower >= upper:
-                raise UserError(
-                    f"joint_map.{joint}: {unit} is relative to the limits, which the model does "
-                    "not state. Take rad or deg, with an offset."
-                )
-            low = -100.0 if unit == "range_m100_100" else 0.0
-            scale = (100.0 - low) / (upper - lower)
-            zero = low - scale * lower
-        scale, offset = real.sign * scale, real.sign * zero + real.offset
-        if joint in others:
-            scale, offset = 0.0, offset + scale * held[joint]
-        shown = "m" if joint in slides and unit == "rad" else unit
-        entry = {"joint": joint, "name": real.name or joint, "unit": shown}
-        entries.append(entry | {"scale": scale, "offset": offset})
+        scale, zero = _unit(joint, real.unit, *map(float, limits[joint]))
+        scale *= real.sign
+        offset = real.sign * zero + real.offset
+        if joint in others:  # The policy does not move it.
+            offset += scale * held[joint]
+            scale = 0.0
+        entries.append(
+            {
+                "joint": joint,
+                "name": real.name or joint,
+                "unit": "m" if joint in slides and real.unit == "rad" else real.unit,
+                "scale": scale,
+                "offset": offset,
+            }
+        )
     return entries
+
+
+def _slides(scene: Scene) -> list[str]:
+    """Return the names of the joints that are moved along, not turned."""
+    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
+    addresses = zip(scene.joint_names, scene.qpos_index, strict=True)
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    return [name for name, address in addresses if types[address] == slide]
+
+
+def _unit(joint: str, unit: str, lower: float, upper: float) -> tuple[float, float]:
+    """Return scale and zero of a unit: value = scale * angle + zero, with the angle in radians."""
+    if unit == "rad":
+        return 1.0, 0.0
+    if unit == "deg":
+        return math.degrees(1), 0.0
+    if lower >= upper:
+        raise UserError(
+            f"joint_map.{joint}: {unit} is relative to the limits, which the model does "
+            "not state. Take rad or deg, with an offset."
+        )
+    low = -100.0 if unit == "range_m100_100" else 0.0
+    scale = (100.0 - low) / (upper - lower)
+    return scale, low - scale * lower

@@ -32,8 +32,12 @@ def unpack(data: bytes | str) -> Any:
 
 def _pack_array(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        form = {b"dtype": value.dtype.str, b"shape": value.shape}
-        return {b"__ndarray__": True, b"data": value.tobytes(), **form}
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": value.shape,
+        }
     if isinstance(value, np.generic):
         return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
     return list(value)
@@ -42,7 +46,8 @@ def _pack_array(value: Any) -> Any:
 def _unpack_array(value: dict[Any, Any]) -> Any:
     if b"__ndarray__" not in value and b"__npgeneric__" not in value:
         return value
-    name, shape = value[b"dtype"], value.get(b"shape", ())
+    name = value[b"dtype"]
+    shape = value.get(b"shape", ())
     if not _DTYPE.fullmatch(name) or min(shape, default=0) < 0:
         raise ValueError(f"arrays of dtype {name!r:.20} and shape {shape!r:.40} are not read")
     dtype = np.dtype(name)

@@ -65,7 +65,6 @@ def export_onnx(
 
     ``about`` is stored as metadata.
 
-
     Raises:
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """
@@ -89,9 +88,9 @@ def export_onnx(
     finally:
         log.setLevel(level)
     assert program is not None
-    for each in program.model.graph.inputs:
-        sizes = each.shape or (0,)
-        assert not isinstance(sizes[0], int), f"{each.name} was exported for one batch size only"
+    for tensor in program.model.graph.inputs:
+        sizes = tensor.shape or (0,)
+        assert not isinstance(sizes[0], int), f"{tensor.name} was exported for one batch size only"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
     program.model.metadata_props.update(about or {})
@@ -104,7 +103,10 @@ def torch_model(module: nn.Module, names: Sequence[str]) -> Model:
 
     @torch.inference_mode()
     def call(inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-        found: Any = module(*(torch.from_numpy(inputs[name].copy()) for name in names))
-        return [each.numpy() for each in (found if isinstance(found, tuple) else (found,))]
+        arguments = [torch.from_numpy(inputs[name].copy()) for name in names]
+        outputs: Any = module(*arguments)
+        if not isinstance(outputs, tuple):
+            outputs = (outputs,)
+        return [output.numpy() for output in outputs]
 
     return call
