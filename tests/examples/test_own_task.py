@@ -63,3 +63,14 @@ def test_it_is_trained_evaluated_and_reported(
     page = tmp_path / "report.html"
     assert main(["report", str(run), "--out", str(page), "--tasks", "hover:Hover"]) == 0
     assert "irb120-hover-full-ppo" in page.read_text()
+
+
+@pytest.mark.usefixtures("in_its_folder")
+def test_it_takes_the_place_of_the_skill_that_an_agent_is_named_with() -> None:
+    command = _parse("train", ["irb120-choose-answers-distil", "--env.task", "hover:Hover"])
+    config = command.config
+    assert config.name == "irb120-choose-hover-answers-distil"
+    assert (config.env.task.asked.kind, config.env.task.skill.kind) == ("choose", "hover")
+    assert config.env.task.name == "choose-hover"
+    options = ["irb120-choose-lift-bm-ppo", "--env.task", "hover:Hover"]
+    assert _parse("train", options).config.env.task.name == "choose-hover"
