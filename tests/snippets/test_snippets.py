@@ -38,7 +38,7 @@ SHORT = [
     (r"^knowarm record ", "--episodes 2"),
     (r"^knowarm study run paper --dry-run", "--seeds 0"),
     (r"^knowarm demo", "--steps 1600"),
-    (r"^knowarm view (?!.*(--strip|--video|--rrd))", "--episodes 1 --strip shown.png"),
+    (r"^knowarm view (?!.*(--strip|--video|--rrd))", "--episodes 1 --no-browser"),
     (r"^knowarm bench(?!mark)", "--seconds .1"),
     (r"^knowarm benchmark run .*my_policy:", "--cells irb120-fixed"),
     (r"^knowarm benchmark run (?!.*my_policy:)", "--trial 4"),
