@@ -28,7 +28,6 @@ COMMANDS = {
     "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "hub": ("hub:HUB", "share policies and studies on the Hugging Face Hub"),
-    "bench": ("bench:Bench", "measure the speed of this machine"),
 }
 """Where each command of the core is defined, below ``knowarm.cli``, and its help text.
 

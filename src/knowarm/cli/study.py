@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
-from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -29,8 +28,7 @@ from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
-from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
-from knowarm.study.estimate import SECONDS, estimate
+from knowarm.study.driver import OnStatus, open_study, request_stop, retry, run_study
 from knowarm.study.executor import RunKey
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
@@ -105,7 +103,6 @@ def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
 
 
 Number = Annotated[int | None, tyro.conf.arg(metavar="N")]
-START_S = 10.0  # time of the first updates of a training, which are not measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,11 +160,9 @@ class StudyRun:
     """Runs at once. Default: as many as cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
-    dry_run: bool = False
-    """Only list the runs and estimate their cost, from one short measurement on this machine."""
 
     def run(self) -> None:
-        """Run the study, or estimate its cost."""
+        """Run the study."""
         study = read_study(self.study, of=self.of)
         chosen: dict[str, Any] = {
             "kind": self.executor,
@@ -178,9 +173,6 @@ class StudyRun:
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
         is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
-        if self.dry_run:
-            _print_estimate(study, out)
-            return
         with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
         for status in (bad := [each for each in statuses if each.state in BAD]):
@@ -197,30 +189,6 @@ class StudyRun:
         if not bad:
             print("Stopped and saved. Run the same command again to continue.")
         sys.exit(1)
-
-
-def _print_estimate(study: StudyConfig, out: Path) -> None:
-    """Print the runs that a study will make, and what they will cost."""
-    check_folder(study, out)
-    print(f"Measuring training, {SECONDS + START_S:.0f} s if idle ...", file=sys.stderr, flush=True)
-    with Progress(TimeElapsedColumn(), console=Console(stderr=True), transient=True) as clock:
-        clock.add_task("", total=None)
-        estimated = estimate(study, out)
-    steps: dict[str, list[int]] = {}
-    for each in estimated.statuses:
-        steps.setdefault(each.experiment, []).append(each.steps_left)
-    rows = [[name, len(left), sum(left)] for name, left in steps.items()]
-    print_table(f"Study {study.name}: to do", ["experiment", "runs", "steps"], rows)
-    if rows:
-        print(
-            f"{estimated.steps:,} steps of training and at most {estimated.evaluation_steps:,} of "
-            f"evaluation, at {estimated.steps_per_s:,.0f} steps/s (measured: {rows[0][0]}; others "
-            "differ):"
-        )
-    print(
-        f"about {estimated.core_hours:.2f} core hours; {estimated.hours:.2f} hours with "
-        f"{estimated.slots} runs at once; up to {estimated.disk_gib:.1f} GiB. Nothing was started."
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

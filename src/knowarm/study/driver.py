@@ -49,7 +49,7 @@ def run_study(
             machine is too small for one run.
     """
     out = Path(out)
-    check_folder(study, out)
+    _check_folder(study, out)
     executor = make_executor(study.where, out)
     try:
         with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
@@ -64,7 +64,7 @@ def run_study(
     return statuses
 
 
-def check_folder(study: StudyConfig, out: Path) -> None:
+def _check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written."""
     if (out / STUDY_FILE).exists():
         before = read_study(out)
