@@ -10,7 +10,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     perception.safetensors the grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
-    tensorboard/           the same curves for TensorBoard
+    tensorboard/           the same curves, where TensorBoard is installed
     checkpoints/           latest, previous, best
     evaluation/<label>/    post-training evaluations
 """
