@@ -22,7 +22,6 @@ slot of the episode's own object and colour, or its query."""
 class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
-    _RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
     scope: ClassVar[Scope] = "scene"
     """What a row of the table describes; another one in classes that inherit."""
     detail: Detail
