@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.triple_splits import Split, split_graph
 from knowarm.knowledge import KnowledgeGraph, graph_of, household
-from knowarm.knowledge.kge.train import Split, split_graph
 
 INHERITED = ("isMadeOf", "hasShape", "usedFor", "graspedAt", "approachedFrom", "hasSize")
 PEOPLE = ("ana", "ben", "chen", "dora", "emil", "fay")

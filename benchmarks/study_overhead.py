@@ -23,8 +23,8 @@ from knowarm.study.driver import run_study
 from knowarm.study.executor import LOG, LocalExecutor, Where
 from knowarm.study.worker import WORKED
 
-MEASURED_S = 6.0
-"""Time for which training is measured to choose the length of the runs [s]."""
+MEASURING_S = 6.0
+"""Time of the training that tells how many steps a run takes [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
                 where=where,
             )
 
-        rate = measure_training(study(10**9).runs()[0], MEASURED_S)
+        rate = measure_training(study(10**9).runs()[0], MEASURING_S)
         chosen = study(int(rate * config.seconds))
         out, start = Path(folder) / "study", time.perf_counter()
         statuses = run_study(chosen, out)

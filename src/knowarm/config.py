@@ -191,8 +191,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     """Build a config dataclass from JSON values and check the type of every field.
 
     Args:
-        cls: the dataclass to build. Its ``_RETIRED`` maps names of former fields to the values that
-            hold since; stored configs may have them.
+        cls: the dataclass to build.
         values: one value per field; fields with a default may be missing.
         where: dotted path of ``values`` in the whole config, for error messages.
     """
@@ -200,15 +199,9 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
     fields = _fields(typing.cast(Any, cls))
-    retired = getattr(cls, "_RETIRED", {})
-    for name, value in values.items():
-        if name not in fields and name not in retired:
+    for name in values:
+        if name not in fields:
             raise unknown_name(f"field of {where or kind}", name, fields)
-        if name in retired and value != retired[name]:
-            raise UserError(
-                f"{where or kind}.{name} is a field no more: {retired[name]!r} always holds, got "
-                f"{value!r}. Leave it out, or read this file with the version that wrote it."
-            )
     arguments = {}
     for name, field in fields.items():
         path = _path(where, name)

@@ -93,9 +93,7 @@ def test_other_sources():
     assert not query_embedding(replace(QUERY, source=Zeros()), ASKED).matrix.any()
     learned = query_embedding(replace(QUERY, source=Learned()), ASKED)
     assert (learned.matrix[:, :3] == np.eye(3)).all()
-    trained = query_embedding(
-        replace(QUERY, hops=0, source=GraphEmbedding(model="distmult")), ASKED
-    )
+    trained = query_embedding(replace(QUERY, hops=0, source=GraphEmbedding(model="complex")), ASKED)
     assert trained.coverage.how["drinking"] == "entity"
     with pytest.raises(UserError, match=r"'wrong-object' describes other objects"):
         query_embedding(replace(QUERY, source=WrongObject()), ASKED)

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from knowarm.errors import DataWarning, UserError
 from knowarm.knowledge import graph_of, read_graph
 from knowarm.knowledge.formats import write_graph
-from knowarm.knowledge.formats.splits import read_split
+from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.graph.builder import union
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import iri_of_name, literal, parse_literal
@@ -339,7 +339,7 @@ def test_letters_of_two_forms_are_one_name(tmp_path):
 
 
 @pytest.mark.parametrize("separator", [" ", ","])
-def test_a_triple_in_two_parts_is_read_but_is_no_split(tmp_path, separator):
+def test_a_triple_in_two_parts_is_read(tmp_path, separator):
     for name, text in {
         "entity2id.txt": "2\nmug\t0\ndrinking\t1\n",
         "relation2id.txt": "1\nusedFor\t0\n",
@@ -348,8 +348,6 @@ def test_a_triple_in_two_parts_is_read_but_is_no_split(tmp_path, separator):
     }.items():
         (tmp_path / name).write_text(text)
     assert list(read_graph(tmp_path)) == [MUG]
-    with pytest.raises(UserError, match="the triple mug usedFor drinking is in several of train"):
-        read_split(tmp_path)
 
 
 def test_a_folder_of_train_valid_and_test(tmp_path):
@@ -357,9 +355,9 @@ def test_a_folder_of_train_valid_and_test(tmp_path):
     (tmp_path / "valid.txt").write_text("pot\tusedFor\tcooking\n")
     graph = read_graph(tmp_path)
     assert set(graph) == {MUG, BOTTLE, ("pot", "usedFor", "cooking")}
-    split = read_split(tmp_path)
-    assert [len(part) for part in (split.train, split.valid, split.test)] == [2, 1, 0]
-    (row,) = split.valid.tolist()
+    _, parts = read_parts(tmp_path)
+    assert {name: len(part) for name, part in parts.items()} == {"train": 2, "valid": 1, "test": 0}
+    (row,) = parts["valid"].tolist()
     names = graph.names[row[0]], graph.relation_names[row[1]], graph.names[row[2]]
     assert names == ("pot", "usedFor", "cooking")
 

@@ -3,16 +3,13 @@ import json
 
 import pytest
 
-from benchmarks.apartment_graph import write_openke
 from knowarm.errors import DataWarning, UserError
 from knowarm.knowledge import graph_of, household, read_graph
 from knowarm.knowledge.formats import WRITERS, write_graph
-from knowarm.knowledge.formats.splits import read_split
 from knowarm.knowledge.formats.tables import read_conceptnet
 from knowarm.knowledge.graph.builder import union
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import literal
-from knowarm.knowledge.kge.train import split_graph
 from knowarm.knowledge.queries.sparql import sparql
 
 OWL = """<?xml version="1.0"?>
@@ -91,17 +88,6 @@ def test_spaces_after_the_commas_are_no_part_of_the_names(tmp_path):
 
 def test_shipped_graphs_are_read_by_their_names():
     assert set(read_graph("household")) == set(household())
-
-
-def test_openke_keeps_its_split(tmp_path):
-    split = split_graph(household())
-    write_openke(split, tmp_path)
-    back = read_split(tmp_path)
-    assert back.graph == graph_of(household())
-    assert read_graph(tmp_path) == back.graph
-    for part in ("train", "valid", "test"):
-        ours, theirs = getattr(split, part), getattr(back, part)
-        assert sorted(map(tuple, ours)) == sorted(map(tuple, theirs))
 
 
 def test_openke_ids_may_come_in_any_order(tmp_path):

@@ -19,6 +19,7 @@ import networkx
 import numpy as np
 
 from benchmarks.apartment_graph import write_openke
+from benchmarks.triple_splits import split_graph
 from knowarm.cli.train import Train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
@@ -30,7 +31,7 @@ from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import save_model, split_graph
+from knowarm.knowledge.kge.train import save_model
 from knowarm.knowledge.kge.train import train as train_embedding
 from knowarm.knowledge.queries.sparql import EXAMPLE, sparql
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup

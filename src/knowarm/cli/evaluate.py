@@ -95,7 +95,7 @@ class ConditionOptions:
     """Share of the triples about the task's objects that are damaged."""
     damage_seed: int = 0
     """Seed of which triples are damaged, and of the repair."""
-    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
+    repair: Literal["analogy", "complex"] | None = None
     """Complete the graph that the agent knows by link prediction, after the damage."""
 
     def test(self) -> list[BaseTest]:

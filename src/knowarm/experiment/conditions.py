@@ -168,7 +168,7 @@ class DamageTest(BaseTest):
     """Share of the triples about the task's objects that are damaged."""
     seed: int = 0
     """Seed of which triples are damaged, and of the repair."""
-    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
+    repair: Literal["analogy", "complex"] | None = None
     """Complete the graph by link prediction with this graph embedding, after the damage."""
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 from knowarm.config import at_least, check_values, file_name, registered
 from knowarm.errors import UserError
@@ -31,7 +31,6 @@ class InterimConfig:
     It takes the most probable actions.
     """
 
-    _RETIRED: ClassVar[dict[str, Any]] = {"greedy": True, "seed": INTERIM_SEED}
     every_steps: int = 50_000
     """Most environment steps between two interim evaluations; a tenth of a shorter training."""
     episodes: int = 40

@@ -1,18 +1,22 @@
-"""Training logs: CSV files, TensorBoard and the progress display at the terminal."""
+"""Training logs: CSV files, a copy for TensorBoard, and the progress display at the terminal."""
 
 import math
 import sys
 import time
 from collections.abc import Collection, Mapping
 from contextlib import suppress
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from torch.utils.tensorboard import SummaryWriter
 
 from knowarm.experiment.csv_log import CsvLog, writing
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.trainer import Metrics
+
+if TYPE_CHECKING:  # belongs to an extra
+    from torch.utils.tensorboard import SummaryWriter
 
 LINE_S = 10.0
 """Time between two plain lines [s]."""
@@ -94,7 +98,10 @@ class TrainingProgress:
 
 
 class RunLogs:
-    """Writers of metrics and evaluations: CSV, TensorBoard and the progress display."""
+    """Writers of metrics and evaluations: CSV, the progress display and a copy for TensorBoard.
+
+    The copy is written where TensorBoard is installed.
+    """
 
     def __init__(self, folder: RunFolder, progress: TrainingProgress):
         self._folder = folder
@@ -106,9 +113,8 @@ class RunLogs:
         self._evaluations = CsvLog(
             self._folder.evaluations_path, keep_to_step=keep_to_step, drop_steps=pending
         )
-        self._tensorboard = SummaryWriter(
-            str(self._folder.tensorboard),
-            purge_step=None if keep_to_step is None else keep_to_step + 1,
+        self._tensorboard = self._open_tensorboard(
+            purge_step=None if keep_to_step is None else keep_to_step + 1
         )
 
     def metrics(self, row: Metrics) -> None:
@@ -125,10 +131,24 @@ class RunLogs:
 
     def close(self) -> None:
         """Flush TensorBoard's event file."""
-        with writing(self._folder.tensorboard):
-            self._tensorboard.close()
+        if self._tensorboard is not None:
+            with writing(self._folder.tensorboard):
+                self._tensorboard.close()
+
+    def _open_tensorboard(self, purge_step: int | None) -> "SummaryWriter | None":
+        if find_spec("tensorboard") is None:
+            self._progress.line(
+                "curves are written to CSV files only; for TensorBoard: "
+                "pip install 'knowarm[tensorboard]'"
+            )
+            return None
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(str(self._folder.tensorboard), purge_step=purge_step)
 
     def _scalars(self, group: str, row: Metrics) -> None:
+        if self._tensorboard is None:
+            return
         with writing(self._folder.tensorboard):
             for name, value in row.items():
                 if name != "step" and math.isfinite(value):

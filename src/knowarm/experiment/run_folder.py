@@ -10,7 +10,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     perception.safetensors the grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
-    tensorboard/           the same curves for TensorBoard
+    tensorboard/           the same curves, where TensorBoard is installed
     checkpoints/           latest, previous, best
     evaluation/<label>/    post-training evaluations
 """
@@ -172,15 +172,10 @@ class RunFolder:
         return self.path / kind / place / Path(name).name
 
     def _kept_input(self, name: str) -> str:
-        """Return the path of the copy of an input.
-
-        Runs of before have no copies of descriptions. One is trusted that equals its original.
-        """
+        """Return the path of the copy of an input; it is trusted as its original is."""
         copy = self._copy(name)
         if not name.endswith(SUFFIX):
             return str(copy)
-        if not copy.exists():
-            return name
         if is_trusted(name) and Path(name).exists() and self.copy_of(name) == str(copy):
             trust(str(copy))
         return str(copy)

@@ -21,7 +21,6 @@ slot of the episode's own object and colour, or its query."""
 class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
-    _RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
     detail: Detail
     """What a slot describes: "partial" each object without its colours; "full" each object with one
     of its possible colours."""

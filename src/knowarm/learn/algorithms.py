@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from knowarm.config import above_zero, at_least, check_values, fraction
 from knowarm.errors import UserError
@@ -193,7 +193,6 @@ class DistilConfig(MinibatchConfig):
         UserError: a value out of range, or minibatches that do not divide the environments.
     """
 
-    _RETIRED: ClassVar[dict[str, Any]] = {"average_updates": 15}
     name: Literal["distil"] = "distil"
     """Identifies the algorithm in a config file."""
     num_envs: int = 512

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
@@ -26,7 +26,6 @@ RETRAIN = "Take one of a run of this task, or leave perception out to train one.
 class GroundingConfig:
     """Training of a `GroundingNetwork`; its labels come from the simulator."""
 
-    _RETIRED: ClassVar[dict[str, Any]] = {"frame_coef": 10.0}
     images: int = 16_000
     """Training images per round: first images of episodes, never the same."""
     batch: int = 128
@@ -61,8 +60,6 @@ class GroundingConfig:
 @dataclass(frozen=True, kw_only=True)
 class GroundingSpec:
     """What a grounding network was made for."""
-
-    _RETIRED: ClassVar[dict[str, Any]] = {"accuracy": {}}
 
     robot: str
     """Name of the robot."""

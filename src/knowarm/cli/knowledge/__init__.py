@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from knowarm.cli.knowledge.fit import Fit, KnowledgeEvaluate
+from knowarm.cli.knowledge.fit import Fit
 from knowarm.cli.knowledge.queries import Draw, Queries, Subgraph
 from knowarm.cli.knowledge.scene import Embed, KnowledgeShow, ProbeCommand
 
@@ -11,7 +11,6 @@ COMMANDS: dict[str, Any] = {
     "subgraph": Subgraph,
     "embed": Embed,
     "fit": Fit,
-    "evaluate": KnowledgeEvaluate,
     "probe": ProbeCommand,
     "draw": Draw,
     "queries": Queries,

@@ -3,7 +3,6 @@
 import re
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import read_table
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
-
-if TYPE_CHECKING:
-    from knowarm.knowledge.kge.train import Split
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")
@@ -52,22 +48,6 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
         ids = [entities[graph.heads], relations[graph.relations], entities[graph.tails]]
         parts[part] = np.stack(ids, axis=1)
     return whole, parts
-
-
-def read_split(folder: Path) -> "Split":
-    """Read the triples of a folder as they are split; no triple may be in several parts."""
-    graph, parts = read_parts(folder)
-    distinct = [np.unique(part, axis=0) for part in parts.values()]
-    rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
-    for head, relation, tail in rows[counts > 1][:1]:
-        names, relation_names = graph.names, graph.relation_names
-        raise UserError(
-            f"{folder}: the triple {names[head]} {relation_names[relation]} {names[tail]} is in "
-            f"several of {', '.join(PARTS)}, so that a test would not be one. Leave it in one."
-        )
-    from knowarm.knowledge.kge.train import Split  # torch takes a second to import
-
-    return Split(graph=graph, **parts)
 
 
 def _is_openke(folder: Path) -> bool:

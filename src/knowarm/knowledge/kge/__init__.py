@@ -1,4 +1,4 @@
-"""Knowledge-graph embeddings: models, training, link prediction and files of fitted vectors."""
+"""Knowledge-graph embeddings: models, training, completion of graphs, files of vectors."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ class KgeConfig:
     """1-vs-all training with reciprocal relations (Lacroix, Usunier and Obozinski 2018)."""
 
     model: str = "analogy"
-    """Name of the model: analogy, transe, distmult, complex."""
+    """Name of the model: analogy, complex."""
     dim: int = 50
     """Numbers per entity."""
     epochs: int = 400

@@ -8,7 +8,7 @@ import torch
 
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import split_graph, train
+from knowarm.knowledge.kge.train import hold_out, train
 
 HELD_OUT = 0.2
 """Share of the triples that decide which score is high enough."""
@@ -32,17 +32,15 @@ def completed(
     Raises:
         UserError: an unknown model, or too few triples to hold any out.
     """
-    split = split_graph(graph, valid=0.0, test=HELD_OUT, seed=seed)
+    kept, held_out = hold_out(graph, HELD_OUT, seed)
+    num_relations = len(graph.relation_names)
     config = KgeConfig(model=model, seed=seed)
     with torch.enable_grad():  # whatever the caller measures
-        trained = train(
-            config, split.train, split.entities, split.relations, valid=split.test,
-            known=split.everything,
-        ).model  # fmt: skip
+        trained = train(config, kept, len(graph.names), num_relations, valid=held_out).model
     ids = sorted(graph.entity_id(name) for name in objects)
     about = np.isin(graph.heads, ids)
     pairs = np.unique(np.stack([graph.relations[about], graph.tails[about]], 1), axis=0)
-    trained_on = set(map(tuple, split.train.tolist()))
+    trained_on = set(map(tuple, kept.tolist()))
     every = ((head, *pair) for head, pair in product(ids, pairs.tolist()))
     candidates = [triple for triple in every if triple not in trained_on]
     if not candidates:
@@ -51,8 +49,8 @@ def completed(
     heads, relations, tails = triples.T
     with torch.no_grad():
         score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
-        score += trained(tails, relations + split.relations).gather(1, heads[:, None])[:, 0]
-    held = set(map(tuple, split.test.tolist()))
+        score += trained(tails, relations + num_relations).gather(1, heads[:, None])[:, 0]
+    held = set(map(tuple, held_out.tolist()))
     true = np.array([tuple(triple) in held for triple in triples.tolist()])
     order = (-score).argsort(stable=True).numpy()
     hits, chosen = true[order].cumsum(), np.arange(1, len(order) + 1)

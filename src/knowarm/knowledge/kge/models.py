@@ -1,4 +1,4 @@
-"""Graph-embedding models: ANALOGY, TransE, DistMult and ComplEx, and what they share."""
+"""Graph-embedding models: ANALOGY and ComplEx, and what they share."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -17,7 +17,7 @@ class KgeModel(nn.Module, ABC):
     learning_rate: ClassVar[float] = 0.01
     """Adam's step size that suits the model."""
     n3: ClassVar[float] = 0.03
-    """Weight of the N3 penalty that suits the model; 0 for distances, which need none."""
+    """Weight of the N3 penalty that suits the model."""
     divisor: ClassVar[int] = 1
     """Number that `dim` must be divisible by."""
 
@@ -48,29 +48,6 @@ class KgeModel(nn.Module, ABC):
         """N3: mean over the batch of sum |h|^3 + |r|^3 + |t|^3 (Lacroix et al. 2018, eq. 3)."""
         vectors = (self.entity[head], self.relation[relation], self.entity[tail])
         return torch.stack([self.moduli(v).pow(3).sum(dim=1) for v in vectors]).sum(0).mean()
-
-
-class TransE(KgeModel):
-    """score(h, r, t) = -||h + r - t||_2 (Bordes et al. 2013, who also try the first norm)."""
-
-    learning_rate = 0.003
-    n3 = 0.0
-
-    def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Return h + r."""
-        return head + relation
-
-    def compare(self, query: Tensor, tail: Tensor) -> Tensor:
-        """Return the negative distances; Euclidean ones cost one matrix product."""
-        return -torch.cdist(query, tail)
-
-
-class DistMult(KgeModel):
-    """score(h, r, t) = <h, r, t> = sum_i h_i r_i t_i (Yang et al. 2015)."""
-
-    def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Return h * r."""
-        return head * relation
 
 
 class ComplEx(KgeModel):
@@ -113,11 +90,9 @@ class Analogy(KgeModel):
 
 MODELS: dict[str, type[KgeModel]] = {
     "analogy": Analogy,
-    "transe": TransE,
-    "distmult": DistMult,
     "complex": ComplEx,
 }
-"""Every model by name. A new one is one class like `DistMult` and one line here."""
+"""Every model by name. A new one is one class like `ComplEx` and one line here."""
 
 
 def _scalars(vectors: Tensor) -> int:

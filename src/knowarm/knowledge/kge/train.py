@@ -1,8 +1,8 @@
-"""Training of graph embeddings: split, early stopping, filtered ranks, and their file."""
+"""Training of graph embeddings, stopped early by filtered ranks of held-out triples; their file."""
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
@@ -38,43 +38,23 @@ class Trained(NamedTuple):
     valid_mrr: tuple[tuple[int, float], ...]
 
 
-class LinkPrediction(NamedTuple):
-    """Result of ranking held-out triples among all others."""
-
-    ranks: np.ndarray
-    """Filtered realistic ranks: tails of every triple, then heads, (2 n,) float64."""
-
-    @property
-    def mrr(self) -> float:
-        """Mean reciprocal rank, 0 to 1."""
-        return float((1.0 / self.ranks).mean()) if len(self.ranks) else float("nan")
-
-    def hits_at(self, k: int) -> float:
-        """Share of ranks at most k."""
-        return float((self.ranks <= k).mean()) if len(self.ranks) else float("nan")
-
-    def describe(self) -> dict[str, float]:
-        """Return the measures as JSON-able values, for both directions together and each alone."""
-        half = len(self.ranks) // 2
-        tails, heads = (LinkPrediction(half_ranks) for half_ranks in np.split(self.ranks, 2))
-        values = {"mrr": self.mrr, "mrr_tails": tails.mrr, "mrr_heads": heads.mrr}
-        values |= {f"hits_at_{k}": self.hits_at(k) for k in (1, 3, 10)}
-        return values | {"mean_rank": float(self.ranks.mean()), "triples": float(half)}
-
-
 @torch.no_grad()
-def rank(
+def filtered_ranks(
     model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int = 256
-) -> LinkPrediction:
+) -> np.ndarray:
     """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
 
     Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
     Realistic: entities with the same score share a rank: 1 + #(higher) + #(equal) / 2.
+
+    Returns:
+        The ranks of the tails of all triples, then of the heads, (2 n,) float64.
     """
     model.eval()
-    heads, known_heads = (reciprocal(rows, model.relations) for rows in (triples, known))
-    tails = _ranks(model, triples, known, batch_size)
-    return LinkPrediction(np.concatenate([tails, _ranks(model, heads, known_heads, batch_size)]))
+    tails = _tail_ranks(model, triples, known, batch_size)
+    inverse = reciprocal(triples, model.relations)
+    heads = _tail_ranks(model, inverse, reciprocal(known, model.relations), batch_size)
+    return np.concatenate([tails, heads])
 
 
 def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
@@ -82,7 +62,9 @@ def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
     return np.stack([triples[:, 2], triples[:, 1] + relations, triples[:, 0]], axis=1)
 
 
-def _ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int) -> np.ndarray:
+def _tail_ranks(
+    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int
+) -> np.ndarray:
     answers: dict[tuple[int, int], list[int]] = defaultdict(list)
     asked = {(h, r) for h, r, _ in triples.tolist()}
     for h, r, t in known.tolist():
@@ -184,7 +166,7 @@ def train(
                 raise UserError(_DIVERGED.format(f"its loss in epoch {epoch} is not finite"))
             mrr = None
             if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
-                mrr = rank(model, valid, known).mrr
+                mrr = float((1.0 / filtered_ranks(model, valid, known)).mean())
                 looks.append((epoch, mrr))
                 if mrr > best:
                     best, best_epoch, kept = mrr, epoch, deepcopy(model.state_dict())
@@ -199,51 +181,32 @@ def train(
         return Trained(model, len(losses), best_epoch, tuple(losses), tuple(looks))
 
 
-class Split(NamedTuple):
-    """Triples in three disjoint parts, as ids (n, 3) int64: head, relation, tail."""
+def hold_out(graph: KnowledgeGraph, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split the triples of a graph at random into those to train on and a share of the others.
 
-    graph: KnowledgeGraph
-    """The whole graph; ids point into its names."""
-    train: np.ndarray
-    valid: np.ndarray
-    test: np.ndarray
-
-    @property
-    def entities(self) -> int:
-        """Number of entities."""
-        return len(self.graph.names)
-
-    @property
-    def relations(self) -> int:
-        """Number of relations."""
-        return len(self.graph.relation_names)
-
-    @property
-    def everything(self) -> np.ndarray:
-        """All triples, (n, 3) int64."""
-        return np.concatenate([self.train, self.valid, self.test])
+    Every entity and relation occurs in training.
+    """
+    if not 0 < share < 1:
+        raise UserError(f"The share of triples to hold out must lie between 0 and 1, got {share}.")
+    rows = held_out_rows(graph, round(share * len(graph.triples)), seed)
+    return np.delete(graph.triples, rows, axis=0), graph.triples[rows]
 
 
-def split_graph(
-    graph: KnowledgeGraph, *, valid: float = 0.1, test: float = 0.1, seed: int = 0
-) -> Split:
-    """Split a graph at random so that every entity and relation occurs in training.
+def held_out_rows(graph: KnowledgeGraph, count: int, seed: int) -> list[int]:
+    """Draw rows of ``graph.triples`` that training can do without, ``count`` or fewer.
 
     Triples are taken in a random order; one is held out only while training keeps another triple
-    of its head, relation and tail. `valid` and `test` are the shares to hold out.
+    of its head, relation and tail.
+
+    Raises:
+        UserError: not one can be held out.
     """
-    if not (0 <= valid < 1 and 0 < test < 1 and valid + test < 1):
-        raise UserError(
-            f"Shares to hold out are valid={valid} and test={test}; each must lie between 0 and 1 "
-            f"and both together below 1."
-        )
     triples = graph.triples
-    wanted = [round(share * len(triples)) for share in (test, valid)]
     ends = np.bincount(triples[:, [0, 2]].ravel(), minlength=len(graph.names))
     uses = np.bincount(triples[:, 1], minlength=len(graph.relation_names))
     held: list[int] = []
     for row in np.random.default_rng(seed).permutation(len(triples)):
-        if len(held) == sum(wanted):
+        if len(held) == count:
             break
         head, relation, tail = triples[row]
         if min(ends[head], ends[tail]) > 1 + (head == tail) and uses[relation] > 1:
@@ -251,20 +214,13 @@ def split_graph(
             ends[tail] -= 1
             uses[relation] -= 1
             held.append(int(row))
-    if not held:
-        shares = f"by shares of valid={valid} and test={test}. Give larger ones"
-        why = (
-            "so that every entity stays in training. Give a larger graph" if sum(wanted) else shares
-        )
-        raise UserError(
-            f"No triple of {len(triples)} can be held out {why}, or a folder with train2id.txt and "
-            "test2id.txt."
-        )
-    testing = held[: max(1, round(len(held) * test / (test + valid)))]
-    validating = held[len(testing) :]
-    keep = np.ones(len(triples), bool)
-    keep[held] = False
-    return Split(graph=graph, train=triples[keep], valid=triples[validating], test=triples[testing])
+    if held:
+        return held
+    if count:
+        why = "so that every entity stays in training: give a larger graph"
+    else:
+        why = "by a share below one triple: give a larger share"
+    raise UserError(f"No triple of {len(triples)} can be held out {why}.")
 
 
 FORMAT = "knowarm-graph-embedding-1"
@@ -279,26 +235,19 @@ class StoredModel(NamedTuple):
     model: KgeModel
     entities: tuple[str, ...]
     relations: tuple[str, ...]
-    shares: dict[str, float]
-    """Shares of the graph that were held out, as arguments of `split_graph`; empty if unknown."""
 
 
-def save_model(
-    model: KgeModel,
-    config: KgeConfig,
-    graph: KnowledgeGraph,
-    path: Path,
-    shares: Mapping[str, float] | None = None,
-) -> None:
-    """Write a model, with the shares of the graph that were held out by `split_graph`."""
+def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path) -> None:
+    """Write a model."""
     tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
         data = "".join(f"{text}\0" for text in names).encode()
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(data, np.uint8).copy())
-    about = {"config": json.dumps(asdict(config)), "shares": json.dumps(dict(shares or {}))}
     with replacing(path, "Give another path.") as temporary:
         # `save_file` raises another type of error than `OSError` when a disk is full.
-        temporary.write_bytes(save(tensors, {"format": FORMAT, **about}))
+        temporary.write_bytes(
+            save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))})
+        )
 
 
 def load_model(path: Path) -> StoredModel:
@@ -316,7 +265,6 @@ def load_model(path: Path) -> StoredModel:
         )
     with reading(path, AGAIN):
         config = from_dict(KgeConfig, json.loads(about["config"]))
-        shares = {name: float(x) for name, x in json.loads(about.get("shares", "{}")).items()}
         entities, relations = (
             tuple(tensors.pop(f"names.{kind}").numpy().tobytes().decode().split("\0")[:-1])
             for kind in ("entities", "relations")
@@ -325,4 +273,4 @@ def load_model(path: Path) -> StoredModel:
             raise ValueError("it contains non-finite values")
         model = new_model(config, len(entities), len(relations))
         model.load_state_dict(tensors)
-    return StoredModel(config, model, entities, relations, shares)
+    return StoredModel(config, model, entities, relations)

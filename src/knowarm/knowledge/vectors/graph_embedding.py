@@ -25,7 +25,7 @@ class GraphEmbedding(VectorSource):
     kind: Literal["graph"] = "graph"
     """Tells this source from the others in a file."""
     model: str = "analogy"
-    """Model that is trained on the graph: analogy, transe, distmult or complex."""
+    """Model that is trained on the graph: analogy or complex."""
     file: str | None = None
     """Path of a .safetensors file of a fitted model, read instead of training."""
 

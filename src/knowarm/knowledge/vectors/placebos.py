@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -73,8 +73,6 @@ class DrawnPlacebo(Placebo):
 
     Each training seed gives another placebo, so training seeds sample the control.
     """
-
-    _RETIRED: ClassVar[dict[str, Any]] = {"draw": 0}
 
     def draw_seed(self, seed: int, run_seed: int) -> int:
         """Derive the seed of a draw from the run's seed and the knowledge's."""
