@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
 from knowarm.report.pages.paper import published_result
@@ -22,7 +21,7 @@ from scripts.answer_cells import (
 
 EVERY = 10_000_000
 """Steps between two columns of the table."""
-MEASURES = {"success": 100, "accuracy": 100, "return_mean": 1}
+MEASURES = {"success": 100, "return_mean": 1}
 """Measures of the table, and their factors."""
 ROWS = 100
 """Rows of the metrics whose mean is the success of the last training episodes."""
@@ -30,16 +29,15 @@ EVALUATIONS = 4
 """Interim evaluations whose mean is a number of the table."""
 
 TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
-workers of 32 environments instead of 17 of one, seed 0, {total} million steps; {hours}. {progress}
-Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 5 cm; the paper's counts 10 cm)
-in percent, and return, each the mean of the last {count} evaluations of 40 episodes. An update
-learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates:,} updates instead
-of 1.4 million. Workers update in another order each time, so the same command does not give the
-same bytes."""
+workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} Interim
+success (5 cm, 15 degrees) in percent, and return, each the mean of the last {count} evaluations of
+40 episodes; the paper's accuracy counts the distance alone, 10 cm. An update learns from {batch:,}
+steps, the paper's from 50 or fewer, so there are {updates:,} updates instead of 1.4 million.
+Workers update in any order, so a command does not repeat to the byte."""
 
-TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds};
-{hours:.1f} core hours. {progress} The preset [differs](../reference/algorithms.md#a3c) from the
-paper's numbers. Outcomes as with `fast`, of interim evaluations every {every:,} steps."""
+TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
+{progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
+as above, of interim evaluations every {every:,} steps."""
 
 
 def tuned_section(study: Path, progress: str) -> list[str]:
@@ -52,7 +50,6 @@ def tuned_section(study: Path, progress: str) -> list[str]:
     text = TUNED.format(
         total=total // 10**6,
         seeds=f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}",
-        hours=2 * sum(each.hours for each in every),
         progress=progress,
         every=between,
     )
@@ -86,14 +83,12 @@ def a3c_section(study: Path, progress: str) -> list[str]:
             rows.append([f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)])
         rows.append(["the paper's " + f"`{group.name}`", "accuracy", *paper(task, group, steps)])
     columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
-    hours = sum(training_seconds(run.metrics["wall_time_s"]) for run in task.runs if run.metrics)
     algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
     text = TEXT.format(
         batch=batch,
         updates=total // batch,
         total=total // 10**6,
-        hours=f"{2 * hours / 3600:.0f} core hours",
         progress=progress,
         count=EVALUATIONS,
     )

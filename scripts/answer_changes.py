@@ -16,7 +16,6 @@ from benchmarks.a3c_changes import (
     settings,
     tuned,
 )
-from knowarm.experiment.csv_log import read_csv, training_seconds
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.statistics import holm, welch
@@ -27,21 +26,20 @@ from scripts.answer_cells import SIGNIFICANT, percent, table
 ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
 
-MEASURES = ("success", "return_mean", "entropy")
+MEASURES = ("success", "return_mean")
 Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
 
 TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
-with changes towards `a3c-tuned`, which has all of them; {{runs}} runs, {{hours:.1f}} core hours.
-Success and return: means of the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm,
-15 degrees). Entropy of the actions while training [nat]. Brackets: 95 % intervals over training
-seeds (bootstrap, too narrow for so few). A linear learning rate falls within the steps of the
-table, so all changes for 2 million steps are not the first 2 million of 10."""
+with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return: means of
+the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees). Brackets: 95 %
+intervals over training seeds (bootstrap, too narrow for so few). A linear learning rate falls to
+its end within the steps of each table."""
 
 
 def changes_section(packs: Path) -> list[str]:
     """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
     found: dict[int, dict[str, Variant]] = {}
-    runs, hours = 0, 0.0
+    runs = 0
     for file in sorted(packs.glob(f"*{SUFFIX}")):
         number, name = file.name.removesuffix(SUFFIX).split("-", 1)
         with tempfile.TemporaryDirectory() as temporary:
@@ -50,8 +48,7 @@ def changes_section(packs: Path) -> list[str]:
             folders = [RunFolder(run_path(study, config)) for config in configs]
             found.setdefault(int(number), {})[name] = variant(folders)
             runs += len(folders)
-            hours += sum(core_hours(folder, workers=2) for folder in folders)
-    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs, hours=hours), settings_table()]
+    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs), settings_table()]
     lines = []
     for steps, measured in sorted(found.items()):
         ordered = {name: measured[name] for name in sorted(measured, key=place)}
@@ -66,12 +63,6 @@ def variant(folders: Sequence[RunFolder]) -> Variant:
     return {key: np.array([each[key] for each in outcomes]) for key in MEASURES}
 
 
-def core_hours(folder: RunFolder, *, workers: int) -> float:
-    """Return the time that training took, times the processes that learnt."""
-    times = (float(row["wall_time_s"]) for row in read_csv(folder.metrics_path))
-    return workers * training_seconds(times) / 3600
-
-
 def place(name: str) -> tuple[int, int]:
     """Order sets of changes by size, those of one size as they were trained."""
     names = [*names_of("add", ()), *names_of("leave-out", ())]
@@ -84,28 +75,21 @@ def settings_table() -> str:
     rows = [
         [
             f"`{name}`",
-            ", ".join(f"`{field}`" for field in fields),
-            ", ".join(f"{before[field]}" for field in fields),
-            ", ".join(f"{after[field]}" for field in fields),
+            "; ".join(f"`{field}` {before[field]}, {after[field]}" for field in fields),
         ]
         for name, fields in GROUPS.items()
     ]
-    return table(["change", "settings", "from", "to"], rows)
+    return table(["change", "settings, from and to"], rows)
 
 
 def measures_table(measured: Mapping[str, Variant]) -> str:
     """Return what each variant reached."""
-    rows = [
-        [
-            f"`{name}`",
-            str(len(each["success"])),
-            percent(each["success"]),
-            listed(each["return_mean"]),
-            listed(each["entropy"]),
-        ]
-        for name, each in measured.items()
-    ]
-    return table(["change", "seeds", "success [%]", "return, each seed", "entropy"], rows)
+    returns = [[f"`{name}`", listed(runs["return_mean"])] for name, runs in measured.items()]
+    if not any(runs["success"].any() for runs in measured.values()):
+        return table(["change", "return, each seed"], returns)
+    successes = [percent(runs["success"]) for runs in measured.values()]
+    rows = [[*row, success] for row, success in zip(returns, successes, strict=True)]
+    return table(["change", "return, each seed", "success [%]"], rows)
 
 
 def listed(values: np.ndarray) -> str:

@@ -14,20 +14,16 @@ SPLIT = "S1"
 ALGORITHMS = {"distil": "imitation", "fast": "reinforcement"}
 FUSIONS = ("before_fc", "before_lstm", "after_lstm", "attention", "film", "similarity")
 
-TEXT = """**Protocol.** The paper leaves open where the vector should enter. On its own task the
-vector is constant, so the task is `choose`: a query describes one of four objects, and the subgraph
-of the query enters the policy by one of six [fusions](../reference/algorithms.md#policy), with the
-same LSTM and no grounding network; `before_lstm` is the paper's. Study `fusions`, IRB120: imitation
-(300,000 steps) and reinforcement (2 million), 1,000 new episodes of {split}, 5 cm and 15 degrees.
-*Position*: no arm, the network predicts from first images where the queried object stands (20,000
-and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and 16 epochs: seed 0). From
-study `choose`: `bm`, without a query, and the network that locates the object first. {progress}
-Its pack holds splits S2 to S5, and success: that of reinforcement cannot be compared with agents
-that have a grounding network, because these ended their training at the task's thresholds and the
-fusions at 1.2 to 1.4 times them.
+TEXT = """**Protocol.** Study `fusions`, IRB120, task `choose`: the subgraph of the query enters
+the policy by one of six [fusions](../reference/algorithms.md#policy), without a grounding network;
+`before_lstm` is the paper's. Imitation (300,000 steps) and reinforcement (2 million), 1,000 new
+episodes of {split}, 5 cm and 15 degrees. *Position*: no arm, the network predicts where the queried
+object stands (20,000 images and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and
+16: seed 0). Last rows: study `choose`. {progress} Success by reinforcement, in the pack, cannot be
+compared with agents that have a grounding network: those ended their training at the task's
+thresholds, the fusions at 1.2 to 1.4 times them.
 
-Right objects of training seeds {seeds} in percent; at random {chance:.0f} are
-right:"""
+Right objects of training seeds {seeds} in percent; at random {chance:.0f} are right:"""
 
 
 def shares(values: Iterable[float]) -> str:
