@@ -7,11 +7,9 @@ import numpy as np
 
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
-from knowarm.report.pages.paper import published_result
 from scripts.answer_cells import (
     Cell,
     agents_table,
-    comparison_table,
     comparisons,
     table,
     tasks_of,
@@ -31,9 +29,9 @@ EVALUATIONS = 4
 TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
 workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} Interim
 success (5 cm, 15 degrees) in percent, and return, each the mean of the last {count} evaluations of
-40 episodes; the paper's accuracy counts the distance alone, 10 cm. An update learns from {batch:,}
-steps, the paper's from 50 or fewer, so there are {updates:,} updates instead of 1.4 million.
-Workers update in any order, so a command does not repeat to the byte."""
+40 episodes. An update learns from {batch:,} steps, the paper's from 50 or fewer, so there are
+{updates:,} updates instead of 1.4 million. Workers update in any order, so a command does not
+repeat to the byte."""
 
 TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
 {progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
@@ -55,8 +53,7 @@ def tuned_section(study: Path, progress: str) -> list[str]:
     )
     blocks = ["## A3C with settings that learn", text]
     for cell in cells:
-        blocks += [f"### {title_of(cell.task)}", agents_table(cell.agents)]
-        blocks += [comparison_table(cell.compared)] if cell.compared else []
+        blocks += [f"### {title_of(cell.task)}", agents_table(cell)]
     groups = [group for cell in cells for group in cell.task.groups]
     lines = [*map(verdict, cells), f"Blind, at most: {blind_agents(groups)}."]
     return [*blocks, "\n".join(f"- {line}" for line in lines)]
@@ -81,7 +78,6 @@ def a3c_section(study: Path, progress: str) -> list[str]:
         for key in MEASURES:
             name = key.removesuffix("_mean")
             rows.append([f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)])
-        rows.append(["the paper's " + f"`{group.name}`", "accuracy", *paper(task, group, steps)])
     columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
     algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
@@ -93,15 +89,6 @@ def a3c_section(study: Path, progress: str) -> list[str]:
         count=EVALUATIONS,
     )
     return ["## The paper's algorithm", text, table(columns, rows), conclusion(task)]
-
-
-def paper(task: TaskData, group: Group, steps: np.ndarray) -> list[str]:
-    """Return the paper's accuracy in the column of the step of its best model."""
-    published = published_result(task, group.name)
-    if published is None:
-        return [""] * len(steps)
-    place = int(np.abs(steps - published["best_step"]).argmin())
-    return [f"{100 * published['accuracy']:.0f}" if i == place else "" for i in range(len(steps))]
 
 
 def blind_agents(groups: Sequence[Group]) -> str:
@@ -133,8 +120,8 @@ def conclusion(task: TaskData) -> str:
             if final:
                 success = f"{100 * final.summary['success']:.1f} %"
                 line += f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
-                line += f", where {blind_agents([group])}"
             lines.append(f"{line}.")
+    lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:
         lines.append(
             "- One training seed each and no control of the network's size: nothing about the "

@@ -139,20 +139,34 @@ def signed(each: Interval, scale: float, digits: int = 0) -> str:
     return "{} [{}, {}]".format(*(plus(value, digits) for value in values))
 
 
-def agents_table(agents: Mapping[str, Agent]) -> str:
-    """Return the table of the agents of a cell."""
-    rows = [
-        [
+def never(agent: Agent) -> str:
+    """Say how many runs of an agent never reached the level."""
+    count = int((~agent.reached).sum())
+    return f", {count} never" if count else ""
+
+
+def agents_table(cell: "Cell") -> str:
+    """Return the table of the agents of a cell, each compared with full knowledge."""
+    rows = []
+    for name, agent in cell.agents.items():
+        row = [
             f"`{name}`",
-            str(len(each.seeds)),
-            thousands(each.steps),
-            f"{(~each.reached).sum()}",
-            percent(each.success),
-            percent(each.area),
+            str(len(agent.seeds)),
+            thousands(agent.steps) + never(agent),
+            percent(agent.success),
+            percent(agent.area),
         ]
-        for name, each in agents.items()
+        difference = cell.of("full", name)
+        if difference:
+            compared, p_value = difference
+            row += [signed(compared.steps, 1e-3), f"{p_value:.2g}"]
+        else:
+            row += ["", ""]
+        rows.append(row)
+    columns = [
+        *("agent", "seeds", "steps to 80 % [thousands]", "success", "area"),
+        *("`full` minus it [thousands]", "p"),
     ]
-    columns = ["agent", "seeds", "steps to 80 % [thousands]", "never", "success", "area"]
     return table(columns, rows)
 
 
@@ -164,23 +178,6 @@ def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
         if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
     ]
     return [Comparison.of(*pair) for pair in pairs]
-
-
-def comparison_table(found: Sequence[Comparison]) -> str:
-    """Return the table of the comparisons of a cell."""
-    adjusted = holm([each.p_value for each in found])
-    rows = [
-        [
-            f"`{each.first}` - `{each.second}`",
-            signed(each.steps, 1e-3),
-            signed(each.share, 100),
-            f"{p_value:.2g}",
-            signed(each.success, 100, 1),
-        ]
-        for each, p_value in zip(found, adjusted, strict=True)
-    ]
-    columns = ["difference", "steps [thousands]", "steps [%]", "p", "success [points]"]
-    return table(columns, rows)
 
 
 @dataclass(frozen=True)
@@ -204,13 +201,13 @@ def verdict(cell: Cell) -> str:
     if main is None:
         return f"**{title}**: not enough seeds."
     compared, p_value = main
-    length = f"{signed(compared.share, 100)} % of the baseline's steps, p {p_value:.2g}"
+    length = f"{signed(compared.share, 100)} % of the steps of `bm`, p {p_value:.2g}"
     points = f"{signed(compared.success, 100, 1)} points of success"
     if p_value >= SIGNIFICANT:
         low = -100 * compared.share.low
         return (
-            f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
-            f"95 % interval excludes a saving of more than {max(0, low):.0f} %."
+            f"**{title}**: no effect of full knowledge is found ({length}); the interval "
+            f"excludes a saving of more than {max(0, low):.0f} %."
             f"{uncorrected(cell, compared)}"
         )
     if compared.share.estimate > 0:
@@ -253,6 +250,26 @@ def write_runs(cells: Sequence[Cell], path: Path) -> None:
                     success = f"{100 * agent.success[run]:.1f}"
                     outcome = [success, steps, agent.processors[run]]
                     writer.writerow([*cell.task.key, name, seed, *outcome])
+
+
+def write_comparisons(cells: Sequence[Cell], path: Path) -> None:
+    """Write every comparison of two agents of a cell to a CSV file."""
+    differences = {"steps": 1, "steps_percent": 100, "success_points": 100}
+    columns = [f"{name}{end}" for name in differences for end in ("", "_low", "_high")]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["robot", "colours", "first", "second", *columns, "adjusted_p"])
+        for cell in cells:
+            adjusted = holm([compared.p_value for compared in cell.compared])
+            for compared, p_value in zip(cell.compared, adjusted, strict=True):
+                intervals = (compared.steps, compared.share, compared.success)
+                numbers = [
+                    f"{scale * end:.1f}"
+                    for interval, scale in zip(intervals, differences.values(), strict=True)
+                    for end in (interval.estimate, interval.low, interval.high)
+                ]
+                names = [*cell.task.key, compared.first, compared.second]
+                writer.writerow([*names, *numbers, f"{p_value:.2g}"])
 
 
 def title_of(task: TaskData) -> str:

@@ -1,7 +1,8 @@
 """Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
 
+import csv
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,40 +22,59 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.statistics import holm, welch
 from knowarm.study.driver import open_study
 from knowarm.study.pack import SUFFIX, unpack_study
-from scripts.answer_cells import SIGNIFICANT, percent, table
+from scripts.answer_cells import FEWEST, SIGNIFICANT, percent, table
 
 ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
 
-MEASURES = ("success", "return_mean")
+MEASURES = ("success", "return_mean", "entropy")
 Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
 
-TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
-with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return: means of
-the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees). Brackets: 95 %
-intervals over training seeds (bootstrap, too narrow for so few). A linear learning rate falls to
-its end within the steps of each table."""
+TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study
+`a3c` with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return:
+means of the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees).
+Brackets: 95 % intervals over training seeds (bootstrap, too narrow for so few). A linear learning
+rate falls to its end within the steps of a run. All runs: `a3c-changes.csv`."""
 
 
-def changes_section(packs: Path) -> list[str]:
-    """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
-    found: dict[int, dict[str, Variant]] = {}
-    runs = 0
+def read_variants(packs: Path) -> Iterator[tuple[int, str, Variant]]:
+    """Yield steps, changes and what the runs reached of each pack of `benchmarks.a3c_changes`."""
     for file in sorted(packs.glob(f"*{SUFFIX}")):
         number, name = file.name.removesuffix(SUFFIX).split("-", 1)
         with tempfile.TemporaryDirectory() as temporary:
             study = unpack_study(file, Path(temporary) / name)
             configs = open_study(study).runs()
             folders = [RunFolder(run_path(study, config)) for config in configs]
-            found.setdefault(int(number), {})[name] = variant(folders)
-            runs += len(folders)
+            yield int(number), name, variant(folders)
+
+
+def changes_section(packs: Path) -> list[str]:
+    """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
+    found: dict[int, dict[str, Variant]] = {}
+    runs = 0
+    for steps, name, measures in read_variants(packs):
+        found.setdefault(steps, {})[name] = measures
+        runs += len(measures["success"])
     blocks = ["## Which changes A3C needs", TEXT.format(runs=runs), settings_table()]
     lines = []
     for steps, measured in sorted(found.items()):
         ordered = {name: measured[name] for name in sorted(measured, key=place)}
-        blocks += [f"### After {steps / 1e6:g} million steps", measures_table(ordered)]
+        sets = {name: runs for name, runs in ordered.items() if len(runs["success"]) >= FEWEST}
+        if any(runs["success"].any() for runs in sets.values()):
+            blocks += [f"### After {steps / 1e6:g} million steps", measures_table(sets)]
         lines += [each(ordered, steps) for each in (single_changes, left_out, smallest_set)]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
+
+
+def write_changes(packs: Path, path: Path) -> None:
+    """Write what each run of the packs reached to a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["steps", "changes", "run", *MEASURES])
+        for steps, name, measures in read_variants(packs):
+            for run in range(len(measures["success"])):
+                numbers = [f"{measures[key][run]:.4g}" for key in MEASURES]
+                writer.writerow([steps, name, run, *numbers])
 
 
 def variant(folders: Sequence[RunFolder]) -> Variant:
@@ -84,12 +104,11 @@ def settings_table() -> str:
 
 def measures_table(measured: Mapping[str, Variant]) -> str:
     """Return what each variant reached."""
-    returns = [[f"`{name}`", listed(runs["return_mean"])] for name, runs in measured.items()]
-    if not any(runs["success"].any() for runs in measured.values()):
-        return table(["change", "return, each seed"], returns)
-    successes = [percent(runs["success"]) for runs in measured.values()]
-    rows = [[*row, success] for row, success in zip(returns, successes, strict=True)]
-    return table(["change", "return, each seed", "success [%]"], rows)
+    rows = [
+        [f"`{name}`", percent(runs["success"]), listed(runs["return_mean"])]
+        for name, runs in measured.items()
+    ]
+    return table(["change", "success [%]", "return, each seed"], rows)
 
 
 def listed(values: np.ndarray) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from knowarm.report.collect import collect, split_groups
 from knowarm.report.model import SplitGroup, TaskData
 from knowarm.statistics import holm, welch
+from scripts.answer_cells import FEWEST
 
 SPLIT = "S1"
 ALGORITHMS = {"distil": "imitation", "fast": "reinforcement"}
@@ -38,9 +39,7 @@ def found_on(task: TaskData, split: str) -> dict[str, SplitGroup]:
 
 def conclusion(how: str, right: Mapping[str, np.ndarray], chance: float) -> str:
     """Compare the best fusion with the others, by right choices over training seeds."""
-    usable = {name: values for name, values in right.items() if len(values) >= 3}
-    if len(usable) < 2:
-        return f"- By {how}: one seed, so no comparison."
+    usable = {name: values for name, values in right.items() if len(values) >= FEWEST}
     best = max(usable, key=lambda name: float(usable[name].mean()))
     others = [name for name in usable if name != best]
     adjusted = holm([welch(usable[best], usable[name]).p_value for name in others])
@@ -78,7 +77,8 @@ def fusions_section(
         for row in last:
             row.append("")
         right = {name: np.array(values) for name, values in found.items()}
-        conclusions.append(conclusion(f"position from {images:,} images", right, chance))
+        if any(len(values) >= FEWEST for values in right.values()):
+            conclusions.append(conclusion(f"position from {images:,} images", right, chance))
     for algorithm, how in ALGORITHMS.items():
         agents = found_on(tasks[algorithm], SPLIT)
         by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS}

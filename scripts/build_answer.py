@@ -1,4 +1,4 @@
-"""Builds `docs/results/answer.md` and `answer-runs.csv` from the packs of the studies.
+"""Builds `docs/results/answer.md` and its CSV files from the packs of the studies.
 
     python -m scripts.build_answer
 
@@ -28,16 +28,16 @@ from scripts.answer_cells import (
     Agent,
     Cell,
     agents_table,
-    comparison_table,
     comparisons,
     plus,
     table,
     tasks_of,
     title_of,
     verdict,
+    write_comparisons,
     write_runs,
 )
-from scripts.answer_changes import changes_section
+from scripts.answer_changes import changes_section, write_changes
 from scripts.answer_fusions import fusions_section
 from scripts.answer_outcomes import (
     anova_section,
@@ -50,6 +50,7 @@ from scripts.answer_size import size_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
+CHANGES = RESULTS / "a3c-changes"
 ALL_DONE = "None failed."
 """What the page says of a study whose runs are all done."""
 STUDIES = ("answer", "answer-tiago", "paper")  # of a cell that two have, the first counts
@@ -180,11 +181,9 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
             its = time_saved(paper["best_step"], base["best_step"])
             best, steps = f"{100 * paper['accuracy']:.0f}", f"{paper['best_step'] / 1e6:.0f} M"
             saved = ["", ""] if name == "bm" else [f"{100 * x:.0f} %" for x in (its or 0, own or 0)]
-            mine = agents[name]
-            score, reached = f"{100 * mine.success.mean():.1f}", f"{mine.steps.mean() / 1e6:.2f} M"
-            rows.append([title_of(task), f"`{name}`", best, score, steps, reached, *saved])
-    columns = ["cell", "agent", "paper [%]", "here [%]", "paper: best at", "here: 80 % at"]
-    return table([*columns, "paper: saved", "here: saved"], rows)
+            rows.append([title_of(task), f"`{name}`", best, steps, *saved])
+    columns = ["cell", "agent", "paper's accuracy [%]", "best at", "steps saved", "here: saved"]
+    return table(columns, rows)
 
 
 def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Sequence[str]) -> str:
@@ -217,8 +216,7 @@ def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Se
     parts += outcomes_section(tasks)
     parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
     for cell in cells:
-        parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
-        parts.append(comparison_table(cell.compared))
+        parts += [f"## {title_of(cell.task)}", agents_table(cell)]
     parts += [
         *size,
         *anova_section(tasks),
@@ -241,7 +239,8 @@ degrees); a run that never does counts as 1.5 million, and as censored in the lo
 Secondary: success of 1,000 episodes after training (10 cm, 17 degrees); *area*, the mean success
 during training. Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below
 about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of
-a cell. Every run: `answer-runs.csv`.
+a cell. Every run: `answer-runs.csv`; every comparison, also of `partial` with `bm`:
+`answer-comparisons.csv`.
 
 {controls}"""
 
@@ -297,7 +296,7 @@ def wrapped(text: str) -> str:
 
 
 def main() -> None:
-    """Unpack the studies; write the page and the table of runs."""
+    """Unpack the studies; write the page and its CSV files."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=PAGE)
     given = parser.parse_args()
@@ -315,11 +314,13 @@ def main() -> None:
         progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        changes = changes_section(RESULTS / "a3c-changes")
+        changes = changes_section(CHANGES)
         size = size_section(folder["size"], RESULTS / "size-speed.csv", done(folder["size"]))
         text = page(cells, progress, size, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
         write_runs(cells, given.out.with_name("answer-runs.csv"))
+        write_comparisons(cells, given.out.with_name("answer-comparisons.csv"))
+        write_changes(CHANGES, given.out.with_name("a3c-changes.csv"))
 
 
 def done(folder: Path) -> str:
