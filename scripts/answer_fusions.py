@@ -20,9 +20,8 @@ the policy by one of six [fusions](../reference/algorithms.md#policy), without a
 `before_lstm` is the paper's. Imitation (300,000 steps) and reinforcement (2 million), 1,000 new
 episodes of {split}, 5 cm and 15 degrees. *Position*: no arm, the network predicts where the queried
 object stands (20,000 images and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and
-16: seed 0). Last rows: study `choose`. {progress} Success by reinforcement, in the pack, cannot be
-compared with agents that have a grounding network: those ended their training at the task's
-thresholds, the fusions at 1.2 to 1.4 times them.
+16: seed 0). Last rows: study `choose`. {progress} Success is not compared: the fusions ended their
+training by reinforcement at 1.2 to 1.4 times the task's thresholds.
 
 Right objects of training seeds {seeds} in percent; at random {chance:.0f} are right:"""
 

@@ -270,11 +270,9 @@ BOTTOM = """## What this cannot say
 - On TIAGo success has reached its ceiling, so only the steps and the area can differ. With
   randomized colours its runs have no controls.
 
-Repeat: `knowarm study run` with `answer`, `answer-tiago`, `paper`, `size`, `a3c`, `a3c-tuned`,
-`fusions` and `choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`,
-`leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python -m scripts.build_answer`.
-The policies `zoo/irb120-full-fast` and `zoo/tiago-full-fast` are seeds 0: `knowarm evaluate` prints
-99.6 % [99.0, 99.8] and 99.9 % [99.4, 100.0]."""
+Repeat: `knowarm study run` with the studies named above, and `python -m benchmarks.a3c_changes`
+with `add --steps 2000000`, `leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python
+-m scripts.build_answer`. Seeds 0 are `zoo/irb120-full-fast` and `zoo/tiago-full-fast`."""
 
 
 def wrapped(text: str) -> str:
