@@ -80,7 +80,7 @@ snippets: $(VENV)/.dev ## run every command and code block of the documentation,
 	$(PYTEST) -q -n 2 --dist worksteal --durations 25 tests/snippets/test_snippets.py
 
 bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, images, training
-	$(PY) -m knowarm bench --json runs/bench/speed.json
+	$(PY) -m benchmarks.speed --json runs/bench/speed.json
 
 bench-compare: $(VENV)/.dev ## compare the speed with Gymnasium + OpenGL, MuJoCo Warp and sb3-contrib
 	$(PY) -m benchmarks.compare_world --json runs/bench/compare-world.json

@@ -20,10 +20,10 @@ import tyro
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy.typing import NDArray
 
+from benchmarks.speed import Speed, measure_steps
 from benchmarks.world import WorldBenchConfig, bench_world, env_configs
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.experiment.speed import Speed, measure_steps
 from knowarm.world import env_id
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv

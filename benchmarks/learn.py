@@ -14,6 +14,7 @@ from typing import Any, cast
 import torch
 import tyro
 
+from benchmarks.speed import measure_images
 from benchmarks.time_to_success import refuse_module, time_to_success, trainer_of
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
@@ -22,7 +23,6 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import Parts, build
 from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
-from knowarm.experiment.speed import measure_images
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.algorithms import MinibatchConfig

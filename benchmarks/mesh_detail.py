@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.images import ssim, stray_share
+from benchmarks.speed import measure_steps
 from knowarm.cli.tables import check_output, print_table, write_json_table
-from knowarm.experiment.speed import measure_steps
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render import Raycaster

@@ -7,8 +7,8 @@ import argparse
 import csv
 from pathlib import Path
 
+from benchmarks.speed import measure_training
 from knowarm.cores import processor
-from knowarm.experiment.speed import measure_training
 from knowarm.study.config import read_study
 
 

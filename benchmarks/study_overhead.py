@@ -12,6 +12,7 @@ from typing import Any
 
 import tyro
 
+from benchmarks.speed import measure_training
 from knowarm.cli.tables import print_table
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import EvaluationConfig
@@ -19,9 +20,11 @@ from knowarm.experiment.names import DEFAULT_EXPERIMENT
 from knowarm.experiment.probes import BlindProbe, StepsProbe
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import run_study
-from knowarm.study.estimate import measure
 from knowarm.study.executor import LOG, LocalExecutor, Where
 from knowarm.study.worker import WORKED
+
+MEASURED_S = 6.0
+"""Time for which training is measured to choose the length of the runs [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +64,7 @@ def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
                 where=where,
             )
 
-        rate = measure(study(10**9).runs()[0], where.cores)
+        rate = measure_training(study(10**9).runs()[0], MEASURED_S)
         chosen = study(int(rate * config.seconds))
         out, start = Path(folder) / "study", time.perf_counter()
         statuses = run_study(chosen, out)

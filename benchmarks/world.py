@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 import tyro
 
+from benchmarks.speed import Speed, measure_images, measure_steps
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.speed import Speed, measure_images, measure_steps
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS

@@ -5,11 +5,10 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping
 from functools import cache
-from importlib import import_module
 
 import pytest
 
-from knowarm.cli.main import COMMANDS
+from knowarm.cli.main import COMMANDS, DOORS, find_command
 from tests.source_tree import ROOT, files, names
 
 FOREIGN = {
@@ -122,10 +121,9 @@ def unknown_command(command):
     name, *rest = [*command.split()[1:], ""]
     if not re.fullmatch(r"[a-z][a-z-]*", name):
         return False
-    if name not in COMMANDS:
+    if name not in {**COMMANDS, **DOORS}:
         return True
-    module, _, attribute = COMMANDS[name][0].partition(":")
-    group = getattr(import_module(f"knowarm.cli.{module}"), attribute)
+    group = find_command(name)
     is_name = re.fullmatch(r"[a-z][a-z-]*", rest[0])
     return isinstance(group, Mapping) and bool(is_name) and rest[0] not in group
 

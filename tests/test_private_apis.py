@@ -1,13 +1,11 @@
 """Private APIs of other libraries still do what ``knowarm.private_apis`` relies on."""
 
 import importlib.util
-import inspect
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
 
-import pytest
 import torch
 from numba import njit
 
@@ -79,23 +77,6 @@ def test_either_extension_is_enough(monkeypatch):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda answer=vectors: answer)
         monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda answer=tiles: answer)
         assert private_apis.cpu_has_bfloat16() == (vectors or tiles)
-
-
-def test_the_web_viewer_has_the_functions_that_are_replaced():
-    web_server = pytest.importorskip("mujoco.studio.web.web_server", exc_type=ImportError)
-    web_viewer = pytest.importorskip("mujoco.studio.web_viewer", exc_type=ImportError)
-    source = inspect.getsource(web_viewer) + inspect.getsource(web_server)
-    for call in (
-        "web_server.bind_public_socket(",
-        "await serve(",
-        "process_request=process_request",
-        "_print_url_banner(",
-    ):
-        assert call in source
-    before = web_server.serve
-    with private_apis.local_web_viewer(*[lambda *given: None] * 3):
-        assert web_server.serve is not before
-    assert web_server.serve is before
 
 
 ENDING = """

@@ -58,8 +58,6 @@ OTHER_MEANINGS = {
 }
 """Names of agents and tasks that mean something else in a place."""
 
-MOST_LINES = 350
-
 NUMPY_RANDOM = {"Generator", "BitGenerator", "SeedSequence", "PCG64", "Philox", "default_rng"}
 TORCH_DRAWS = {"rand", "randn", "randint", "randperm", "multinomial", "bernoulli", "normal"}
 TORCH_SEEDS = {"torch.manual_seed", "torch.seed", "torch.set_rng_state", "torch.random.manual_seed"}
@@ -196,12 +194,6 @@ def test_no_class_name_occurs_twice():
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(path)
     offenders = [f"{name}: {', '.join(at)}" for name, at in places.items() if len(at) > 1]
-    assert not offenders, listed(offenders)
-
-
-def test_modules_are_of_a_readable_length():
-    lines = {path: len(text.splitlines()) for path, text in files("src").items()}
-    offenders = [f"{path}: {count}" for path, count in lines.items() if count > MOST_LINES]
     assert not offenders, listed(offenders)
 
 

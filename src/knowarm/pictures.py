@@ -2,6 +2,7 @@
 
 import base64
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,22 @@ def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) ->
     stream = io.BytesIO()
     picture.save(stream, kind, **options)
     return stream.getvalue()
+
+
+def animation(images: Sequence[NDArray[np.uint8]], frame_ms: int, last_ms: int) -> bytes:
+    """Return a WebP file that repeats images; ``last_ms`` is the display time of the last one."""
+    frames = [Image.fromarray(image) for image in images]
+    durations = [frame_ms] * (len(frames) - 1) + [last_ms]
+    return encode(
+        frames[0],
+        "WEBP",
+        quality=70,
+        method=2,
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations,
+        loop=0,
+    )
 
 
 def data_uri(kind: str, data: bytes) -> str:

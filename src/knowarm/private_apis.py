@@ -6,7 +6,6 @@ tests/test_private_apis.py fails where a new version of a library lacks one of t
 import atexit
 import inspect
 import os
-import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -14,8 +13,6 @@ from contextlib import contextmanager, suppress
 from functools import update_wrapper
 from types import CellType, FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
-
-from knowarm.errors import UserError
 
 if TYPE_CHECKING:  # takes a second to import, and the command line imports this module
     from torch.optim import Optimizer
@@ -90,52 +87,3 @@ def xacro_packages(find: Callable[[str], str]) -> Iterator[None]:
         yield
     finally:
         module._eval_find = module._eval_dict["find"] = before
-
-
-@contextmanager
-def local_web_viewer(
-    listener: socket.socket,
-    refusal: Callable[[str, Any], str | None],
-    announce: Callable[..., None],
-) -> Iterator[None]:
-    """Replace the functions by which MuJoCo's web viewer listens, answers requests and opens.
-
-    Reason: the viewer listens on all interfaces, answers any Host and Origin, and has no option to
-    change either; it also prints a line for every model. ``refusal`` returns why a request with a
-    path and headers is refused, or None.
-    """
-    from mujoco.studio import web_viewer
-    from mujoco.studio.web import web_server
-
-    original = web_server.serve
-
-    def serve(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-        def guarded(connection: Any, request: Any) -> Any:
-            reason = refusal(request.path, request.headers)
-            if reason is not None:
-                return connection.respond(403, f"{reason}\n")
-            return process_request(connection, request)
-
-        return original(*args, process_request=guarded, **options)
-
-    replaced: list[tuple[Any, str, Callable[..., Any]]] = [
-        (web_server, "bind_public_socket", lambda *given: listener),
-        (web_server, "serve", serve),
-        (web_viewer, "_print_url_banner", announce),
-    ]
-    if missing := [name for module, name, _ in replaced if not hasattr(module, name)]:
-        raise UserError(
-            f"This version of mujoco-studio lacks {missing[0]}, so the viewer cannot be kept from "
-            "listening on the network. Install the version that KnowArm was tested with, or record "
-            "a video or a strip."
-        )
-    before = [(module, name, getattr(module, name)) for module, name, _ in replaced]
-    try:
-        for each in replaced:
-            setattr(*each)
-        vars(web_viewer)["print"] = lambda *words, **options: None
-        yield
-    finally:
-        vars(web_viewer).pop("print", None)
-        for each in before:
-            setattr(*each)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Purpose = Literal[
     "weights",  # initial weights of the policy
-    "episodes",  # the environments' streams; A3C: worker, number of its restarts
+    "episodes",  # the environments' streams; A3C: worker, number of its restarts, or the step
     "actions",  # sampled actions of training; A3C: worker, number of its restarts
     "minibatches",  # order of the environments in PPO's passes
     "placebos",  # random vectors and shuffled graphs; the knowledge's seed, 0

@@ -1,27 +1,28 @@
-"""Tests of ``knowarm bench`` with tiny sizes."""
+"""Tests of ``benchmarks.speed`` with tiny sizes."""
 
 import json
 import sys
 
 import pytest
 
-from benchmarks import devices
-from knowarm.cli.main import main
+from benchmarks import devices, speed
+from benchmarks.speed import measure_peak, measure_training, training_flops
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.speed import measure_peak, measure_training, training_flops
 from tests.tiny import ALGORITHM
 
 
 @pytest.mark.slow
-def test_the_command_prints_and_writes_every_speed(capsys, tmp_path):
+def test_every_speed_is_printed_and_written(capsys, monkeypatch, tmp_path):
     file = tmp_path / "speed.json"
-    assert main(["bench", "--seconds", "0.1", "--num-envs", "4", "--json", str(file)]) == 0
+    options = ["--seconds", "0.1", "--num-envs", "4", "--json", str(file)]
+    monkeypatch.setattr(sys, "argv", ["speed", *options])
+    speed.main()
     out = capsys.readouterr().out
     assert all(words in out for words in ("Simulation", "Images", "Training", "MFLOP", "hours"))
     values = json.loads(file.read_text())
     speeds = [value for name, value in values.items() if "_per_" in name]
     assert len(speeds) == 5
-    assert all(speed > 0 for speed in speeds)
+    assert all(value > 0 for value in speeds)
     expected = values["training_steps_per_s"] * values["training_flops"]
     assert values["share_of_peak"] == pytest.approx(expected / values["peak_flops_per_s"])
 

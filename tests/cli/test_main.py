@@ -10,13 +10,12 @@ import shlex
 import subprocess
 import sys
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from knowarm.cli.list import KINDS
-from knowarm.cli.main import COMMANDS, main, with_flags
+from knowarm.cli.main import COMMANDS, DOORS, find_command, main, with_flags
 from knowarm.cli.train import USAGE, Train
 from knowarm.config import to_dict
 from knowarm.errors import Argument, UserError
@@ -39,7 +38,7 @@ def run(capsys, *arguments: str) -> tuple[int, str, str]:
 def test_help_lists_every_command(capsys):
     code, out, _ = run(capsys)
     assert code == 0
-    assert all(name in out for name in COMMANDS)
+    assert all(name in out for name in [*COMMANDS, *DOORS])
 
 
 def test_help_and_version_are_commands_and_train_needs_a_name(capsys):
@@ -59,10 +58,8 @@ def commands_in(group, *words):
 
 
 def test_every_command_has_a_help(capsys):
-    for name, (where, _) in COMMANDS.items():
-        module, _, attribute = where.partition(":")
-        group = getattr(import_module(f"knowarm.cli.{module}"), attribute)
-        for words in commands_in(group, name):
+    for name in [*COMMANDS, *DOORS]:
+        for words in commands_in(find_command(name), name):
             with pytest.raises(SystemExit) as ended:
                 main([*words, "--help"])
             assert ended.value.code in (0, None), words

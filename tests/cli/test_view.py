@@ -20,6 +20,22 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
         assert strip.height == 2 * 304 + 8
 
 
+def test_without_a_file_a_page_is_opened_in_the_browser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.chdir(tmp_path)
+    arguments = ["view", "irb120", "--episodes", "1", "--dynamics", "kinematic"]
+    assert main([*arguments, "--no-browser"]) == 0
+    assert not opened
+    assert main(arguments) == 0
+    assert opened == [(tmp_path / "knowarm-view.html").as_uri()]
+    assert "Wrote knowarm-view.html" in capsys.readouterr().out
+    assert main([*arguments, "--strip", "strip.png"]) == 0
+    assert len(opened) == 1, "a file was asked for, not a page"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -29,7 +45,7 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
         (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
         (["irb120", "--seed", "-1", "--strip", "x.png"], "seed must be at least 0, got -1"),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
-        (["irb120", "--axes"], "--axes needs --video, --strip or --rrd"),
+        (["irb120", "--page", "film.png"], "The page must be an .html file, got 'film.png'"),
         (["irb120", "--angle-deg", "0", "--strip", "x.png"], "angle_deg must be larger than 0"),
         (
             ["--agent", ZOO, "--colours", "randomized", "--strip", "x.png"],

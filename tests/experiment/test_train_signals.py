@@ -1,16 +1,23 @@
 """`knowarm train` from a signal to its exit code, and on from the command that it prints."""
 
+import itertools
 import os
+import random
 import shlex
+import shutil
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
 from knowarm.cli.main import main
+from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from tests.forked import Forked
-from tests.tiny import ALGORITHM
+from tests.tiny import ALGORITHM, flags
 
 WAIT_S = 120.0
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows cannot fork")
@@ -49,3 +56,63 @@ def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
         again = running.stdout.split("Resume with: knowarm ")[1].splitlines()[0]
         command = shlex.split(again)
     assert steps == sorted({*steps}), "the second command goes on behind the first"
+
+
+A3C = {
+    "total_steps": 1500,
+    "checkpoint_every_steps": 200,
+    "algorithm": {"workers": 2, "log_every_steps": 100},
+    "interim": {"every_steps": 100, "episodes": 2},
+}
+"""Fifteen updates, with a checkpoint after every second and an evaluation after each."""
+NAME = "irb120-bm-a3c"
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    return train(NAME, tmp_path_factory.mktemp("uninterrupted"), **A3C).folder
+
+
+def content(folder):
+    """Return the bytes of the checkpoints, and the curves without times."""
+    files = itertools.product(("latest", "best"), ("policy", "optimizer", "state"))
+    stored = [
+        (folder.checkpoints / which / f"{part}.safetensors").read_bytes() for which, part in files
+    ]
+    curves = [read_csv(path) for path in (folder.metrics_path, folder.evaluations_path)]
+    for row in curves[0]:
+        del row["wall_time_s"], row["steps_per_s"]
+    return stored, curves
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_run_killed_at_a_random_moment_goes_on_from_a_copy_to_the_same_bytes(
+    tmp_path, uninterrupted, number
+):
+    folder = RunFolder(tmp_path / "runs" / NAME / "0")
+    moment = random.Random(number).uniform(1, 15)
+    command = [sys.executable, "-m", "knowarm", "train", NAME, "--runs", str(tmp_path / "runs")]
+    running = subprocess.Popen([*command, *flags(A3C)], stderr=subprocess.DEVNULL)
+    while rows(folder) <= moment and running.poll() is None:
+        time.sleep(0.01)
+    time.sleep(moment % 1 * 0.05)  # anywhere within an update
+    running.kill()
+    assert running.wait() == -signal.SIGKILL, "it ended before it was killed"
+    shutil.copytree(tmp_path / "runs", tmp_path / "copy")
+    again = train(NAME, tmp_path / "copy", resume=True, **A3C)
+    assert again.result.reason == "finished"
+    assert content(again.folder) == content(uninterrupted)
+
+
+def test_a_run_in_slices_equals_an_uninterrupted_one(tmp_path, uninterrupted, capsys):
+    command = ["train", NAME, "--runs", str(tmp_path), *flags(A3C), "--until-step"]
+    assert main([*command, "350"]) == 0
+    printed = capsys.readouterr().out
+    assert "Paused at step 400 of 1,500 and saved" in printed
+    again = shlex.split(printed.split("Resume with: knowarm ")[1].splitlines()[0])
+    assert "--until-step" not in again
+    assert RunFolder(tmp_path / NAME / "0").experiment().total_steps == 1500
+    paused = train(NAME, tmp_path, resume=True, until_step=800, **A3C)
+    assert (paused.result.step, paused.result.reason) == (800, "stopped")
+    assert main(again) == 0
+    assert content(RunFolder(tmp_path / NAME / "0")) == content(uninterrupted)

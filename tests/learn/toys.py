@@ -11,7 +11,6 @@ from knowarm.learn.learner import Learner
 from knowarm.learn.network import TrainingNetwork
 from knowarm.learn.ppo import minibatch_loss
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
-from knowarm.policy.policy import ACTOR_GAIN
 
 JOINTS, LEVELS, SIDE = 2, 3, 20
 SHAPE = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE)
@@ -107,18 +106,18 @@ def toy_env(num_envs, table=None, **options):
     return NumpyToTorch(ToyEnv(num_envs, **options), table)
 
 
-def toy_policy(*, features=32, pixel_shift=0.4, seed=0):
+def toy_policy(*, features=32, pixel_shift=0.4, actor_gain=0.01, seed=0):
     """Create a small policy without knowledge."""
-    config = PolicyConfig(features=features, fusion="none", pixel_shift=pixel_shift)
+    config = PolicyConfig(
+        features=features, fusion="none", pixel_shift=pixel_shift, actor_gain=actor_gain
+    )
     return Policy(config, SHAPE, seed=seed)
 
 
 def informed_toy_policy(width, *, seed=1):
     """Create a small policy with knowledge of some width and visible actor outputs."""
     shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=width)
-    policy = Policy(PolicyConfig(features=16), shape, seed=seed)
-    policy.actor.weight.data /= ACTOR_GAIN
-    return policy
+    return Policy(PolicyConfig(features=16, actor_gain=1.0), shape, seed=seed)
 
 
 def success_rate(policy, *, recall, length):

@@ -10,20 +10,17 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.config import FUSIONS, hidden_size
 from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import Fusion, Similarity
-from knowarm.policy.policy import ACTOR_GAIN
 
 T, B, K, FACETS = 4, 3, 12, 5
 SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}
 TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 
 
-def make_policy(fusion, *, seed=0, actor_gain=ACTOR_GAIN, **changes):
+def make_policy(fusion, *, seed=0, **changes):
     """Create a small policy; ``changes`` go to the shape or to the config, by name."""
     shape = {name: changes.pop(name, value) for name, value in SHAPE.items()}
     config = PolicyConfig(features=16, fusion=fusion, **changes)
-    policy = Policy(config, PolicyShape(**shape), seed=seed)
-    policy.actor.weight.data *= actor_gain / ACTOR_GAIN
-    return policy
+    return Policy(config, PolicyShape(**shape), seed=seed)
 
 
 def inputs(seed=0):

@@ -5,7 +5,6 @@ import torch
 from torch import Tensor, nn
 
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
-from knowarm.policy.policy import ACTOR_GAIN
 
 T, B, FACETS = 5, 3, 4
 
@@ -74,10 +73,10 @@ def test_steps_and_unrolls_equal_plain_layers(joints, knowledge, pixels):
         fusion="before_lstm" if knowledge else "none",
         pixel_shift=pixels[0],
         pixel_scale=pixels[1],
+        actor_gain=1.0,
     )
     table = normal(FACETS, knowledge)
     policy = Policy(config, PolicyShape(joints=joints, knowledge_dim=knowledge), seed=1)
-    policy.actor.weight *= 1 / ACTOR_GAIN
     for name, parameter in policy.named_parameters():
         if "bias" in name:  # zeros after the initialization would hide them
             parameter.copy_(0.1 * normal(*parameter.shape))

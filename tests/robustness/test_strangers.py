@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from knowarm.cli.main import main
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
@@ -126,8 +127,11 @@ def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
             use(run)
     with pytest.raises(UserError, match=r"Nothing to report: .*trusted like code"):
         write_report([run], run.parents[2] / "report.html")
-    trusted = find_robot if field == "robot" else lambda name: find_targets([name])
-    trusted(name)
+    find = find_robot if field == "robot" else lambda name: find_targets([name])
+    find(name)  # reads, and grants nothing
+    with pytest.raises(UserError, match=r"names the description .*trusted like code"):
+        load_agent(run)
+    assert main(["evaluate", "oracle", f"--env.{field}", name, "--episodes", "1"]) == 0
     assert name in str(RunFolder.open(run).experiment().env)
 
 

@@ -53,6 +53,22 @@ def test_status_retry_stop_and_pack(capsys, tmp_path, finished, inline):
     assert "Complete" in capsys.readouterr().out
 
 
+def test_a_study_runs_in_slices(capsys, tmp_path, inline):
+    (tmp_path / "mine.toml").write_text(TOML)
+    out = str(tmp_path / "out")
+    command = ["study", "run", str(tmp_path / "mine.toml"), "--out", out]
+    assert main([*command, "--until-step", "15"]) == 0
+    assert "Paused at step 15 of each run" in capsys.readouterr().out
+    assert main(["study", "status", out]) == 0
+    printed = capsys.readouterr().out
+    for words in ("best return", "steps/s", "irb120-bm-ppo/1 paused: at step 20; goes on"):
+        assert words in printed
+    assert main(["study", "pack", out, "--with-checkpoints"]) == 0
+    assert main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")]) == 0
+    assert main(["study", "run", str(tmp_path / "again")]) == 0
+    assert "Complete" in capsys.readouterr().out
+
+
 def test_this_folder_is_packed_and_other_runs_are_named(capsys, tmp_path, finished, monkeypatch):
     out = shutil.copytree(finished, tmp_path / "tiny")
     shutil.copytree(out / "irb120-bm-ppo" / "0", out / "irb120-bm-ppo" / "7")

@@ -3,10 +3,11 @@ import json
 
 import pytest
 
-from knowarm.config import from_dict, to_dict
+from knowarm.config import differences, from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.names import ExperimentName
+from knowarm.experiment.build import build
+from knowarm.experiment.names import ExperimentName, experiment_config
 from knowarm.study.config import (
     SHIPPED,
     ExperimentGrid,
@@ -16,7 +17,7 @@ from knowarm.study.config import (
     write_study,
 )
 from knowarm.study.executor import Where
-from tests.study.tiny import TOML
+from tests.study.tiny import TOML, tiny
 
 
 def read(tmp_path, text: str) -> StudyConfig:
@@ -41,6 +42,77 @@ def test_the_paper_is_twelve_cells():
     assert len(cells) == len(study.cells()) == 12
     assert {run.role for run in study.runs()} == {"baseline", "knowledge"}
     assert study.evaluations[0].episodes == 1000
+
+
+def test_the_papers_algorithm_is_run_on_the_papers_cells_in_the_declared_order():
+    study = read_study("paper-a3c")
+    runs = study.runs()
+    names = [f"{run.name}/{run.seed}" for run in runs]
+    assert study.order == "listed"
+    assert names[:6] == [
+        f"{robot}-{agent}-dr-a3c/0"
+        for robot in ("irb120", "tiago")
+        for agent in ("bm", "full", "zeros")
+    ]
+    assert [run.seed for run in runs[6:9]] == [1, 1, 1]
+    assert [run.name for run in runs[6:9]] == [run.name for run in runs[:3]]
+    assert {run.agent for run in runs[-4:]} == {"partial"}
+    cells = {(run.env.robot, run.env.colours, run.agent) for run in runs}
+    assert cells >= {
+        (run.env.robot, run.env.colours, run.agent) for run in read_study("paper").runs()
+    }
+    assert {run.total_steps for run in runs} == {70_000_000}
+    thresholds = {each.folder: (each.distance_m, each.angle_deg) for each in study.evaluations}
+    assert thresholds == {
+        "post-training-greedy": (0.1, 17),
+        "distance": (0.1, 180),
+        "strict": (0.05, 15),
+        "anova": (0.1, 17),
+    }
+
+
+@pytest.mark.parametrize("name", ["irb120-{}-dr-a3c", "tiago-{}-dr-a3c", "irb120-{}-a3c"])
+def test_the_control_of_the_papers_algorithm_has_the_size_of_full(name):
+    full, zeros = (experiment_config(name.format(agent)) for agent in ("full", "zeros"))
+    parts = [build(config) for config in (full, zeros)]
+    sizes = [part.new_policy(0).parameter_counts() for part in parts]
+    assert sizes[0] == sizes[1]
+    assert zeros.algorithm == full.algorithm
+    assert parts[0].table.any()
+    assert not parts[1].table.any()
+
+
+def test_changes_of_the_papers_algorithm_change_nothing_else():
+    (published,) = [
+        run
+        for run in read_study("paper-a3c").runs()
+        if (run.name, run.seed) == ("irb120-bm-dr-a3c", 0)
+    ]
+    changes = {
+        name: {*differences(to_dict(published), to_dict(*read_study(name).runs()))}
+        for name in ("paper-a3c-decay", "paper-a3c-rewards")
+    }
+    assert changes == {
+        "paper-a3c-decay": {
+            "total_steps",
+            "algorithm.learning_rate_schedule",
+            "algorithm.learning_rate_final",
+        },
+        "paper-a3c-rewards": {"total_steps", "algorithm.reward_scale", "algorithm.ent_coef"},
+    }
+    decay = read_study("paper-a3c-decay").runs()[0].algorithm
+    assert [decay.learning_rate_at(progress) for progress in (0, 0.5, 1)] == [1e-4, 5e-5, 0]
+
+
+def test_a_run_can_be_listed_with_its_seed(tmp_path):
+    study = tiny(experiments=("irb120-bm-ppo", "irb120-full-ppo/1", "irb120-full-ppo/7"))
+    keys = [(run.name, run.seed) for run in study.runs()]
+    first, second = "irb120-bm-ppo", "irb120-full-ppo"
+    assert keys == [(first, 0), (first, 1), (second, 1), (second, 7)]
+    assert study.cells() == [first, second]
+    assert study.all_seeds() == [0, 1, 7]
+    with pytest.raises(UserError, match="'irb120-bm-ppo/1' is given twice"):
+        tiny(experiments=(first, f"{first}/1"))
 
 
 def test_the_study_of_choosing_holds_controls_of_its_subject_and_every_split():

@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
+from knowarm.reading import read_json
 from knowarm.study import driver, executor
 from knowarm.study.config import OverridesFor, write_study
 from knowarm.study.driver import request_stop, retry, run_study
@@ -69,6 +70,41 @@ def test_a_stopped_run_goes_on_and_missing_evaluations_are_made(tmp_path, execut
     assert states(study, tmp_path) == ["done"]
     rows = (tmp_path / "irb120-bm-ppo" / "0" / "evaluations.csv").read_text().splitlines()
     assert len(rows) == 4
+
+
+def test_runs_pause_at_a_step_and_go_on_to_the_same_bytes(tmp_path, executors, finished):
+    study = tiny()
+    paused = run_study(study, tmp_path, until_step=15)
+    assert [each.state for each in paused] == ["paused", "paused"]
+    assert [each.step for each in paused] == [20, 20]
+    assert [each.best_step for each in paused] == [best_step(tmp_path, each) for each in paused]
+    started = len(executors[-1].started)
+    run_study(study, tmp_path, until_step=15)
+    assert len(executors) == 3
+    assert executors[-1].started == []
+    assert started == 2
+    done = run_study(study, tmp_path)
+    assert [each.state for each in done] == ["done", "done"]
+    for name in ("policy", "optimizer", "state"):
+        file = f"irb120-bm-ppo/1/checkpoints/latest/{name}.safetensors"
+        assert (tmp_path / file).read_bytes() == (finished / file).read_bytes()
+    with pytest.raises(UserError, match="until_step must be at least 1, got 0"):
+        run_study(study, tmp_path, until_step=0)
+
+
+def best_step(out, status):
+    """Return the step of the best model that the run itself states."""
+    facts = read_json(out / status.name / "checkpoints" / "best" / "meta.json")["facts"]
+    assert facts["return_mean"] == pytest.approx(status.best_return)
+    return facts["step"]
+
+
+def test_listed_runs_start_in_their_order(tmp_path, executors):
+    names = ("irb120-full-ppo/1", "irb120-bm-ppo", "irb120-full-ppo")
+    study = tiny(experiments=names, seeds=(0,), order="listed")
+    run_study(study, tmp_path)
+    bm, full = "irb120-bm-ppo", "irb120-full-ppo"
+    assert executors[-1].started == [(full, 1), (bm, 0), (full, 0)]
 
 
 def test_an_error_fails_its_run_only_and_retry_resumes_it(tmp_path, executors, monkeypatch):

@@ -90,6 +90,22 @@ def test_begun_runs_of_an_unpacked_study_are_not_run(finished, tmp_path):
     assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
 
 
+def test_begun_runs_go_on_elsewhere_from_a_pack_with_checkpoints(finished, tmp_path):
+    begun = tmp_path / "begun"
+    run_study(open_study(finished), begun, until_step=20)
+    pack_study(begun, tmp_path / "begun.tar.xz", with_checkpoints=True)
+    out = unpack_study(tmp_path / "begun.tar.xz", tmp_path / "unpacked")
+    assert [each.state for each in study_status(open_study(out), out)] == ["stopped", "stopped"]
+    assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
+    for name in ("policy", "optimizer", "state"):
+        file = f"irb120-bm-ppo/1/checkpoints/latest/{name}.safetensors"
+        assert (out / file).read_bytes() == (finished / file).read_bytes()
+    pack_study(out, tmp_path / "all.tar.xz", with_checkpoints=True)
+    pack_study(out, tmp_path / "none.tar.xz")
+    packs = [(tmp_path / f"{name}.tar.xz").read_bytes() for name in ("all", "none")]
+    assert packs[0] == packs[1], "finished runs need no checkpoint"
+
+
 def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
     content = lzma.decompress(pack.read_bytes())
     (tmp_path / "cut.tar.xz").write_bytes(pack.read_bytes()[:5000])

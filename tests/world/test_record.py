@@ -1,3 +1,6 @@
+import base64
+import io
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +16,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.viewing.record import record_episode, write_strip, write_video
+from knowarm.world.viewing.record import record_episode, write_page, write_strip, write_video
 from tests.world.helpers import MakeEnv
 
 
@@ -56,6 +59,21 @@ def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
     assert frames[0].std() > 10
     with pytest.raises(UserError, match=r"must be an .mp4 file, got 'film.gif'"):
         write_video(tmp_path / "film.gif", films)
+
+
+def test_a_page_holds_every_frame_of_every_episode(films: list, tmp_path: Path) -> None:
+    path = tmp_path / "film.html"
+    write_page(path, "irb120 <oracle>", films)
+    text = path.read_text()
+    assert "irb120 &lt;oracle&gt;" in text
+    assert "http" not in text, "the page loads nothing"
+    stored = re.findall(r'src="data:image/webp;base64,([^"]+)"', text)
+    assert len(stored) == len(films)
+    for data, film in zip(stored, films, strict=True):
+        with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+            assert image.n_frames == len(film)
+            assert image.info["loop"] == 0
+        assert f"reached after {film[-1].step} steps</figcaption>" in text
 
 
 def test_an_interrupted_video_leaves_the_former_file(films: list, tmp_path: Path) -> None:

@@ -13,15 +13,14 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from PIL import Image
 
 from knowarm.asking.asker import SCENES, Asked, Asker
 from knowarm.errors import UserError
+from knowarm.local_server import ADDRESS, listen, refusal
 from knowarm.perception.config import Unclear
-from knowarm.pictures import data_uri, encode
+from knowarm.pictures import animation, data_uri, encode
 from knowarm.reading import replacing
 from knowarm.svg import style_sheet
-from knowarm.world.viewing.watch import ADDRESS, listen, refusal
 
 RED = (214, 39, 40)
 FRAME_MS, LAST_MS = 100, 1_500
@@ -184,11 +183,9 @@ def _pictures(asked: Asked) -> dict[str, str]:
     heat = np.zeros((*asked.heat.shape, 4), np.uint8)
     heat[..., :3] = RED
     heat[..., 3] = np.round(255 * asked.heat / asked.heat.max())
-    frames = [Image.fromarray(frame.large) for frame in asked.film]
-    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    film = {"save_all": True, "append_images": frames[1:], "duration": durations, "loop": 0}
+    frames = [frame.large for frame in asked.film]
     return {
         "image": data_uri("PNG", encode(frames[0], "PNG")),
         "heat": data_uri("PNG", encode(heat, "PNG")),
-        "film": data_uri("WEBP", encode(frames[0], "WEBP", quality=70, method=2, **film)),
+        "film": data_uri("WEBP", animation(frames, FRAME_MS, LAST_MS)),
     }

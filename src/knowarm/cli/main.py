@@ -17,6 +17,7 @@ from typing import Any
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
+from knowarm.world.description import trust
 
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
@@ -28,7 +29,6 @@ COMMANDS = {
     "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "hub": ("hub:HUB", "share policies and studies on the Hugging Face Hub"),
-    "bench": ("bench:Bench", "measure the speed of this machine"),
 }
 """Where each command of the core is defined, below ``knowarm.cli``, and its help text.
 
@@ -140,24 +140,33 @@ def _flag(argument: Argument, command: str) -> str:
 
 def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
-    if name in COMMANDS:
-        where, about = COMMANDS[name]
-        package = "knowarm.cli"
-    elif name in DOORS:
-        where, about = DOORS[name]
-        package = "knowarm"
-    else:
+    # Who names a description in a command trusts it; those that files name are checked.
+    trust([word.rpartition("=")[2] for word in arguments])
+    if name not in {**COMMANDS, **DOORS}:
         raise unknown_name("command", name, [*COMMANDS, *DOORS])
     for flag, (_, register) in OWN.items():
         arguments, import_path = take_option(arguments, flag, "package.module:Name")
         if import_path is not None:
             register(import_path)
-    module, _, attribute = where.partition(":")
-    try:
-        imported = import_module(f"{package}.{module}")
-    except ModuleNotFoundError as error:
-        if error.name != f"{package}.{module.partition('.')[0]}":
-            raise
-        raise UserError(f"`knowarm {name}` is not installed here: it needs {error.name}.") from None
-    command = getattr(imported, attribute)
+    command = find_command(name)
+    _, about = {**COMMANDS, **DOORS}[name]
     return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)
+
+
+def find_command(name: str) -> Any:
+    """Import what defines a command of ``COMMANDS`` or ``DOORS``.
+
+    Raises:
+        UserError: it is a door's, and the door is not installed.
+    """
+    if name in COMMANDS:
+        module, _, attribute = COMMANDS[name][0].partition(":")
+        return getattr(import_module(f"knowarm.cli.{module}"), attribute)
+    module, _, attribute = DOORS[name][0].partition(":")
+    door = f"knowarm.{module.partition('.')[0]}"
+    try:
+        return getattr(import_module(f"knowarm.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        if error.name != door:
+            raise
+        raise UserError(f"`knowarm {name}` is not installed here: it needs {door}.") from None

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
-from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -29,14 +28,13 @@ from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
-from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
-from knowarm.study.estimate import SECONDS, estimate
+from knowarm.study.driver import OnStatus, open_study, request_stop, retry, run_study
 from knowarm.study.executor import RunKey
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
-PAUSED = ("stalled", "stopped")  # begun, and not going on
+PAUSED = ("stalled", "stopped", "paused")  # begun, and not going on
 STYLES = {"running": "cyan", "failed": "red", "done": "green", **dict.fromkeys(PAUSED, "yellow")}
 BAD = ("failed", "damaged")  # states that need an action of the user
 
@@ -75,9 +73,13 @@ def status_tables(
     """Return title, table and summary: one row per experiment and one column per seed."""
     left = seconds_left(statuses)
     found = {each.run: each for each in statuses}
-    seeds = study.seeds
-    rows = [[Text(cell), *(_cell(found[cell, s], left) for s in seeds)] for cell in study.cells()]
-    tables = lay_out(["experiment", *(f"seed {seed}" for seed in study.seeds)], rows, room)
+    seeds = study.all_seeds()
+    rows = []
+    for experiment in study.cells():
+        runs = [found.get((experiment, seed)) for seed in seeds]
+        cells = [Text("") if run is None else _cell(run, left) for run in runs]
+        rows.append([Text(experiment), *cells])
+    tables = lay_out(["experiment", *(f"seed {seed}" for seed in seeds)], rows, room)
     title = Text(f"Study {study.name}", style="bold")
     return [title, *tables, Text(summary_line(study, statuses))]
 
@@ -105,7 +107,6 @@ def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
 
 
 Number = Annotated[int | None, tyro.conf.arg(metavar="N")]
-START_S = 10.0  # time of the first updates of a training, which are not measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +138,7 @@ class StudyShow:
         if file.is_file():
             print(file.read_text("utf-8"))
         steps = {config.name: config.total_steps for config in study.runs()}
-        seeds = ", ".join(map(str, study.seeds))
+        seeds = ", ".join(map(str, study.all_seeds()))
         title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
         print_table(title, ["experiment", "steps"], steps.items())
         for evaluation in study.evaluations:
@@ -163,11 +164,11 @@ class StudyRun:
     """Runs at once. Default: as many as cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
-    dry_run: bool = False
-    """Only list the runs and estimate their cost, from one short measurement on this machine."""
+    until_step: Number = None
+    """Save and pause every run at step N; a later command with a larger N, or none, goes on."""
 
     def run(self) -> None:
-        """Run the study, or estimate its cost."""
+        """Run the study."""
         study = read_study(self.study, of=self.of)
         chosen: dict[str, Any] = {
             "kind": self.executor,
@@ -178,17 +179,24 @@ class StudyRun:
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
         is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
-        if self.dry_run:
-            _print_estimate(study, out)
-            return
         with StopRequest() as should_stop, study_progress(study) as progress:
-            statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
+            statuses = run_study(
+                study,
+                out,
+                until_step=self.until_step,
+                should_stop=should_stop,
+                on_status=progress,
+            )
         for status in (bad := [each for each in statuses if each.state in BAD]):
             print(f"{status.name} {status.state}: {printable(status.detail)}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
         if all(each.state == "done" for each in statuses):
             print(f"Complete: {out}")
+            return
+        if all(each.state in ("done", "paused") for each in statuses):
+            print(f"Paused at step {self.until_step:,} of each run: {out}")
+            print("Run the same command with a larger --until-step, or without, to continue.")
             return
         if any(each.state == "failed" for each in bad):
             print(f"Let failed runs resume with: knowarm study retry {out}, then the same command.")
@@ -199,28 +207,21 @@ class StudyRun:
         sys.exit(1)
 
 
-def _print_estimate(study: StudyConfig, out: Path) -> None:
-    """Print the runs that a study will make, and what they will cost."""
-    check_folder(study, out)
-    print(f"Measuring training, {SECONDS + START_S:.0f} s if idle ...", file=sys.stderr, flush=True)
-    with Progress(TimeElapsedColumn(), console=Console(stderr=True), transient=True) as clock:
-        clock.add_task("", total=None)
-        estimated = estimate(study, out)
-    steps: dict[str, list[int]] = {}
-    for each in estimated.statuses:
-        steps.setdefault(each.experiment, []).append(each.steps_left)
-    rows = [[name, len(left), sum(left)] for name, left in steps.items()]
-    print_table(f"Study {study.name}: to do", ["experiment", "runs", "steps"], rows)
-    if rows:
-        print(
-            f"{estimated.steps:,} steps of training and at most {estimated.evaluation_steps:,} of "
-            f"evaluation, at {estimated.steps_per_s:,.0f} steps/s (measured: {rows[0][0]}; others "
-            "differ):"
-        )
-    print(
-        f"about {estimated.core_hours:.2f} core hours; {estimated.hours:.2f} hours with "
-        f"{estimated.slots} runs at once; up to {estimated.disk_gib:.1f} GiB. Nothing was started."
-    )
+PROGRESS = ("run", "state", "steps", "of", "best return", "at step", "steps/s")
+
+
+def progress_row(status: RunStatus) -> list[Any]:
+    """Return steps, best interim evaluation and mean speed of a run, as `PROGRESS` names them."""
+    speed = status.step / status.seconds if status.seconds else None
+    return [
+        status.name,
+        status.state,
+        status.step,
+        status.total_steps,
+        status.best_return,
+        status.best_step,
+        speed,
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,6 +235,9 @@ class Status(FolderCommand, TableCommand):
         console = make_console()
         for table in status_tables(study, statuses, console.width):
             console.print(table, crop=False, soft_wrap=isinstance(table, Text))
+        begun = [each for each in statuses if each.step]
+        if begun:
+            print_table("Runs", PROGRESS, [progress_row(each) for each in begun])
         for each in statuses:
             if each.detail and each.state in (*BAD, *PAUSED):
                 print(f"{each.name} {each.state}: {printable(each.detail)}")
@@ -274,12 +278,19 @@ class Pack(FolderCommand):
     """The file. Default: DIR.tar.xz."""
     leave_out: tuple[Part, ...] = ()
     """Parts to leave out, to make it smaller."""
+    with_checkpoints: bool = False
+    """Add the latest checkpoint of each unfinished run, with which it resumes elsewhere."""
 
     def run(self) -> None:
         """Write the file."""
         folder = self.folder if self.folder.name.strip(".") else self.folder.resolve()
         file = self.out or folder.with_name(folder.name + SUFFIX)
-        count = pack_study(self.folder, file, leave_out=self.leave_out)
+        count = pack_study(
+            self.folder,
+            file,
+            leave_out=self.leave_out,
+            with_checkpoints=self.with_checkpoints,
+        )
         for name in runs_beside(open_study(self.folder), self.folder):
             print(f"Left out: {name} is no run of the study.")
         print(f"Wrote {file}: {count:,} files, {file.stat().st_size / 2**20:.1f} MiB")

@@ -65,6 +65,8 @@ class Train:
     """Resume the run from its latest checkpoint, with the options it was started with."""
     graph: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
+    until_step: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Save and end at step N of all; resuming goes on to the last step, or to another N."""
     perception: FilePath = None
     """perception.safetensors of another run, for agents that would train such a network first."""
     again: tyro.conf.Suppress[str] = ""
@@ -111,18 +113,28 @@ class Train:
             words = [word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest]
             check_graphs(command.config, [*flatten(values), *words])
         own = [f" {flag} {places[-1]}" for flag, (of, _) in OWN.items() if (places := named_by(of))]
-        again = shlex.join(["knowarm", "train", *arguments, *["--resume"] * (not command.resume)])
+        given, _ = take_option(arguments, "--until-step", "N")
+        again = shlex.join(["knowarm", "train", *given, *["--resume"] * (not command.resume)])
         return replace(command, again=again + "".join(own), own="".join(own))
 
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
         from knowarm.experiment.run import train
 
-        options: dict[str, Any] = {"resume": self.resume, "perception": self.perception}
+        options: dict[str, Any] = {
+            "resume": self.resume,
+            "perception": self.perception,
+            "until_step": self.until_step,
+        }
         with StopRequest() as should_stop:
             run = train(self.config, self.runs, should_stop=should_stop, **options)
         where, result = run.folder.path, run.result
         if result.reason == "stopped":
+            if self.until_step is not None and result.step >= self.until_step:
+                total = f"{self.config.total_steps:,}"
+                print(f"Paused at step {result.step:,} of {total} and saved: {where}")
+                print(f"Resume with: {self.again}")
+                return 0
             print(f"Stopped at step {result.step:,} and saved. Resume with: {self.again}")
             return 130
         print(f"Trained for {result.step:,} steps: {where}")

@@ -1,8 +1,8 @@
-"""``knowarm view``: an agent in the web viewer, as a video or as a film strip."""
+"""``knowarm view``: films of an agent: in the browser, as a video, as a strip, or for Rerun."""
 
+import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
@@ -22,25 +22,30 @@ from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.tasks import find_task
 from knowarm.world.tasks.task import Task
 from knowarm.world.viewing.record import (
+    check_page,
     check_video,
     record_episode,
+    write_page,
     write_strip,
     write_video,
 )
 from knowarm.world.viewing.rerun import check_rrd, write_rrd
-from knowarm.world.viewing.watch import watch
+
+PAGE = Path("knowarm-view.html")
+"""Page that is written where no file is named, in the working directory: browsers that are
+installed as snaps cannot read the folder of temporary files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Show an agent in MuJoCo's web viewer, or record it."""
+    """Show films of an agent in the browser, or write them to files."""
 
     robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]")] = None
     """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
-    """Number of episodes; the viewer plays them again and again until Ctrl-C."""
+    """Number of episodes."""
     seed: int = 0
     """Seed of the episodes, and of the actions of a stochastic agent."""
     task: Task = field(default_factory=lambda: EnvConfig().task)
@@ -55,20 +60,20 @@ class View:
     """Largest angle at which the target counts as reached [deg]. Default: 15, or the run's."""
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in this angle."""
+    page: FilePath = None
+    """Write an .html page with a film per episode: the policy's images beside a large view.
+    Without any file to write: knowarm-view.html, which is replaced."""
+    browser: bool = True
+    """Open the page in the browser."""
     video: FilePath = None
-    """Write an .mp4 video of the policy's images beside a large view, instead of the viewer."""
+    """Write an .mp4 video of these films."""
     strip: FilePath = None
-    """Write an image with one film strip per episode, instead of opening the viewer."""
+    """Write an image with one film strip per episode."""
     rrd: FilePath = None
     """Write images, joints, distances and what a run knows to an .rrd file for Rerun's viewer."""
     axes: bool = False
     """Draw the frames of grasp and gripper, and the sphere of success around the grasp, over the
-    large view of a video, strip or recording."""
-    port: int = 0
-    """Port of the web viewer, which only this machine can reach; 0 takes the first free port from
-    8080."""
-    browser: bool = True
-    """Open the web viewer in the browser."""
+    large view."""
 
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
@@ -82,17 +87,17 @@ class View:
         at_least(self, 1, "episodes")
         at_least(self, 0, "seed")
         above_zero(self, "angle_deg")
+        page = self.page
+        if page is None and self.video is None and self.strip is None and self.rrd is None:
+            page = PAGE
+        if page is not None:
+            check_page(page)
         if self.strip is not None:
             check_suffix(self.strip, "A film strip")
         if self.video is not None:
             check_video(self.video)
         if self.rrd is not None:
             check_rrd(self.rrd)
-        live = self.video is None and self.strip is None and self.rrd is None
-        if live and self.axes:
-            raise UserError(
-                "--axes needs --video, --strip or --rrd: the viewer draws no axes of its own."
-            )
         make_agent, config = self._agent()
         given = {
             name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
@@ -101,28 +106,28 @@ class View:
         env = ArmVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
-        if live:
-            print(f"{self.agent} repeats its episodes ({len(episodes)}) until Ctrl-C.")
-            title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
-            options: dict[str, Any] = {"port": self.port, "open_browser": self.browser}
-            watch(agent, env, episodes, title=title, on_end=partial(print, flush=True), **options)
-            return
-        films, knowledge = [], []
+        films = []
+        knowledge = []
         for number in range(len(episodes)):
             films.append(record_episode(agent, env, episodes[number : number + 1], axes=self.axes))
             if self.rrd is not None:
                 knowledge.append(self._knowledge(agent, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
-        write_recording = partial(write_rrd, joints=env.scene.joint_names, knowledge=knowledge)
-        for path, write in (
-            (self.video, write_video),
-            (self.strip, write_strip),
-            (self.rrd, write_recording),
-        ):
-            if path is not None:
-                write(path, films)
-                print(f"Wrote {path}")
+        if self.video is not None:
+            write_video(self.video, films)
+            print(f"Wrote {self.video}")
+        if self.strip is not None:
+            write_strip(self.strip, films)
+            print(f"Wrote {self.strip}")
+        if self.rrd is not None:
+            write_rrd(self.rrd, films, joints=env.scene.joint_names, knowledge=knowledge)
+            print(f"Wrote {self.rrd}")
+        if page is not None:
+            write_page(page, f"KnowArm: {env.scene.robot.name}, {self.agent}", films)
+            print(f"Wrote {page}")
+            if self.browser:
+                webbrowser.open(page.resolve().as_uri())
 
     def _knowledge(self, agent: AgentProtocol, image: Any) -> dict[str, Any]:
         """Return what the agent knows in the episode that it has played."""

@@ -25,7 +25,7 @@ from knowarm.deploy.driver import shrunk
 from knowarm.deploy.messages import pack, unpack
 from knowarm.deploy.runner import Runner, Start
 from knowarm.errors import UserError, packages_of
-from knowarm.world.viewing.watch import LOOPBACK, refusal
+from knowarm.local_server import LOOPBACK, refusal
 
 with packages_of("serve", "Serving"):
     from websockets.exceptions import ConnectionClosed

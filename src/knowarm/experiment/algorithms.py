@@ -111,7 +111,12 @@ ALGORITHMS: dict[str, Algorithm] = {
         config=A3CConfig(),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
-        policy={"pixel_shift": 0.0, "pixel_scale": 1.0, "fc_activation": "none"},
+        policy={
+            "pixel_shift": 0.0,
+            "pixel_scale": 1.0,
+            "fc_activation": "none",
+            "actor_gain": 1.0,
+        },
     ),
     "a3c-tuned": Algorithm(
         about="A3C with two batched workers, larger thresholds at first, PPO's rewards and pixels",

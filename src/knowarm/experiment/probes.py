@@ -59,10 +59,6 @@ class BaseProbe:
     def measure(self, played: Played, findings: Findings) -> None:
         """Add what it measures to what was found."""
 
-    def count_further(self, episodes: int) -> int:
-        """Count the episodes that it plays itself."""
-        return 0
-
 
 @dataclass(frozen=True, kw_only=True)
 class StepsProbe(BaseProbe):
@@ -102,10 +98,6 @@ class BlindProbe(BaseProbe):
 
     def __post_init__(self) -> None:
         at_least(self, 1, "episodes", where="blind.")
-
-    def count_further(self, episodes: int) -> int:
-        """Count the episodes of all blind agents."""
-        return len(BLIND_AGENTS) * min(self.episodes, episodes)
 
     def measure(self, played: Played, findings: Findings) -> None:
         """Add the group ``blind`` and the numbers ``vision_gain`` and ``binding``.

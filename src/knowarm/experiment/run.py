@@ -48,6 +48,7 @@ def train(
     resume: bool = False,
     should_stop: Callable[[], bool] = lambda: False,
     perception: Path | str | None = None,
+    until_step: int | None = None,
     **overrides: Any,
 ) -> Run:
     """Train one experiment, or resume a training that was stopped.
@@ -61,6 +62,8 @@ def train(
         should_stop: called between updates; true saves a checkpoint and ends the training.
         perception: file of a grounding network to use instead of training one; the run folder keeps
             a copy, with which it resumes.
+        until_step: save a checkpoint and end at the first update that reaches this step, as
+            ``should_stop`` does; schedules extend over ``total_steps`` all the same.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
             such as ``algorithm={"num_envs": 64}``; ``graph`` is that of knowledge and questions.
 
@@ -75,6 +78,8 @@ def train(
         config = experiment_config(config, **overrides)
     elif overrides:
         config = override_experiment(config, overrides)
+    if until_step is not None and until_step < 1:
+        raise UserError(f"until_step must be at least 1, got {until_step}.")
     path = run_path(Path(runs), config)
     if resume:
         different = other_fields(RunFolder.open(path), config)
@@ -89,7 +94,7 @@ def train(
     parts = build(config)
     config.knows.check_network(network, None if resume else parts.table, config.agent)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, network, path, resume, should_stop)
+        return _train_locked(config, parts, network, path, resume, should_stop, until_step)
 
 
 def _train_locked(
@@ -99,6 +104,7 @@ def _train_locked(
     path: Path,
     resume: bool,
     should_stop: Callable[[], bool],
+    until_step: int | None,
 ) -> Run:
     """Train in a run folder that no other process writes to; see `train`."""
     folder = RunFolder.open(path) if resume else RunFolder.create(path)
@@ -109,8 +115,12 @@ def _train_locked(
         parts = replace(parts, table=folder.knowledge())
     policy = parts.new_policy(config.seed)
 
+    last = config.total_steps
+    pause = last if until_step is None else min(until_step, last)
+
     def should_end() -> bool:
-        return should_stop() or folder.ended_early_at(config.stop_when) is not None
+        is_paused = pause <= trainer.step < last
+        return is_paused or should_stop() or folder.ended_early_at(config.stop_when) is not None
 
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts, policy):
@@ -187,6 +197,7 @@ def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
     """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
     choices = to_dict(policy.resolved_config)
     del choices["wide"]
+    del choices["actor_gain"]  # of the initial weights only; checkpoints of before do not name it
     return {
         "robot": config.env.robot,
         "agent": config.agent,

@@ -181,9 +181,13 @@ class Collector:
         """Whether all environments are at the start of an episode."""
         return bool(self._start.all())
 
-    def restart(self) -> Tensor:
-        """Start new episodes in all environments; return their images."""
-        self._image, _ = self.env.reset()
+    def restart(self, seed: int | None = None) -> Tensor:
+        """Start new episodes in all environments; return their images.
+
+        Args:
+            seed: of new streams of episodes; None continues the present ones.
+        """
+        self._image, _ = self.env.reset(seed=seed)
         self._start = torch.ones_like(self._start)
         self.statistics = EpisodeStatistics(self.env.num_envs, self.env.device)
         return self._image
@@ -204,13 +208,18 @@ class Collector:
             "episode_start": self._start,
             "h": self._state[0],
             "c": self._state[1],
-            "generator": self.generator.get_state(),
         }
         state = {name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()}
         state.update({f"episode/{k}": v for k, v in self.statistics.get_state().items()})
+        state.update(self.get_state_between_episodes())
+        state.update({f"env/{k}": np.asarray(v) for k, v in self.env.get_state().items()})
+        return state
+
+    def get_state_between_episodes(self) -> dict[str, np.ndarray]:
+        """Return all that is needed where the next rollout starts new streams of episodes."""
+        state = {"generator": self.generator.get_state().cpu().numpy().copy()}
         if self.curriculum is not None and self.curriculum.is_used:
             state["threshold_factor"] = np.array(self.curriculum.factor)
-        state.update({f"env/{k}": np.asarray(v) for k, v in self.env.get_state().items()})
         return state
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -221,8 +230,12 @@ class Collector:
 
         self._image, self._start = place("observation"), place("episode_start")
         self._state = (place("h"), place("c"))
-        self.generator.set_state(torch.from_numpy(state["generator"].copy()))
         self.statistics.set_state(select(state, "episode/"))
+        self.set_state_between_episodes(state)
+        self.env.set_state(select(state, "env/"))
+
+    def set_state_between_episodes(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from the result of `get_state_between_episodes`."""
+        self.generator.set_state(torch.from_numpy(state["generator"].copy()))
         if self.curriculum is not None and self.curriculum.is_used:
             self.curriculum.factor = float(state["threshold_factor"])
-        self.env.set_state(select(state, "env/"))

@@ -62,12 +62,15 @@ class PolicyConfig:
     """Factor applied after the shift; .5 and 4 give images mean 0 and standard deviation ~1."""
     fc_activation: Literal["relu", "none"] = "relu"
     """Activation after the fully connected layer; the lineage of the paper's A3C has none."""
+    actor_gain: float = 0.01
+    """Gain of the orthogonal initialization of the actor heads: with .01 the first policy is near
+    uniform. The paper's A3C has 1."""
 
     def __post_init__(self) -> None:
         if self.fusion not in FUSIONS:
             raise unknown_name("fusion", self.fusion, FUSIONS)
         at_least(self, 1, "features")
-        above_zero(self, "pixel_scale")
+        above_zero(self, "pixel_scale", "actor_gain")
         if isinstance(self.hidden, int) and self.hidden < 1:
             raise UserError(f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}.")
 

@@ -27,9 +27,6 @@ from knowarm.seeding import torch_generator
 MatmulPrecision = Literal["float32", "bfloat16"]
 """Precision of matrix products."""
 
-ACTOR_GAIN = 0.01
-"""Gain of the orthogonal initialization of the actor heads: the first policy is near uniform."""
-
 
 class Policy(nn.Module):
     """Two convolutions, a fully connected layer, an LSTM, J actor heads and a critic.
@@ -92,7 +89,7 @@ class Policy(nn.Module):
         orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
         orthogonal(self.memory, 1.0, generator)
         for head in self.actor.weight.data.split(self.shape.levels):
-            orthogonal_(head, ACTOR_GAIN, generator)
+            orthogonal_(head, self.config.actor_gain, generator)
         nn.init.zeros_(self.actor.bias)
         orthogonal(self.critic, 1.0, generator)
 

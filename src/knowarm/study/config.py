@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from knowarm.config import file_name, flatten, from_dict, to_dict
 from knowarm.errors import UserError, unknown_name
@@ -86,7 +86,7 @@ class StudyConfig:
     about: str = ""
     """What it is for, in a line."""
     experiments: tuple[str, ...] = ()
-    """Names of experiments, as in `knowarm list`."""
+    """Names of experiments, as in `knowarm list`, for all seeds; NAME/SEED for one seed alone."""
     grid: ExperimentGrid | None = None
     """More experiments: every combination of some parts."""
     seeds: tuple[int, ...]
@@ -98,6 +98,9 @@ class StudyConfig:
     """Overrides of some experiments, applied after ``overrides`` and in order."""
     evaluations: tuple[EvaluationConfig, ...] = (EvaluationConfig(),)
     """Post-training evaluations of every run."""
+    order: Literal["seeds", "listed"] = "seeds"
+    """Which runs start first: those of the first seed, the longest before the others; or in the
+    order in which they are listed."""
     where: Where = field(default_factory=Where)
     """Resources of the runs."""
 
@@ -105,7 +108,13 @@ class StudyConfig:
         file_name(self, "name")
         if (count := len(self.cells()) * len(self.seeds)) > MAX_RUNS:
             raise UserError(f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}.")
-        for what, given in (("experiments", self.cells()), ("seeds", self.seeds)):
+        names = [name for name, seeds in self._listed() if seeds is self.seeds]
+        runs = [f"{name}/{seed}" for name, seeds in self._listed() for seed in set(seeds)]
+        for what, given in (
+            ("experiments", names or runs),
+            ("seeds", self.seeds),
+            ("experiments", runs),
+        ):
             if not given:
                 raise UserError(f"{what}: a study needs at least one; got none.")
             if twice := sorted({str(each) for each in given if list(given).count(each) > 1}):
@@ -120,11 +129,26 @@ class StudyConfig:
 
     def cells(self) -> list[str]:
         """Return the names of the experiments."""
-        named = [str(ExperimentName.parse(name)) for name in self.experiments]
-        return [*named, *(self.grid.experiments() if self.grid else [])]
+        return list(dict.fromkeys(name for name, _ in self._listed()))
+
+    def all_seeds(self) -> list[int]:
+        """Return the training seeds that any experiment has."""
+        return list(dict.fromkeys(seed for _, seeds in self._listed() for seed in seeds))
+
+    def _listed(self) -> list[tuple[str, tuple[int, ...]]]:
+        """Return the names of the experiments with their seeds, as listed."""
+        listed: list[tuple[str, tuple[int, ...]]] = []
+        for text in self.experiments:
+            name, _, seed = text.rpartition("/")
+            if name and seed.isdecimal():
+                listed.append((str(ExperimentName.parse(name)), (int(seed),)))
+            else:
+                listed.append((str(ExperimentName.parse(text)), self.seeds))
+        grid = self.grid.experiments() if self.grid else []
+        return [*listed, *((name, self.seeds) for name in grid)]
 
     def runs(self) -> list[ExperimentConfig]:
-        """Return the config of every run, experiment by experiment."""
+        """Return the config of every run, as listed, experiment by experiment."""
         return list(self._runs.values())
 
     def run(self, experiment: str, seed: int) -> ExperimentConfig:
@@ -136,10 +160,11 @@ class StudyConfig:
 
     @cached_property
     def _runs(self) -> dict[RunKey, ExperimentConfig]:
+        configs = {name: self._experiment(name) for name in self.cells()}
         return {
-            (config.name, seed): dataclasses.replace(config, seed=seed)
-            for config in map(self._experiment, self.cells())
-            for seed in self.seeds
+            (configs[name].name, seed): dataclasses.replace(configs[name], seed=seed)
+            for name, seeds in self._listed()
+            for seed in seeds
         }
 
     def _experiment(self, name: str) -> ExperimentConfig:

@@ -16,9 +16,11 @@ from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
 from knowarm.study.executor import LOG, Ended, Executor, LocalExecutor, RunKey, Where
 from knowarm.study.ray_executor import RayExecutor
-from knowarm.study.status import FAILURE, RunStatus, runs_beside, seconds_left, study_status
+from knowarm.study.status import FAILURE, PAUSE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
+RESUMABLE = "checkpoints/latest/state.safetensors"
+"""File of a run that a pack with checkpoints has, and others have not."""
 POLL_S = 0.5  # time between two looks at the workers [s]
 STATUS_S = 2.0  # time between two readings of all run folders [s]
 UNFINISHED = ("waiting", "stalled", "stopped", "trained")  # states in which a free run is worked on
@@ -30,6 +32,7 @@ def run_study(
     study: StudyConfig,
     out: Path | str,
     *,
+    until_step: int | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_status: OnStatus = lambda statuses: None,
 ) -> list[RunStatus]:
@@ -38,6 +41,8 @@ def run_study(
     Args:
         study: what to run; the same call again continues it, also after a crash.
         out: the study's folder.
+        until_step: save and pause every run at the first update that reaches this step; a later
+            call with a larger one, or none, goes on.
         should_stop: called twice a second; true saves every running training and returns.
         on_status: receives the status of all runs at the start, every few seconds and at the end.
 
@@ -49,6 +54,8 @@ def run_study(
             machine is too small for one run.
     """
     out = Path(out)
+    if until_step is not None and until_step < 1:
+        raise UserError(f"until_step must be at least 1, got {until_step}.")
     check_folder(study, out)
     executor = make_executor(study.where, out)
     try:
@@ -56,6 +63,9 @@ def run_study(
             write_study(study, out)
             (out / PACKED).unlink(missing_ok=True)  # runs that start from now on can be resumed
             (out / STOP).unlink(missing_ok=True)
+            (out / PAUSE).unlink(missing_ok=True)
+            if until_step is not None:
+                (out / PAUSE).write_text(f"{until_step}\n", encoding="utf-8")
             _Driver(study, out, executor, on_status).run(should_stop)
     finally:
         executor.close()
@@ -79,12 +89,16 @@ def check_folder(study: StudyConfig, out: Path) -> None:
             )
     if (out / PACKED).exists():
         statuses = [each for each in study_status(study, out) if each.state != "waiting"]
-        begun = [each.name for each in statuses if each.state != "done"]
+        begun = [
+            each.name
+            for each in statuses
+            if each.state != "done" and not (out / each.name / RESUMABLE).is_file()
+        ]
         if begun:
             raise UserError(
                 f"{out} is an unpacked study, which lacks what resuming {', '.join(begun[:3])} "
                 f"needs: remove the folders of unfinished runs ({len(begun)}) to start these "
-                "again, or choose another folder."
+                "again, choose another folder, or pack the study with its checkpoints."
             )
     for config in study.runs():
         folder = RunFolder(run_path(out, config))
@@ -177,13 +191,15 @@ class _Driver:
             time.sleep(POLL_S)
 
     def _start(self, statuses: Sequence[RunStatus]) -> None:
-        """Fill the free slots seed by seed, longest runs first; leave runs that others hold."""
+        """Fill the free slots in the study's order; leave runs that others hold."""
         left = seconds_left(statuses)
         free = [s for s in statuses if s.state in UNFINISHED and s.run not in self._mine]
         todo = [s for s in free if not is_locked(self._out / s.name)]
         # Without a known rate, the number of steps orders them.
         length = {each.run: left.get(each.run, float(each.steps_left)) for each in todo}
-        todo.sort(key=lambda each: (self._study.seeds.index(each.run[1]), -length[each.run]))
+        if self._study.order == "seeds":  # otherwise they are in the order of the study
+            seeds = self._study.all_seeds()
+            todo.sort(key=lambda each: (seeds.index(each.run[1]), -length[each.run]))
         for status in todo[: max(0, self._executor.slots - len(self._mine))]:
             self._executor.start(status.run)
             self._mine.add(status.run)

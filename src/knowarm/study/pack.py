@@ -6,19 +6,20 @@ import json
 import lzma
 import shutil
 import tarfile
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.run import run_path
-from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES
+from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.reading import reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
-from knowarm.study.status import FAILURE
+from knowarm.study.status import FAILURE, is_trained
 
 FORMAT = 1  # of the manifest
 SUFFIX = ".tar.xz"
@@ -41,8 +42,20 @@ PART_FILES: dict[Part, tuple[str, ...]] = {
 """Patterns of the files of a run that belong to a part."""
 
 
-def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> int:
-    """Write a study to one file, without optimizer state and rollouts; equal folders, equal bytes.
+CHECKPOINT_FILES = ("checkpoints/latest/*",)
+"""Patterns of the files with which a run resumes."""
+
+
+def pack_study(
+    out: Path, file: Path, *, leave_out: Collection[Part] = (), with_checkpoints: bool = False
+) -> int:
+    """Write a study to one file; equal folders, equal bytes.
+
+    Args:
+        out: the study's folder.
+        file: the pack.
+        leave_out: parts that it lacks.
+        with_checkpoints: add the latest checkpoint of each run that has not taken all its steps.
 
     Returns:
         Number of files in the pack, without its manifest.
@@ -54,11 +67,12 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     study = open_study(out)
     parts = [PACKED_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
+    patterns = list(chain(*parts))
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
         paths = [out / STUDY_FILE] + [
             path
             for config in study.runs()
-            for pattern in chain(*parts)
+            for pattern in [*patterns, *_checkpoint_files(out, config, with_checkpoints)]
             for path in sorted(run_path(out, config).glob(pattern))
             if path.is_file()
         ]
@@ -82,13 +96,22 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     return len(contents)
 
 
+def _checkpoint_files(out: Path, config: ExperimentConfig, wanted: bool) -> Sequence[str]:
+    """Return the patterns of a run's checkpoint, if it is wanted and the run is unfinished."""
+    folder = RunFolder(run_path(out, config))
+    if not wanted or not folder.has_checkpoint or is_trained(folder, config):
+        return ()
+    return CHECKPOINT_FILES
+
+
 def unpack_study(file: Path, out: Path) -> Path:
     """Write the files of a pack to a new folder, and compare each with its digest.
 
     Packs of strangers are safe: only regular files of the manifest are written, inside the folder.
 
     Returns:
-        ``out``, which `knowarm report` and `knowarm evaluate` read; its runs cannot be resumed.
+        ``out``, which `knowarm report` and `knowarm evaluate` read; runs resume whose checkpoint
+        is in the pack.
     """
     if not file.name.endswith(SUFFIX):
         raise UserError(f"{file} is no pack of a study, whose name ends in {SUFFIX}.")

@@ -17,7 +17,7 @@ from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Summary
-from knowarm.reading import read_json
+from knowarm.reading import read_json, reading
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import RunKey
 
@@ -26,12 +26,14 @@ State = Literal[
     "running",  # a process holds its folder
     "stalled",  # a process holds its folder, and has written nothing for a while
     "stopped",  # its process ended before the last step; `study run` resumes it
+    "paused",  # has reached the step at which the last `study run` was to pause it
     "failed",  # an error ended it; ``study retry`` lets it resume
     "damaged",  # a file of its folder cannot be read; `study run` leaves it alone
     "trained",  # all steps done, evaluations missing
     "done",  # trained and evaluated
 ]
 
+PAUSE = "until-step"  # in a study's folder: the step at which all its runs pause
 FAILURE = "failed.json"  # in a run folder: why the run failed; without it the run can resume
 SILENT_S = 900.0  # time without a written file after which a running run counts as stalled
 
@@ -47,6 +49,8 @@ class RunStatus:
     step: int = 0  # environment steps taken
     total_steps: int
     success: float | None = None  # of the first post-training evaluation, or the latest interim one
+    best_return: float | None = None  # of the best interim evaluation
+    best_step: int | None = None  # of the best interim evaluation
     steps_per_s: float | None = None  # latest rate
     seconds: float = 0.0  # time spent on training, without steps that were lost
 
@@ -80,7 +84,7 @@ def run_status(
     facts: dict[str, Any] = {}
     try:
         facts |= _progress(folder)
-        facts["state"], facts["detail"] = _state(folder, config, evaluations)
+        facts["state"], facts["detail"] = _state(folder, config, evaluations, pause_step(out))
         if facts["state"] == "done" and evaluations:
             facts["success"] = Summary.read(folder.evaluation(evaluations[0].folder))["success"]
     except UserError as error:
@@ -90,7 +94,10 @@ def run_status(
 
 
 def _state(
-    folder: RunFolder, config: ExperimentConfig, evaluations: Sequence[EvaluationConfig]
+    folder: RunFolder,
+    config: ExperimentConfig,
+    evaluations: Sequence[EvaluationConfig],
+    pause: int | None,
 ) -> tuple[State, str]:
     """Return the state of a run, and why it failed, stalled or stopped, or how it ended early."""
     path = folder.path
@@ -105,10 +112,22 @@ def _state(
     if failure:
         return "failed", failure
     if not is_trained(folder, config):
+        step = folder.checkpoint_fact("step", -1)
+        if pause is not None and step >= pause:
+            return "paused", f"at step {step:,}; goes on with a larger --until-step, or without"
         return "stopped", "resumes with the next study run"
     early = folder.ended_early_at(config.stop_when)
     detail = "" if early is None or early >= config.total_steps else f"ended early at {early:,}"
     return "trained" if missing_evaluations(folder, evaluations) else "done", detail
+
+
+def pause_step(out: Path) -> int | None:
+    """Return the step at which the runs of a study pause, or None."""
+    file = out / PAUSE
+    if not file.exists():
+        return None
+    with reading(file, "Remove the file, or run the study again."):
+        return int(file.read_text(encoding="utf-8"))
 
 
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
@@ -169,7 +188,7 @@ def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
 def _progress(folder: RunFolder) -> dict[str, Any]:
     """Read step, rate, time and interim success from the curves."""
     progress: dict[str, Any] = {}
-    curves = {folder.metrics_path: _training, folder.evaluations_path: _interim_success}
+    curves = {folder.metrics_path: _training, folder.evaluations_path: _interim}
     for path, read in curves.items():
         with suppress(OSError):  # not there yet, or being replaced
             found = path.stat()
@@ -189,11 +208,18 @@ def _training(path: Path, *version: int) -> Mapping[str, Any]:
 
 
 @lru_cache(maxsize=2000)
-def _interim_success(path: Path, *version: int) -> Mapping[str, Any]:
-    """Read the success of the latest interim evaluation."""
-    numbers = [number_in(row, "success") for row in read_csv(path)]
+def _interim(path: Path, *version: int) -> Mapping[str, Any]:
+    """Read the success of the latest interim evaluation, and the best one."""
+    rows = read_csv(path)
+    numbers = [number_in(row, "success") for row in rows]
     success = [number for number in numbers if number is not None]
-    return {"success": success[-1]} if success else {}
+    values: dict[str, Any] = {"success": success[-1]} if success else {}
+    best = [row for row in rows if number_in(row, "best") == 1]
+    if best:
+        step = number_in(best[-1], "step")
+        values["best_step"] = None if step is None else int(step)
+        values["best_return"] = number_in(best[-1], "return_mean")
+    return values
 
 
 def _failure(path: Path) -> str:

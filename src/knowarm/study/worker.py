@@ -11,6 +11,7 @@ import time
 import traceback
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -22,7 +23,7 @@ from knowarm.experiment.run_lock import FolderInUseError, StopRequest, lock_fold
 from knowarm.reading import write_json
 from knowarm.study.config import read_study
 from knowarm.study.executor import RunKey
-from knowarm.study.status import FAILURE, is_trained, missing_evaluations
+from knowarm.study.status import FAILURE, is_trained, missing_evaluations, pause_step
 
 STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
 WORKED = "worked for"  # start of the last line that a worker prints, followed by its time
@@ -44,10 +45,12 @@ def work(out: Path, key: RunKey) -> None:
                 def should_stop() -> bool:
                     return is_asked() or stop.exists()
 
+                until = pause_step(out)
+                options: dict[str, Any] = {"should_stop": should_stop, "until_step": until}
                 try:
-                    run = train(config, out, resume=is_started, should_stop=should_stop)
+                    run = train(config, out, resume=is_started, **options)
                 except RunExistsError:  # begun meanwhile by the worker of a driver that was killed
-                    run = train(config, out, resume=True, should_stop=should_stop)
+                    run = train(config, out, resume=True, **options)
             if run.result.reason == "stopped":
                 return
         with lock_folder(path, remedy="Wait until it ends."):

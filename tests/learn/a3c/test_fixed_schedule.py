@@ -13,11 +13,10 @@ from knowarm.learn.a3c.fixed_schedule import first_episodes
 from knowarm.learn.a3c.gradients import WorkerGradients
 from knowarm.learn.a3c.update import rmsprop_update, rmsprop_updates, rollout_loss
 from knowarm.learn.algorithms import A3CConfig
-from knowarm.learn.checkpoint import CheckpointStore
+from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
 from knowarm.learn.collector import Collector
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.config import FUSIONS
-from knowarm.policy.policy import ACTOR_GAIN
 from tests.learn.toys import SHAPE, ToyEnv, recorder, success_rate, toy_env, toy_policy
 
 WORKERS, LENGTH, WIDTH = 3, 5, 6
@@ -41,8 +40,8 @@ def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
     known = 0 if fusion == "none" else WIDTH
     shape = dataclasses.replace(SHAPE, knowledge_dim=known, knowledge_slots=2 if known else 1)
     changes = {"knowledge_encoder": encoder} if known and encoder != "none" else {}
-    policy = Policy(PolicyConfig(features=16, fusion=fusion, pixel_shift=0.4, **changes), shape)
-    policy.actor.weight.data /= ACTOR_GAIN
+    changes |= {"pixel_shift": 0.4, "actor_gain": 1.0}
+    policy = Policy(PolicyConfig(features=16, fusion=fusion, **changes), shape)
     table = TABLE[:, :known] if known else None
     env = toy_env(WORKERS, table, recall=True, length=LENGTH, staggered=True, facets=4)
     workers, rollout, count = played(policy, env)
@@ -66,8 +65,7 @@ def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
 
 
 def test_gradients_of_rollouts_that_span_the_ends_of_episodes():
-    policy = toy_policy()
-    policy.actor.weight.data /= ACTOR_GAIN
+    policy = toy_policy(actor_gain=1.0)
     env = toy_env(WORKERS, recall=True, length=LENGTH, staggered=True)
     workers = WorkerGradients(policy, LENGTH + 3, WORKERS)
     collector = Collector(env, policy, seed=3)
@@ -167,6 +165,36 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one(tmp_path, wh
         name = f"latest/{file}.safetensors"
         files = [tmp_path / folder / name for folder in ("complete", "cut")]
         assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_checkpoint_between_episodes_holds_no_environments(tmp_path):
+    whole, _ = trainer(tmp_path / "whole")
+    whole.train(100)
+    spanning, _ = trainer(
+        tmp_path / "spanning", dataclasses.replace(CONFIG, rollout_ends_with_episode=False)
+    )
+    spanning.train(100)
+    names = {
+        name: {*read_checkpoint(tmp_path / name / "latest").state} for name in ("whole", "spanning")
+    }
+    assert names["whole"] == {"generator"}
+    assert names["spanning"] > {"generator", "observation", "env/clock"}
+
+
+def test_rounds_draw_other_episodes_each_time():
+    seeds = []
+
+    class Recorded(ToyEnv):
+        def reset(self, *, seed=None, options=None):
+            seeds.append(seed)
+            return super().reset(seed=seed, options=options)
+
+    def make(num_envs, num_threads):
+        return NumpyToTorch(Recorded(num_envs, recall=True, length=LENGTH))
+
+    trainer(make=make)[0].train(60)
+    assert None not in seeds
+    assert len(seeds) == len({*seeds}) == 1 + 60 // (WORKERS * LENGTH)
 
 
 def test_rollouts_that_do_not_reach_the_end_of_an_episode_are_refused():

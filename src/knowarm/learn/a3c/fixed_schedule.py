@@ -26,12 +26,14 @@ from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import FlatParameters
 from knowarm.learn.trainer import StopReason, SynchronousTrainer
 from knowarm.policy import Policy
+from knowarm.seeding import derive_seed
 
 
 class FixedScheduleA3CTrainer(SynchronousTrainer):
     """A3C (paper section 4.2.1) with one of the orders in which its workers could have updated.
 
-    In every round all workers read the same parameters and play one rollout each. The gradient of
+    In every round all workers read the same parameters and play one rollout each; one that ends
+    with the episode starts a new one, whose draws follow from seed and step. The gradient of
     each is computed at these parameters, and the updates are applied one after another, that of the
     shortest rollout first, each clipped by itself. A gradient is at most ``workers - 1`` updates
     old. One process plays and learns for all workers, and a training repeats to the byte.
@@ -85,8 +87,9 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         """Play one rollout per worker and apply their updates; return sums over the workers."""
         config, workers, collector = self.config, self._workers, self._collector
         whole = config.rollout_ends_with_episode
-        if whole and not collector.is_at_start:
-            collector.restart()  # Some workers have played on while they waited for the others.
+        if whole:
+            # By the step, so that a checkpoint between two rounds needs no environments.
+            collector.restart(derive_seed(self.seed, "episodes", self.step))
         count = collector.collect(workers.rollout, workers.infer, until_episode_end=whole)
         rollout = workers.rollout.first(count)
         used = first_episodes(rollout.done) if whole else torch.ones_like(rollout.done)
@@ -154,16 +157,21 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
+        between = self.config.rollout_ends_with_episode
+        collector = self._collector
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer={"mean_square": self._mean_square.numpy().copy()},
-            state=self._collector.get_state(),
+            state=collector.get_state_between_episodes() if between else collector.get_state(),
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """See `Trainer.restore`."""
         self._mean_square.copy_(torch.from_numpy(checkpoint.optimizer["mean_square"]))
-        self._collector.set_state(checkpoint.state)
+        if self.config.rollout_ends_with_episode:
+            self._collector.set_state_between_episodes(checkpoint.state)
+        else:
+            self._collector.set_state(checkpoint.state)
 
 
 def first_episodes(done: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from knowarm.errors import unknown_name
 from knowarm.questions import INSTANCE, PART
-from knowarm.world.description import SUFFIX, read_description, trust
+from knowarm.world.description import SUFFIX, read_description
 from knowarm.world.objects.families import KINDS, instance
 from knowarm.world.objects.target import Target
 
@@ -32,7 +32,6 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
     targets, shipped = [], TARGETS | PARTS
     for name in names:
         if name.endswith(SUFFIX):
-            trust(name)
             targets.append(read_description(Path(name), Target))
         elif name in shipped:
             targets.append(shipped[name])

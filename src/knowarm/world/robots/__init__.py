@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.world.description import SUFFIX, read_description, trust
+from knowarm.world.description import SUFFIX, read_description
 from knowarm.world.robots.robot import Robot
 
 _FOLDER = Path(__file__).parent
@@ -27,7 +27,6 @@ DEMO_ROBOT = "tiago"
 def find_robot(name: str) -> Robot:
     """Return the shipped robot or known arm of a name, or that of a TOML file."""
     if name.endswith(SUFFIX):
-        trust(name)
         return read_description(Path(name), Robot)
     if name in KNOWN_ARMS:
         return read_description(KNOWN_ARMS[name], Robot)

@@ -1,1 +1,1 @@
-"""Viewing: strips, videos and the web viewer."""
+"""Viewing: strips, videos, pages with films, and recordings for Rerun."""

@@ -1,4 +1,4 @@
-"""Recording of played episodes as film strips and videos."""
+"""Recording of played episodes as film strips, videos and pages with films."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.errors import UserError
-from knowarm.pictures import check_suffix
+from knowarm.pictures import animation, check_suffix, data_uri
 from knowarm.reading import replacing
+from knowarm.svg import element, escape, style_sheet
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
@@ -21,6 +22,7 @@ from knowarm.world.tasks.sampling import Episodes
 
 FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
 _LAST_FRAMES = 10
+_LAST_MS = 1_500  # Display time of the last image of a page's film [ms]
 _MARGIN, _LINE = 8, 28
 _PAPER, _INK = (255, 255, 255), (30, 30, 30)
 LENGTH_M = 0.08  # Length of a drawn axis [m]
@@ -103,6 +105,12 @@ def check_video(path: Path) -> None:
         raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
 
 
+def check_page(path: Path) -> None:
+    """Raise a `UserError` unless a file is named as a page."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"The page must be an .html file, got {path.name!r}.")
+
+
 def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
     """Write a film strip: one row per episode, frames evenly spaced from start to end.
 
@@ -147,6 +155,33 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
                 image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
                 container.mux(stream.encode(image))
         container.mux(stream.encode())
+
+
+def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> None:
+    """Write a self-contained HTML page with a film per episode, which a browser repeats."""
+    check_page(path)
+    head = (
+        element("meta", charset="utf-8"),
+        element("title", escape(title)),
+        element("style", style_sheet()),
+    )
+    films = [_film(f"Episode {number}", frames) for number, frames in enumerate(episodes, start=1)]
+    body = element("main", element("h2", escape(title)), *films)
+    page = element("html", element("head", *head), element("body", body), lang="en")
+    with replacing(path, "Name another file.") as temporary:
+        temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8")
+
+
+def _film(name: str, frames: Sequence[Frame]) -> str:
+    """Return the figure of an episode: its film above its goal and outcome."""
+    images = [_side_by_side(frame) for frame in frames]
+    source = data_uri("WEBP", animation(images, 1000 // FRAMES_PER_S, _LAST_MS))
+    last = frames[-1]
+    goal = f": {last.goal}" if last.goal else ""
+    outcome = "reached" if last.success else "failed"
+    caption = f"{name}{goal}, {outcome} after {last.step} steps"
+    image = element("img", src=source, alt=caption, style="max-width: 100%")
+    return element("figure", image, element("figcaption", escape(caption)))
 
 
 def _side_by_side(frame: Frame) -> NDArray[np.uint8]:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -24,7 +23,6 @@ from knowarm.world.tasks.lift.lift import FALLEN_M, LOST_M, Lift
 from knowarm.world.tasks.lift.model import TIMESTEP_S, build_lift_scene
 from knowarm.world.tasks.lift.teacher import LiftTeacher
 from knowarm.world.tasks.teacher import COARSE_LEVELS
-from knowarm.world.viewing.watch import _copy_pose
 
 COUNT = 16
 
@@ -115,14 +113,6 @@ def test_hidden_objects_stay_away_however_long_the_episode_is():
     start(env)
     env.simulation.batch.step(nstep=400 * 25)
     assert (env.simulation.centre(1 - env.running.target)[:, 2] > 100).all()
-
-
-def test_the_viewer_copies_the_pose_of_solid_objects():
-    env = make_env(count=1)
-    start(env)
-    data = mujoco.MjData(env.scene.model)
-    _copy_pose(env, data)
-    assert (data.qpos == env.simulation._qpos[0]).all()
 
 
 def test_an_object_that_is_pushed_away_or_falls_ends_the_episode():

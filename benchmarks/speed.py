@@ -1,21 +1,30 @@
-"""Speed of this machine: environment steps, images and training steps per second, and FLOPs."""
+"""Speed of this machine: simulation, images and training, and how much of its peak training uses.
+
+python -m benchmarks.speed --json runs/bench/speed.json
+"""
 
 import os
+import sys
 import time
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import psutil
 import torch
+import tyro
 from torch.utils.flop_counter import FlopCounterMode
 
-from knowarm.cores import torch_threads
+from knowarm.cli.tables import check_output, print_table, write_json_table
+from knowarm.config import above_zero, at_least
+from knowarm.cores import available_cores, processor, torch_threads
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.knows import NoKnowledge
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
@@ -28,6 +37,23 @@ WARM_UP_ROWS = 2
 NEVER = 10**12
 PRODUCT = 1536
 """Rows and columns of the matrices whose product measures the processor's peak."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedConfig:
+    """Settings of the measurement."""
+
+    experiment: str = DEFAULT_EXPERIMENT
+    """Experiment whose robot, task and algorithm are measured."""
+
+    num_envs: int = 256
+    """Number of environments that are simulated in parallel."""
+
+    seconds: float = 5.0
+    """Least measuring time of each row [s]."""
+
+    json: Path | None = None
+    """Also write the results to this file."""
 
 
 class Speed(NamedTuple):
@@ -144,3 +170,60 @@ def measure_peak(cores: int, seconds: float) -> float:
             torch.mm(one, one, out=out)
             best = min(best, time.perf_counter() - begin)
     return 2 * PRODUCT**3 / best
+
+
+def measure_all(settings: SpeedConfig) -> dict[str, Any]:
+    """Measure simulation, images, training and the processor's peak, and print a table."""
+    at_least(settings, 1, "num_envs")
+    above_zero(settings, "seconds")
+    config = experiment_config(settings.experiment)
+    cores = available_cores()
+    steps = config.total_steps
+    _announce("simulation with images")
+    simulation = measure_steps(ArmVectorEnv(config.env, settings.num_envs), settings.seconds)
+    _announce("images alone")
+    images = measure_images(config.env, num_envs=settings.num_envs, seconds=settings.seconds)
+    _announce("training, whose first update compiles code")
+    training = measure_training(config, settings.seconds)
+    _announce("the processor's peak")
+    peak = measure_peak(cores, min(settings.seconds, 1.0))
+    flops = training_flops(config)
+    share = training * flops / peak
+    rows = [
+        ("Simulation with images", round(simulation.steps_per_s), "steps/s"),
+        ("Images alone, one core", round(images), "images/s"),
+        ("Training: simulation, policy and learning", round(training), "steps/s"),
+        ("Network: operations per training step", round(flops / 1e6, 1), "MFLOP"),
+        ("Peak: one product of float32 matrices", round(peak / 1e9, 1), "GFLOP/s"),
+        ("Share of the peak that the network uses", round(100 * share, 1), "%"),
+        (f"Time to train all {steps:,} steps", steps / training / 3600, "hours"),
+    ]
+    title = f"{settings.experiment} on {cores} cores, {settings.num_envs} robots simulated at once"
+    print_table(title, ["what", "value", "unit"], rows)
+    return {
+        "experiment": settings.experiment,
+        "num_envs": settings.num_envs,
+        "simulation_steps_per_s": simulation.steps_per_s,
+        "simulation_steps_per_cpu_s": simulation.steps_per_cpu_s,
+        "images_per_s_core": images,
+        "training_steps_per_s": training,
+        "training_flops": flops,
+        "peak_flops_per_s": peak,
+        "share_of_peak": share,
+        "total_steps": steps,
+        "machine": {"processor": processor(), "cores": cores, "cpus": os.cpu_count()},
+    }
+
+
+def _announce(what: str) -> None:
+    print(f"Measuring {what} ...", file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    settings = tyro.cli(SpeedConfig, description=__doc__)
+    check_output(settings.json)
+    write_json_table(settings.json, measure_all(settings))
+
+
+if __name__ == "__main__":
+    main()

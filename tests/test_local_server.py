@@ -1,0 +1,58 @@
+"""Local servers answer this machine only."""
+
+import socket
+from email.message import Message
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.local_server import PORTS, listen, refusal
+
+
+def headers(**values):
+    message = Message()
+    for name, value in values.items():
+        message[name] = value
+    message.get_all = lambda name, get=message.get_all: get(name) or []
+    return message
+
+
+@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "localhost:9000"])
+def test_names_of_this_machine_are_answered(host):
+    assert refusal("/", headers(Host=host)) is None
+    assert refusal("/", headers(Host=host, **{"Sec-Fetch-Site": "none"})) is None  # typed
+    assert refusal("/state", headers(Host=host, Origin=f"http://{host}")) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        ("/", {"Host": "evil.example:8080"}),  # DNS rebinding
+        ("/", {"Host": "localhost.evil.example:8080"}),
+        ("/", {}),
+        ("/state", {"Host": "localhost:8080", "Origin": "http://evil.example"}),
+        ("/state", {"Host": "localhost:8080", "Origin": "null"}),
+        ("/ui", {"Host": "localhost:8080", "Origin": "http://localhost:3000"}),
+        ("/?q=usedFor", {"Host": "localhost:8080", "Sec-Fetch-Site": "cross-site"}),  # an image
+        ("/", {"Host": "localhost:8080", "Sec-Fetch-Site": "same-site"}),
+        ("/", {"Host": "[::1"}),
+        ("//[", {"Host": "localhost:8080"}),
+    ],
+)
+def test_other_requests_are_refused(path, values):
+    assert refusal(path, headers(**values)) is not None
+
+
+def test_a_port_that_is_taken_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=f"cannot listen on 127.0.0.1, port {port}"):
+            listen(port)
+
+
+def test_without_a_port_the_first_free_one_is_taken():
+    with listen(0) as first, listen(0) as second:
+        address, port = second.getsockname()
+        assert address == "127.0.0.1"
+        assert port in PORTS
+        assert port > first.getsockname()[1]
