@@ -17,16 +17,16 @@ from knowarm.experiment.evaluation_files import read_film
 from knowarm.report.blocks import Figure
 from knowarm.report.charts import BOXES, RETURN_AXIS, Box
 from knowarm.report.collect import collect
-from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.model import Evaluation, Group, RunData, TaskData
 from knowarm.report.pages.behaviour import joint_blocks
 from knowarm.report.pages.differences import success_rates
 from knowarm.report.pages.paper import published_comparison, published_result
 from knowarm.report.pages.training import curve_figure
-from knowarm.statistics import one_way_anova
+from knowarm.statistics import Interval, one_way_anova, share_difference
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
 from knowarm.study.status import study_status
-from scripts.answer_cells import table, title_of
+from scripts.answer_cells import signed, table, title_of
 from scripts.build_answer import wrapped
 from scripts.figures import picture
 
@@ -45,6 +45,21 @@ one training seed per cell, as in the paper. The best model is that with the hig
 of the interim evaluations (40 episodes every 50,000 steps); it plays 1,000 new episodes within 10
 cm and 17 degrees. Accuracy counts the distance alone, as the paper's (equation 8), success the
 angle, too. *Blind*: success of the best fixed list of actions, which sees nothing. {state}"""
+
+OUTCOMES = {
+    "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
+    "success at 10 cm and 17 degrees": ("post-training-greedy", "success", "post-training-greedy"),
+    "success at 5 cm and 15 degrees": ("strict", "success", "strict"),
+}
+"""Outcomes that the study declares before its first run, the primary one first: evaluation and rate
+of the best model, and the evaluation whose thresholds its fixed list of actions is searched for.
+Within 10 cm at any angle an episode of that list ends, so its success is its accuracy."""
+
+OUTCOMES_TEXT = """Declared before the first run, in the study: the primary outcome is the accuracy
+at 10 cm of the best model, minus that of the best fixed list of actions, on the same 1,000 new
+episodes; the two rates of success stand beside it. The step of the best model is no outcome: it
+is the place of the largest of 1,400 evaluations of 40 episodes. Differences with intervals over
+episodes; a training seed is one network."""
 
 ANOVA = """30 evaluation seeds of 100 episodes of each network, success, as the paper's. F compares
 two trained networks. It cannot tell the knowledge from the training seed: two seeds of one and the
@@ -88,6 +103,32 @@ def cells_table(tasks: Sequence[TaskData]) -> str:
             )
     columns = ["cell", "agent", "paper: accuracy", "accuracy", "success", "blind"]
     return table([*columns, "paper: best model at", "best model at"], rows)
+
+
+def outcomes_table(tasks: Sequence[TaskData]) -> str:
+    """Return the declared outcomes of every run that has all of their evaluations."""
+    rows = []
+    for task in tasks:
+        for group in task.groups:
+            for run in group.runs:
+                needed = {label for own, _, listed in OUTCOMES.values() for label in (own, listed)}
+                if not needed <= {*run.evaluations}:
+                    continue
+                cells = [signed(margin(run, *outcome), 100, 1) for outcome in OUTCOMES.values()]
+                steps = f"{run.steps_done / 1e6:.1f} M"
+                if run.steps_done < run.config.total_steps:
+                    steps += ", begun"
+                rows.append(
+                    [title_of(task), f"`{group.name}`", str(run.config.seed), *cells, steps]
+                )
+    return table(["cell", "agent", "seed", *OUTCOMES, "steps"], rows)
+
+
+def margin(run: RunData, label: str, measure: str, of_list: str) -> Interval:
+    """Return a rate of the best model minus the success of the best fixed list of actions."""
+    rate = run.evaluations[label].summary.interval(measure)
+    listed = run.evaluations[of_list].summary.interval("success", "blind", "open-loop")
+    return share_difference(rate, listed)
 
 
 def sentences(tasks: Sequence[TaskData]) -> str:
@@ -231,6 +272,8 @@ def page(folder: Path, images: Path) -> str:
                 "**Which of the paper's sentences hold here:**",
                 sentences(tasks),
                 cells_table(tasks),
+                f"## Outcomes\n\n{OUTCOMES_TEXT}",
+                outcomes_table(tasks),
                 "![Interim returns of every cell](../images/paper-curves.svg)",
                 PROTOCOL.format(steps=f"{steps:g}", state=state_of(folder)),
                 f"## Analysis of variance\n\n{ANOVA}",

@@ -2,10 +2,11 @@
 
 import pytest
 
+from knowarm.report.collect import collect
 from knowarm.study import driver
 from knowarm.study.config import read_study
 from knowarm.study.driver import run_study
-from scripts.build_paper import page
+from scripts.build_paper import OUTCOMES, margin, page
 from tests.study.tiny import InlineExecutor
 
 TOML = """
@@ -19,6 +20,17 @@ algorithm.workers = 2
 [[evaluations]]
 episodes = 6
 probes = [{ kind = "steps" }, { kind = "films", episodes = 1 }, { kind = "blind", episodes = 4 }]
+[[evaluations]]
+label = "distance"
+angle_deg = 180
+episodes = 6
+probes = [{ kind = "blind", episodes = 6 }]
+[[evaluations]]
+label = "strict"
+distance_m = 0.05
+angle_deg = 15
+episodes = 6
+probes = [{ kind = "blind", episodes = 6 }]
 [[evaluations]]
 label = "anova"
 episodes = 12
@@ -37,7 +49,15 @@ def test_the_page_shows_every_cell_beside_the_papers_figures(tmp_path, monkeypat
     text = page(out, images)
     for agent, accuracy in (("bm", 80), ("full", 92)):  # the paper's, section 5.2
         assert f"| IRB120, fixed colours | `{agent}` | {accuracy} |" in text
-    assert text.count("| IRB120, fixed colours | ") == 2 + 1 + 6  # results, F value, six joints
+    # results, outcomes, F value, six joints
+    assert text.count("| IRB120, fixed colours | ") == 2 + 2 + 1 + 6
+    (run, _) = collect([out]).tasks[0].runs
+    distance = run.evaluations["distance"].summary
+    assert distance["success"] == distance["accuracy"], "an episode ends within 10 cm"
+    accuracy = run.evaluations["post-training-greedy"].summary["accuracy"]
+    listed = distance.interval("success", "blind", "open-loop").estimate
+    primary = margin(run, *next(iter(OUTCOMES.values())))
+    assert primary.estimate == pytest.approx(accuracy - listed)
     assert "| 150.9 |" in text  # the paper's F value, section 5.3
     assert "All 2 runs are complete." in text
     assert "joint 6" in (images / "paper-joints.svg").read_text()

@@ -42,6 +42,9 @@ PART_FILES: dict[Part, tuple[str, ...]] = {
 """Patterns of the files of a run that belong to a part."""
 
 
+COMPRESSION = {"id": lzma.FILTER_LZMA2, "preset": 9}
+WEIGHTS = {"lc": 0, "lp": 2, "pb": 2}
+"""Options of xz for numbers of four bytes, which make up most of a pack with checkpoints."""
 CHECKPOINT_FILES = ("checkpoints/latest/*",)
 """Patterns of the files with which a run resumes."""
 
@@ -83,9 +86,10 @@ def pack_study(
         "left_out": sorted(leave_out),
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
+    weights = WEIGHTS if with_checkpoints else {}
     with (
         replacing(file) as temporary,
-        lzma.open(temporary, "wb", preset=9) as compressed,
+        lzma.open(temporary, "wb", filters=[COMPRESSION | weights]) as compressed,
         tarfile.open(fileobj=compressed, mode="w", format=tarfile.PAX_FORMAT) as archive,
     ):
         text = json.dumps(manifest, indent=2) + "\n"
