@@ -5,14 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
-from knowarm.report.pages.paper import published_result
 from scripts.answer_cells import (
     Cell,
     agents_table,
-    comparison_table,
     comparisons,
     table,
     tasks_of,
@@ -22,7 +19,7 @@ from scripts.answer_cells import (
 
 EVERY = 10_000_000
 """Steps between two columns of the table."""
-MEASURES = {"success": 100, "accuracy": 100, "return_mean": 1}
+MEASURES = {"success": 100, "return_mean": 1}
 """Measures of the table, and their factors."""
 ROWS = 100
 """Rows of the metrics whose mean is the success of the last training episodes."""
@@ -30,16 +27,15 @@ EVALUATIONS = 4
 """Interim evaluations whose mean is a number of the table."""
 
 TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
-workers of 32 environments instead of 17 of one, seed 0, {total} million steps; {hours}. {progress}
-Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 5 cm; the paper's counts 10 cm)
-in percent, and return, each the mean of the last {count} evaluations of 40 episodes. An update
-learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates:,} updates instead
-of 1.4 million. Workers update in another order each time, so the same command does not give the
-same bytes."""
+workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} Interim
+success (5 cm, 15 degrees) in percent, and return, each the mean of the last {count} evaluations of
+40 episodes. An update learns from {batch:,} steps, the paper's from 50 or fewer, so there are
+{updates:,} updates instead of 1.4 million. Workers update in any order, so a command does not
+repeat to the byte."""
 
-TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds};
-{hours:.1f} core hours. {progress} The preset [differs](../reference/algorithms.md#a3c) from the
-paper's numbers. Outcomes as with `fast`, of interim evaluations every {every:,} steps."""
+TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
+{progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
+as above, of interim evaluations every {every:,} steps."""
 
 
 def tuned_section(study: Path, progress: str) -> list[str]:
@@ -52,14 +48,12 @@ def tuned_section(study: Path, progress: str) -> list[str]:
     text = TUNED.format(
         total=total // 10**6,
         seeds=f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}",
-        hours=2 * sum(each.hours for each in every),
         progress=progress,
         every=between,
     )
     blocks = ["## A3C with settings that learn", text]
     for cell in cells:
-        blocks += [f"### {title_of(cell.task)}", agents_table(cell.agents)]
-        blocks += [comparison_table(cell.compared)] if cell.compared else []
+        blocks += [f"### {title_of(cell.task)}", agents_table(cell)]
     groups = [group for cell in cells for group in cell.task.groups]
     lines = [*map(verdict, cells), f"Blind, at most: {blind_agents(groups)}."]
     return [*blocks, "\n".join(f"- {line}" for line in lines)]
@@ -84,29 +78,17 @@ def a3c_section(study: Path, progress: str) -> list[str]:
         for key in MEASURES:
             name = key.removesuffix("_mean")
             rows.append([f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)])
-        rows.append(["the paper's " + f"`{group.name}`", "accuracy", *paper(task, group, steps)])
     columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
-    hours = sum(training_seconds(run.metrics["wall_time_s"]) for run in task.runs if run.metrics)
     algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
     text = TEXT.format(
         batch=batch,
         updates=total // batch,
         total=total // 10**6,
-        hours=f"{2 * hours / 3600:.0f} core hours",
         progress=progress,
         count=EVALUATIONS,
     )
     return ["## The paper's algorithm", text, table(columns, rows), conclusion(task)]
-
-
-def paper(task: TaskData, group: Group, steps: np.ndarray) -> list[str]:
-    """Return the paper's accuracy in the column of the step of its best model."""
-    published = published_result(task, group.name)
-    if published is None:
-        return [""] * len(steps)
-    place = int(np.abs(steps - published["best_step"]).argmin())
-    return [f"{100 * published['accuracy']:.0f}" if i == place else "" for i in range(len(steps))]
 
 
 def blind_agents(groups: Sequence[Group]) -> str:
@@ -138,8 +120,8 @@ def conclusion(task: TaskData) -> str:
             if final:
                 success = f"{100 * final.summary['success']:.1f} %"
                 line += f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
-                line += f", where {blind_agents([group])}"
             lines.append(f"{line}.")
+    lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:
         lines.append(
             "- One training seed each and no control of the network's size: nothing about the "

@@ -1,5 +1,6 @@
 """Agents of a cell, their outcomes over training seeds, and comparisons, as Markdown tables."""
 
+import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,6 @@ from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
 from knowarm.statistics import Interval, bootstrap, holm, welch
-from knowarm.statistics.compare import power_of_two_samples
 from knowarm.statistics.survival import area_under_curve, first_crossing
 
 LEVEL = 0.8
@@ -92,18 +92,6 @@ def thousands(values: np.ndarray) -> str:
     return f"{each.estimate / 1e3:,.0f} [{each.low / 1e3:,.0f}, {each.high / 1e3:,.0f}]"
 
 
-def detectable(first: Agent, second: Agent, count: int) -> float:
-    """Return the difference in steps that a t test with these seeds finds in 80 % of studies.
-
-    It is corrected for ``count`` comparisons (Bonferroni, the first step of Holm's correction).
-    """
-    spread = float(np.sqrt((first.steps.var(ddof=1) + second.steps.var(ddof=1)) / 2))
-    runs = min(len(first.seeds), len(second.seeds))
-    sizes = np.linspace(0.01, 20, 2000)
-    power = (power_of_two_samples(size, runs, 0.05 / count) for size in sizes)
-    return spread * next(size for size, each in zip(sizes, power, strict=True) if each >= 0.8)
-
-
 @dataclass(frozen=True)
 class Comparison:
     """One agent against another: means with intervals of Welch's t test, p of a log-rank test."""
@@ -117,11 +105,10 @@ class Comparison:
     success: Interval
     """Difference in success after training, 0..1."""
     p_value: float
-    detectable: float
 
     @classmethod
-    def of(cls, first: Agent, second: Agent, count: int) -> "Comparison":
-        """Compare two agents, as one of ``count`` comparisons."""
+    def of(cls, first: Agent, second: Agent) -> "Comparison":
+        """Compare two agents."""
         steps = welch(first.steps, second.steps).difference
         samples = [CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)]
         base = float(second.steps.mean())
@@ -132,7 +119,6 @@ class Comparison:
             Interval(*(each / base for each in (steps.estimate, steps.low, steps.high))),
             welch(first.success, second.success).difference,
             float(logrank(*samples).pvalue),
-            detectable(first, second, count),
         )
 
 
@@ -153,20 +139,34 @@ def signed(each: Interval, scale: float, digits: int = 0) -> str:
     return "{} [{}, {}]".format(*(plus(value, digits) for value in values))
 
 
-def agents_table(agents: Mapping[str, Agent]) -> str:
-    """Return the table of the agents of a cell."""
-    rows = [
-        [
+def never(agent: Agent) -> str:
+    """Say how many runs of an agent never reached the level."""
+    count = int((~agent.reached).sum())
+    return f", {count} never" if count else ""
+
+
+def agents_table(cell: "Cell") -> str:
+    """Return the table of the agents of a cell, each compared with full knowledge."""
+    rows = []
+    for name, agent in cell.agents.items():
+        row = [
             f"`{name}`",
-            str(len(each.seeds)),
-            thousands(each.steps),
-            f"{(~each.reached).sum()}",
-            percent(each.success),
-            percent(each.area),
+            str(len(agent.seeds)),
+            thousands(agent.steps) + never(agent),
+            percent(agent.success),
+            percent(agent.area),
         ]
-        for name, each in agents.items()
+        difference = cell.of("full", name)
+        if difference:
+            compared, p_value = difference
+            row += [signed(compared.steps, 1e-3), f"{p_value:.2g}"]
+        else:
+            row += ["", ""]
+        rows.append(row)
+    columns = [
+        *("agent", "seeds", "steps to 80 % [thousands]", "success", "area"),
+        *("`full` minus it [thousands]", "p"),
     ]
-    columns = ["agent", "seeds", "steps to 80 % [thousands]", "never", "success", "area"]
     return table(columns, rows)
 
 
@@ -177,32 +177,7 @@ def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
         for first, second in (("full", "bm"), ("partial", "bm"), *(("full", c) for c in CONTROLS))
         if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
     ]
-    return [Comparison.of(*pair, count=len(pairs)) for pair in pairs]
-
-
-def comparison_table(found: Sequence[Comparison]) -> str:
-    """Return the table of the comparisons of a cell."""
-    adjusted = holm([each.p_value for each in found])
-    rows = [
-        [
-            f"`{each.first}` - `{each.second}`",
-            signed(each.steps, 1e-3),
-            signed(each.share, 100),
-            f"{p_value:.2g}",
-            f"{each.detectable / 1e3:,.0f}",
-            signed(each.success, 100, 1),
-        ]
-        for each, p_value in zip(found, adjusted, strict=True)
-    ]
-    columns = [
-        "difference",
-        "steps [thousands]",
-        "steps [%]",
-        "p",
-        "detectable",
-        "success [points]",
-    ]
-    return table(columns, rows)
+    return [Comparison.of(*pair) for pair in pairs]
 
 
 @dataclass(frozen=True)
@@ -226,13 +201,13 @@ def verdict(cell: Cell) -> str:
     if main is None:
         return f"**{title}**: not enough seeds."
     compared, p_value = main
-    length = f"{signed(compared.share, 100)} % of the baseline's steps, p {p_value:.2g}"
+    length = f"{signed(compared.share, 100)} % of the steps of `bm`, p {p_value:.2g}"
     points = f"{signed(compared.success, 100, 1)} points of success"
     if p_value >= SIGNIFICANT:
         low = -100 * compared.share.low
         return (
-            f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
-            f"95 % interval excludes a saving of more than {max(0, low):.0f} %. {points}."
+            f"**{title}**: no effect of full knowledge is found ({length}); the interval "
+            f"excludes a saving of more than {max(0, low):.0f} %."
             f"{uncorrected(cell, compared)}"
         )
     if compared.share.estimate > 0:
@@ -261,21 +236,40 @@ def uncorrected(cell: Cell, compared: Comparison) -> str:
     return f" Uncorrected, the interval [{low}, {high}] thousand steps excludes 0{controls}."
 
 
-def runs_table(cells: Sequence[Cell]) -> str:
-    """Return the outcomes of every run."""
-    rows = []
-    for cell in cells:
-        for name, each in cell.agents.items():
-            steps = [
-                f"{step / 1e6:.2f}" if reached else "never"
-                for step, reached in zip(each.steps, each.reached, strict=True)
-            ]
-            score = ", ".join(f"{100 * value:.1f}" for value in each.success)
-            assert each.seeds == tuple(range(len(each.seeds))), (
-                "the columns name seeds by their place"
-            )
-            rows.append([title_of(cell.task), f"`{name}`", score, ", ".join(steps)])
-    return table(["cell", "agent", "success, seeds 0, 1, ... [%]", "steps to 80 % [M]"], rows)
+def write_runs(cells: Sequence[Cell], path: Path) -> None:
+    """Write the outcomes and the processor of every run to a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ["robot", "colours", "agent", "seed", "success_percent", "million_steps", "processor"]
+        )
+        for cell in cells:
+            for name, agent in cell.agents.items():
+                for run, seed in enumerate(agent.seeds):
+                    steps = f"{agent.steps[run] / 1e6:.2f}" if agent.reached[run] else "never"
+                    success = f"{100 * agent.success[run]:.1f}"
+                    outcome = [success, steps, agent.processors[run]]
+                    writer.writerow([*cell.task.key, name, seed, *outcome])
+
+
+def write_comparisons(cells: Sequence[Cell], path: Path) -> None:
+    """Write every comparison of two agents of a cell to a CSV file."""
+    differences = {"steps": 1, "steps_percent": 100, "success_points": 100}
+    columns = [f"{name}{end}" for name in differences for end in ("", "_low", "_high")]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["robot", "colours", "first", "second", *columns, "adjusted_p"])
+        for cell in cells:
+            adjusted = holm([compared.p_value for compared in cell.compared])
+            for compared, p_value in zip(cell.compared, adjusted, strict=True):
+                intervals = (compared.steps, compared.share, compared.success)
+                numbers = [
+                    f"{scale * end:.1f}"
+                    for interval, scale in zip(intervals, differences.values(), strict=True)
+                    for end in (interval.estimate, interval.low, interval.high)
+                ]
+                names = [*cell.task.key, compared.first, compared.second]
+                writer.writerow([*names, *numbers, f"{p_value:.2g}"])
 
 
 def title_of(task: TaskData) -> str:

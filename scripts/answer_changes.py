@@ -1,7 +1,8 @@
 """Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
 
+import csv
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,12 @@ from benchmarks.a3c_changes import (
     settings,
     tuned,
 )
-from knowarm.experiment.csv_log import read_csv, training_seconds
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.statistics import holm, welch
 from knowarm.study.driver import open_study
 from knowarm.study.pack import SUFFIX, unpack_study
-from scripts.answer_cells import SIGNIFICANT, percent, table
+from scripts.answer_cells import FEWEST, SIGNIFICANT, percent, table
 
 ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
@@ -30,46 +30,57 @@ ENOUGH = 0.8
 MEASURES = ("success", "return_mean", "entropy")
 Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
 
-TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
-with changes towards `a3c-tuned`, which has all of them; {{runs}} runs, {{hours:.1f}} core hours.
-Success and return: means of the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm,
-15 degrees). Entropy of the actions while training [nat]. Brackets: 95 % intervals over training
-seeds (bootstrap, too narrow for so few). A linear learning rate falls within the steps of the
-table, so all changes for 2 million steps are not the first 2 million of 10."""
+TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study
+`a3c` with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return:
+means of the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees).
+Brackets: 95 % intervals over training seeds (bootstrap, too narrow for so few). A linear learning
+rate falls to its end within the steps of a run. All runs: `a3c-changes.csv`."""
 
 
-def changes_section(packs: Path) -> list[str]:
-    """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
-    found: dict[int, dict[str, Variant]] = {}
-    runs, hours = 0, 0.0
+def read_variants(packs: Path) -> Iterator[tuple[int, str, Variant]]:
+    """Yield steps, changes and what the runs reached of each pack of `benchmarks.a3c_changes`."""
     for file in sorted(packs.glob(f"*{SUFFIX}")):
         number, name = file.name.removesuffix(SUFFIX).split("-", 1)
         with tempfile.TemporaryDirectory() as temporary:
             study = unpack_study(file, Path(temporary) / name)
             configs = open_study(study).runs()
             folders = [RunFolder(run_path(study, config)) for config in configs]
-            found.setdefault(int(number), {})[name] = variant(folders)
-            runs += len(folders)
-            hours += sum(core_hours(folder, workers=2) for folder in folders)
-    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs, hours=hours), settings_table()]
+            yield int(number), name, variant(folders)
+
+
+def changes_section(packs: Path) -> list[str]:
+    """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
+    found: dict[int, dict[str, Variant]] = {}
+    runs = 0
+    for steps, name, measures in read_variants(packs):
+        found.setdefault(steps, {})[name] = measures
+        runs += len(measures["success"])
+    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs), settings_table()]
     lines = []
     for steps, measured in sorted(found.items()):
         ordered = {name: measured[name] for name in sorted(measured, key=place)}
-        blocks += [f"### After {steps / 1e6:g} million steps", measures_table(ordered)]
+        sets = {name: runs for name, runs in ordered.items() if len(runs["success"]) >= FEWEST}
+        if any(runs["success"].any() for runs in sets.values()):
+            blocks += [f"### After {steps / 1e6:g} million steps", measures_table(sets)]
         lines += [each(ordered, steps) for each in (single_changes, left_out, smallest_set)]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
+
+
+def write_changes(packs: Path, path: Path) -> None:
+    """Write what each run of the packs reached to a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["steps", "changes", "run", *MEASURES])
+        for steps, name, measures in read_variants(packs):
+            for run in range(len(measures["success"])):
+                numbers = [f"{measures[key][run]:.4g}" for key in MEASURES]
+                writer.writerow([steps, name, run, *numbers])
 
 
 def variant(folders: Sequence[RunFolder]) -> Variant:
     """Return what the runs of one set of changes reached."""
     outcomes = [outcome(folder) for folder in folders]
     return {key: np.array([each[key] for each in outcomes]) for key in MEASURES}
-
-
-def core_hours(folder: RunFolder, *, workers: int) -> float:
-    """Return the time that training took, times the processes that learnt."""
-    times = (float(row["wall_time_s"]) for row in read_csv(folder.metrics_path))
-    return workers * training_seconds(times) / 3600
 
 
 def place(name: str) -> tuple[int, int]:
@@ -84,28 +95,20 @@ def settings_table() -> str:
     rows = [
         [
             f"`{name}`",
-            ", ".join(f"`{field}`" for field in fields),
-            ", ".join(f"{before[field]}" for field in fields),
-            ", ".join(f"{after[field]}" for field in fields),
+            "; ".join(f"`{field}` {before[field]}, {after[field]}" for field in fields),
         ]
         for name, fields in GROUPS.items()
     ]
-    return table(["change", "settings", "from", "to"], rows)
+    return table(["change", "settings, from and to"], rows)
 
 
 def measures_table(measured: Mapping[str, Variant]) -> str:
     """Return what each variant reached."""
     rows = [
-        [
-            f"`{name}`",
-            str(len(each["success"])),
-            percent(each["success"]),
-            listed(each["return_mean"]),
-            listed(each["entropy"]),
-        ]
-        for name, each in measured.items()
+        [f"`{name}`", percent(runs["success"]), listed(runs["return_mean"])]
+        for name, runs in measured.items()
     ]
-    return table(["change", "seeds", "success [%]", "return, each seed", "entropy"], rows)
+    return table(["change", "success [%]", "return, each seed"], rows)
 
 
 def listed(values: np.ndarray) -> str:

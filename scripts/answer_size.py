@@ -12,10 +12,9 @@ from scripts.answer_cells import SIGNIFICANT, Agent, percent, signed, table, tas
 
 TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
 {seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
-that the paper's network has with 150 and 300 numbers of knowledge. *Area*: mean success during
-training. Seconds: steps to 80 % at the steps per second that each size trains with, the median of
-{rounds} measurements in turns on one core of an {processor} (`KNOWARM_CORES=1 python
--m benchmarks.sizes`)."""
+of the paper's network with 150 and 300 numbers of knowledge. Seconds: steps to 80 % over the steps
+per second of each size, the median of {rounds} measurements on one core of an {processor}
+(`KNOWARM_CORES=1 python -m benchmarks.sizes`)."""
 
 
 def speeds(path: Path) -> tuple[dict[str, list[float]], str]:

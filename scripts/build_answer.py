@@ -1,4 +1,4 @@
-"""Builds `docs/results/answer.md` from the packs of the studies.
+"""Builds `docs/results/answer.md` and its CSV files from the packs of the studies.
 
     python -m scripts.build_answer
 
@@ -9,7 +9,6 @@ import argparse
 import re
 import tempfile
 import textwrap
-from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,17 +28,16 @@ from scripts.answer_cells import (
     Agent,
     Cell,
     agents_table,
-    comparison_table,
     comparisons,
     plus,
-    runs_table,
-    signed,
     table,
     tasks_of,
     title_of,
     verdict,
+    write_comparisons,
+    write_runs,
 )
-from scripts.answer_changes import changes_section
+from scripts.answer_changes import changes_section, write_changes
 from scripts.answer_fusions import fusions_section
 from scripts.answer_outcomes import (
     anova_section,
@@ -52,6 +50,9 @@ from scripts.answer_size import size_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
+CHANGES = RESULTS / "a3c-changes"
+ALL_DONE = "None failed."
+"""What the page says of a study whose runs are all done."""
 STUDIES = ("answer", "answer-tiago", "paper")  # of a cell that two have, the first counts
 
 
@@ -180,35 +181,24 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
             its = time_saved(paper["best_step"], base["best_step"])
             best, steps = f"{100 * paper['accuracy']:.0f}", f"{paper['best_step'] / 1e6:.0f} M"
             saved = ["", ""] if name == "bm" else [f"{100 * x:.0f} %" for x in (its or 0, own or 0)]
-            mine = agents[name]
-            score, reached = f"{100 * mine.success.mean():.1f}", f"{mine.steps.mean() / 1e6:.2f} M"
-            rows.append([title_of(task), f"`{name}`", best, score, steps, reached, *saved])
-    columns = ["cell", "agent", "paper [%]", "here [%]", "paper: best at", "here: 80 % at"]
-    return table([*columns, "paper: saved", "here: saved"], rows)
+            rows.append([title_of(task), f"`{name}`", best, steps, *saved])
+    columns = ["cell", "agent", "paper's accuracy [%]", "best at", "steps saved", "here: saved"]
+    return table(columns, rows)
 
 
-def page(
-    found: Sequence[tuple[TaskData, Mapping[str, Agent]]],
-    before: Mapping[tuple[str, str], str],
-    progress: str,
-    size: Sequence[str],
-    sections: Sequence[str],
-) -> str:
+def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Sequence[str]) -> str:
     """Write the page.
 
     Args:
-        found: cells and their agents.
-        before: what older seeds gave, by cell, where other studies trained anew.
+        cells: robots and colours with their agents.
         progress: how much of the studies is done.
         size: section on the size of the network.
-        sections: what follows the table of all runs.
+        sections: what follows the cost of training.
     """
+    found = [(cell.task, cell.agents) for cell in cells]
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
-    hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
-    processors = "; ".join(processors_of([a for _, agents in found for a in agents.values()]))
     has_controls = any(name in agents for _, agents in found for name in CONTROLS)
-    cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
     tasks = [task for task, _ in found]
     parts = [
         HEAD,
@@ -218,7 +208,6 @@ def page(
         "\n".join(f"- {verdict(cell)}" for cell in cells),
         TOP.format(
             runs=runs,
-            hours=hours,
             seeds=", ".join(map(str, seeds)),
             progress=progress,
             controls=WITH_CONTROLS if has_controls else WITHOUT_CONTROLS,
@@ -227,89 +216,42 @@ def page(
     parts += outcomes_section(tasks)
     parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
     for cell in cells:
-        parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
-        parts.append(comparison_table(cell.compared))
-        parts += [before[cell.task.key]] if cell.task.key in before else []
+        parts += [f"## {title_of(cell.task)}", agents_table(cell)]
     parts += [
         *size,
         *anova_section(tasks),
         *cost_section(tasks),
-        "## Every run",
-        runs_table(cells),
         *sections,
-        BOTTOM.format(processors=processors),
+        BOTTOM,
     ]
     return wrapped("\n\n".join(parts)) + "\n"
-
-
-def older(study: Path, anew: Path) -> dict[tuple[str, str], str]:
-    """Say by cell what a study gave whose cells another one trained anew."""
-    trained = {task.key for task, _ in tasks_of([anew])}
-    return {
-        task.key: OLDER.format(
-            seeds=", ".join(map(str, agents["full"].seeds)),
-            differences="; ".join(
-                f"`{each.first}` - `{each.second}` {signed(each.steps, 1e-3)} thousand steps "
-                f"({signed(each.share, 100)} %)"
-                for each in comparisons(agents)
-            ),
-        )
-        for task, agents in tasks_of([study])
-        if task.key in trained
-    }
-
-
-def processors_of(agents: Sequence[Agent]) -> list[str]:
-    """Say which agents and seeds ran on which processor."""
-    used: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
-    counts: Counter[str] = Counter()
-    for each in agents:
-        for processor, seed in zip(each.processors, each.seeds, strict=True):
-            used[processor][each.name].add(seed)
-            counts[processor] += 1
-    lines = []
-    for processor, seeds_of in used.items():
-        alike: dict[str, list[str]] = defaultdict(list)
-        for name, seeds in sorted(seeds_of.items()):
-            alike[", ".join(map(str, sorted(seeds)))].append(f"`{name}`")
-        who = "; ".join(f"{', '.join(names)}: seeds {seeds}" for seeds, names in alike.items())
-        lines.append(f"{counts[processor]} runs on an {processor} ({who})")
-    return lines
 
 
 HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
 # Does semantic knowledge help a robot arm to learn?"""
 
-TOP = """**Protocol.** {runs} runs of the paper's task with `fast` (IRB120 from the study
-`answer`, TIAGo from `answer-tiago`, with randomized colours from `paper`), 1.5 million steps, one
-process, training seeds {seeds};
-{hours:.0f} hours of one core. {progress} The outcomes and
-comparisons of `answer` were fixed when the runs of `bm`,
-`partial` and `full` with seeds 0 to 2 were known, and before any other run; those of
-`answer-tiago`, the same, before any of its runs. Primary: environment
-steps until 80 % of the 40 interim episodes succeed (5 cm, 15 degrees); a run that never does counts
-as 1.5 million, and as censored in the log-rank test. Secondary: success of 1,000 episodes after
-training (10 cm, 17 degrees), and area under the curve of interim success. Brackets: 95 % intervals
-over training seeds (bootstrap of means, too narrow below about ten seeds; Welch's t for
-differences). p: log-rank, Holm's correction over the comparisons of a cell. *Detectable*: the
-difference in thousands of steps that a t test with as many seeds, also corrected, finds in 80 % of
-studies.
+TOP = """**Protocol.** {runs} runs of the paper's task with `fast`: 1.5 million steps, one process,
+training seeds {seeds}; IRB120 from the study `answer`, TIAGo from `answer-tiago`, with randomized
+colours from `paper`. {progress} The outcomes and comparisons of `answer` were fixed when seeds 0 to
+2 of `bm`, `partial` and `full` were known, and before any other run; those of `answer-tiago` before
+its runs. Primary: environment steps until 80 % of the 40 interim episodes succeed (5 cm, 15
+degrees); a run that never does counts as 1.5 million, and as censored in the log-rank test.
+Secondary: success of 1,000 episodes after training (10 cm, 17 degrees); *area*, the mean success
+during training. Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below
+about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of
+a cell. Every run: `answer-runs.csv`; every comparison, also of `partial` with `bm`:
+`answer-comparisons.csv`.
 
 {controls}"""
 
 WITH_CONTROLS = """Controls: `wide` is a network as large without knowledge, `zeros` a constant
 vector, `random` has random numbers in place of each slot, `shuffled` a graph whose tails are
-permuted within each relation. An effect of what the knowledge says must exceed all of them."""
+permuted within each relation. An effect of the content of the knowledge must exceed all of them."""
 
 WITHOUT_CONTROLS = """**No control is among these runs**, so a difference could not be attributed to
-knowledge or to network size. Study `answer` has four: a network as large, zeros, random numbers, a
-shuffled graph."""
+knowledge or to network size."""
 
-OLDER = """Older runs of this cell, seeds {seeds} of the study `paper`, raised the question. They
-had no controls, other processors and the curriculum of their time, and are not among those above:
-{differences}."""
-
-PAPER = """The paper's accuracy counts the distance alone, of one training seed per agent with A3C,
+PAPER = """The paper's accuracy counts the distance alone, for one training seed per agent with A3C,
 after the step of its best model. Here success counts distance and angle, as means over seeds, with
 another algorithm and simulator."""
 
@@ -317,25 +259,20 @@ FIGURE = "![Success of every run of `bm`, `partial` and `full`](../images/reach-
 
 BOTTOM = """## What this cannot say
 
-- The vector of this task is constant within an episode and names what the image shows anyway. It
-  can save the network the recognition of the object, nothing else. Where a graph decides what to
-  do, it changes everything: see [choose](choose.md) and [answers](answers.md).
-- `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
-  A3C learns are on [its own page](a3c.md).
-- Processors: {processors}, of several generations ([lab notes](../lab-notes.md)). Another kind
-  rounds differently, so the same seed is another training there.
-- Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
-- On TIAGo success has reached its ceiling, so only the steps and the mean success during training
-  can differ. With randomized colours its runs have no controls.
+- The vector of this task is constant within an episode and names what the image shows anyway, so it
+  can save the recognition of the object, nothing else. Where the graph decides what to do, it
+  matters: [choose](choose.md), [answers](answers.md).
+- `fast` uses the simulator's state in the critic and an auxiliary loss. Settings with which A3C
+  learns: [A3C](a3c.md).
+- The runs used several kinds of processors. They round differently, so the same seed is another
+  training on each.
+- Interim evaluations are 50,000 steps apart: smaller differences are not seen in one run.
+- On TIAGo success has reached its ceiling, so only the steps and the area can differ. With
+  randomized colours its runs have no controls.
 
-The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fast` and
-`zoo/tiago-full-fast` are seeds 0: `knowarm evaluate zoo/irb120-full-fast` prints 99.6 % [99.0,
-99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
-
-Repeat: `knowarm study run` with `answer`, `answer-tiago`, `paper`, `size`, `a3c`, `a3c-tuned`,
-`fusions` and `choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`,
-`leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python -m
-scripts.build_answer`."""
+Repeat: `knowarm study run` with the studies named above, and `python -m benchmarks.a3c_changes`
+with `add --steps 2000000`, `leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python
+-m scripts.build_answer`. Seeds 0 are `zoo/irb120-full-fast` and `zoo/tiago-full-fast`."""
 
 
 def wrapped(text: str) -> str:
@@ -357,7 +294,7 @@ def wrapped(text: str) -> str:
 
 
 def main() -> None:
-    """Unpack the studies and write the page."""
+    """Unpack the studies; write the page and its CSV files."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=PAGE)
     given = parser.parse_args()
@@ -369,27 +306,30 @@ def main() -> None:
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
         fusions = fusions_section(folder["fusions"], folder["choose"], *shares, progress)
-        cells = list(tasks_of([folder[name] for name in STUDIES]))
-        before = older(folder["paper"], folder["answer-tiago"])
-        progress = " ".join(done(folder[name]) for name in STUDIES)
+        found = tasks_of([folder[name] for name in STUDIES])
+        cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
+        states = dict.fromkeys(done(folder[name]) for name in STUDIES)
+        progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        changes = changes_section(RESULTS / "a3c-changes")
+        changes = changes_section(CHANGES)
         size = size_section(folder["size"], RESULTS / "size-speed.csv", done(folder["size"]))
-        text = page(cells, before, progress, size, [*a3c, *tuned, *changes, *fusions])
+        text = page(cells, progress, size, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
+        write_runs(cells, given.out.with_name("answer-runs.csv"))
+        write_comparisons(cells, given.out.with_name("answer-comparisons.csv"))
+        write_changes(CHANGES, given.out.with_name("a3c-changes.csv"))
 
 
 def done(folder: Path) -> str:
-    """Say how many runs of a study are done, and which failed."""
+    """Say that no run of a study failed, or how many are done and which failed."""
     study = open_study(folder)
     runs = study_status(study, folder)
     count = sum(run.state == "done" for run in runs)
     failed = ", ".join(f"`{run.name}` ({run.detail})" for run in runs if run.state == "failed")
     failures = f"failed: {failed}" if failed else "none failed"
     if count == len(runs):
-        every = "Both" if count == 2 else f"All {count}"
-        return f"{every} runs of the study `{study.name}` are done."
+        return ALL_DONE
     return f"Of the study `{study.name}` {count} of {len(runs)} runs are done; {failures}."
 
 

@@ -194,7 +194,7 @@ def reasoning(page: Path) -> str:
         "shuffled answers": "c-orange",
         "colours only": "c-purple",
     }
-    (_, *splits), *lines = table(page, 3)
+    (_, *splits), *lines = table(page, 2)
     rows = {
         split: {
             colour: numbers(cells[i])[:1]
