@@ -23,7 +23,7 @@ TRAINING = {"distance_m": 0.05, "angle_deg": 15.0}  # the thresholds of environm
 def made(agent, count=None, **options):
     """Make the environments of an agent's robot and task, as the public door has them."""
     config = agent.config.env
-    return knowarm.make(config.robot, num_envs=count, task=config.task.kind, **options)
+    return knowarm.make(config.robot, num_envs=count, task=config.task, **options)
 
 
 def ends(agent, env, seed, ask=lambda env, infos: infos):
@@ -108,7 +108,7 @@ def test_a_config_with_questions_of_a_graph_is_read_without_another_import():
     code = (
         "import json, sys\nfrom knowarm.config import from_dict\n"
         "from knowarm.world.config import EnvConfig\n"
-        f"print(from_dict(EnvConfig, json.loads({text!r})).task.queries.graph)"
+        f"print(from_dict(EnvConfig, json.loads({text!r})).task.asked.queries.graph)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "purposes\n"

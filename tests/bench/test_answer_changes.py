@@ -63,14 +63,13 @@ def test_changes_left_out_with_one_seed_are_kept_or_dropped():
 def test_the_section_has_a_table_for_each_number_of_steps(tmp_path):
     runs, packs = tmp_path / "runs", tmp_path / "packs"
     write_runs(runs, 2_000_000, {name: [0.01, 0.01, 0.01] for name in NAMES})
-    larger = {"all": [0.475], "without-batch": [0.4], "rewards_pixels": [0.1]}
-    write_runs(runs, 5_000_000, larger | {"without-pixels": [0.45]})
+    larger = {"all": [0.475] * 3, "without-batch": [0.4] * 3, "rewards_pixels": [0.1] * 3}
+    write_runs(runs, 5_000_000, larger | {"without-pixels": [0.45]})  # too few for the table
     a3c_changes.pack(runs, packs)
     text = "\n\n".join(changes_section(packs))
-    assert "40 runs, 1.3 core hours" in text  # a minute of two cores each
+    assert "46 runs" in text
     before, _, after = text.partition("### After 5 million steps")
     assert "### After 2 million steps" in before
-    assert "| `none` | 3 | 1.0 [1.0, 1.0] | -70.0, -71.0, -72.0 | 9.5, 9.5, 9.5 |" in before
-    assert "| `all` | 1 | 47.5 | -70.0 | 9.5 |" in after
     table = [line.split("`")[1] for line in after.splitlines() if line.startswith("| `")]
-    assert table == ["rewards_pixels", "without-batch", "without-pixels", "all"]
+    assert table == ["rewards_pixels", "without-batch", "all"]
+    assert "| `all` | 47.5 [47.5, 47.5] | -70.0, -71.0, -72.0 |" in after

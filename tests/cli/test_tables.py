@@ -3,9 +3,7 @@
 import pytest
 from rich.text import Text
 
-from knowarm.cli.bench import Bench
 from knowarm.cli.tables import UNLIMITED, make_console, print_table
-from knowarm.errors import UserError
 from knowarm.experiment.logs import TrainingProgress
 
 COLUMNS = ["experiment", "accuracy %", "success wide %", "return", "description of the experiment"]
@@ -77,12 +75,3 @@ def test_names_are_no_markup_in_a_progress_bar(monkeypatch, capsys):
     with TrainingProgress("[/nonsense]", 10) as progress:
         progress.metrics({"step": 5})
     assert "[/nonsense]" in capsys.readouterr().err
-
-
-def test_sizes_of_the_benchmark_out_of_range_are_refused():
-    for options, message in (
-        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
-        ({"seconds": 0.0}, r"seconds must be larger than 0, got 0\.0"),
-    ):
-        with pytest.raises(UserError, match=message):
-            Bench(**options).run()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.own_robot import draft, draft_lift
+from knowarm.own_robot import draft, draft_area
 from knowarm.own_robot.draft import draft_robot, shrink_distance
 from knowarm.own_robot.robot_check import check_joints, check_robot
 from knowarm.own_robot.servo_check import check_servos
@@ -179,8 +179,8 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     robot = replace(robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2))
     trials = (([0.4, 0.7, 0.95], -135.0), ([0.4, 0.7, 0.6, 0.5], 180.0))  # enough; the best of all
     for shares, yaw in trials:
-        monkeypatch.setattr(draft_lift, "oracle_success", Mock(side_effect=shares))
-        area, text = draft_lift.find_lift_area(robot, lambda file, areas: "", Lift)
+        monkeypatch.setattr(draft_area, "oracle_success", Mock(side_effect=shares))
+        area, text = draft_area.find_area(robot, lambda file, areas: "", Lift())
         assert area == {
             "centre_m": [0.6, 0.0],
             "half_size_m": [0.025, 0.15],
@@ -192,8 +192,8 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     def refuse(config: object) -> float:
         raise UserError("Fingers touch.")
 
-    monkeypatch.setattr(draft_lift, "oracle_success", refuse)
-    assert draft_lift.find_lift_area(robot, lambda file, areas: "", Lift) == (
+    monkeypatch.setattr(draft_area, "oracle_success", refuse)
+    assert draft_area.find_area(robot, lambda file, areas: "", Lift()) == (
         {},
         "not possible: Fingers touch.",
     )

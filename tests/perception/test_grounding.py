@@ -116,7 +116,8 @@ def test_every_draw_shows_new_episodes(config, network):
 
 
 def test_a_marked_image_answers_for_the_marked_object_only(config, network, labels):
-    task = dataclasses.replace(config.env.task, marked=True)
+    asked = dataclasses.replace(config.env.task.asked, marked=True)
+    task = dataclasses.replace(config.env.task, asked=asked)
     env = dataclasses.replace(config.env, task=task)
     answers = query_answers(env, network.spec.facets)
     row = torch.tensor([5])

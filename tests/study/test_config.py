@@ -78,8 +78,8 @@ def test_the_control_of_the_papers_algorithm_has_the_size_of_full(name):
     sizes = [part.new_policy(0).parameter_counts() for part in parts]
     assert sizes[0] == sizes[1]
     assert zeros.algorithm == full.algorithm
-    assert parts[0].table.any()
-    assert not parts[1].table.any()
+    assert parts[0].knowledge.table.any()
+    assert not parts[1].knowledge.table.any()
 
 
 def test_changes_of_the_papers_algorithm_change_nothing_else():

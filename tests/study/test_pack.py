@@ -13,7 +13,7 @@ from knowarm.experiment.run_lock import lock_folder
 from knowarm.report import write_report
 from knowarm.study.config import STUDY_FILE
 from knowarm.study.driver import open_study, run_study
-from knowarm.study.pack import pack_study, unpack_study
+from knowarm.study.pack import SUFFIX, pack_study, unpack_study
 from knowarm.study.status import study_status
 
 pytestmark = pytest.mark.usefixtures("inline")
@@ -49,6 +49,23 @@ def test_parts_can_be_left_out(finished, tmp_path, pack):
     assert write_report([out], out / "report.html").exists()
     with pytest.raises(UserError, match=r"'film'.*'films'"):
         pack_study(finished, small, leave_out=("film",))
+
+
+def test_the_report_needs_no_losses(finished, tmp_path, pack):
+    short = tmp_path / "short.tar.xz"
+    pack_study(finished, short, leave_out=("losses",))
+    name = "irb120-bm-ppo/0/metrics.csv"
+    whole, reported = (
+        unpack_study(file, tmp_path / file.name.removesuffix(SUFFIX)) for file in (pack, short)
+    )
+    assert "value_loss" in (whole / name).read_text().splitlines()[0]
+    lines = (reported / name).read_text().splitlines()
+    assert lines[0] == "step,wall_time_s,steps_per_s"  # too short for a return
+    assert len(lines) == len((whole / name).read_text().splitlines())
+    pages = [write_report([folder], folder / "report.html") for folder in (whole, reported)]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+    with pytest.raises(UserError, match="leave out losses or checkpoints"):
+        pack_study(finished, short, leave_out=("losses",), with_checkpoints=True)
 
 
 def test_a_perception_module_belongs_to_the_policies(finished, tmp_path):

@@ -98,7 +98,7 @@ def test_unknown_names_get_the_nearest() -> None:
         find_targets(("mugg",))
     with pytest.raises(UserError, match="Did you mean 'cereal_box'"):
         find_targets(("cereal-box",))
-    with pytest.raises(UserError, match="instance of a family 'bottle-x'"):
+    with pytest.raises(UserError, match=r"Unknown target 'bottle-x'\. Did you mean 'bottle'"):
         find_targets(("bottle-x",))
 
 

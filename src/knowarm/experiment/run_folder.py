@@ -176,6 +176,8 @@ class RunFolder:
         copy = self._copy(name)
         if not name.endswith(SUFFIX):
             return str(copy)
+        if not copy.exists():
+            return name
         if is_trusted(name) and Path(name).exists() and self.copy_of(name) == str(copy):
             trust(str(copy))
         return str(copy)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 from knowarm.config import at_least, check_values, fraction, registered
 from knowarm.knowledge.graph.graph import Direction

@@ -74,7 +74,7 @@ def run_study(
     return statuses
 
 
-def _check_folder(study: StudyConfig, out: Path) -> None:
+def check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written."""
     if (out / STUDY_FILE).exists():
         before = read_study(out)

@@ -1,5 +1,6 @@
 """Packs: a study as one file with what its report needs, and digests of everything in it."""
 
+import csv
 import hashlib
 import io
 import json
@@ -24,11 +25,16 @@ from knowarm.study.status import FAILURE, is_trained
 FORMAT = 1  # of the manifest
 SUFFIX = ".tar.xz"
 
-Part = Literal["policies", "episodes", "steps", "films"]
-"""What a pack may leave out: the best policies; of evaluations the episodes, steps and images."""
+Part = Literal["policies", "episodes", "steps", "films", "losses"]
+"""What a pack may leave out: the best policies; of evaluations the episodes, steps and images; of
+``metrics.csv`` the columns that no report reads."""
+
+METRICS = "metrics.csv"
+REPORTED_METRICS = ("step", "wall_time_s", "steps_per_s", "return_mean", "success")
+"""Columns of ``metrics.csv`` that a pack without losses keeps."""
 
 PACKED_FILES = (
-    *(*RUN_FILES, "metrics.csv", "evaluations.csv", FAILURE),
+    *(*RUN_FILES, METRICS, "evaluations.csv", FAILURE),
     "checkpoints/latest/meta.json",  # the step that training reached
 )
 """Patterns of the files of a run that every pack holds."""
@@ -38,6 +44,7 @@ PART_FILES: dict[Part, tuple[str, ...]] = {
     "episodes": ("evaluation/*/episodes.parquet",),
     "steps": ("evaluation/*/steps.parquet",),
     "films": ("evaluation/*/films/*",),
+    "losses": (),  # in a file that every pack holds
 }
 """Patterns of the files of a run that belong to a part."""
 
@@ -68,6 +75,8 @@ def pack_study(
             raise unknown_name("part of a pack", part, PART_FILES)
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
+    if with_checkpoints and "losses" in leave_out:
+        raise UserError(f"Runs resume with their whole {METRICS}: leave out losses or checkpoints.")
     study = open_study(out)
     parts = [PACKED_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
     patterns = list(chain(*parts))
@@ -79,14 +88,20 @@ def pack_study(
             for path in sorted(run_path(out, config).glob(pattern))
             if path.is_file()
         ]
-        contents = {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
+        contents = dict[str, bytes]()
+        for path in paths:
+            content = path.read_bytes()
+            if path.name == METRICS and "losses" in leave_out:
+                content = _reported_metrics(content)
+            contents[path.relative_to(out).as_posix()] = content
     manifest = {
         "format": FORMAT,
         "study": study.name,
         "left_out": sorted(leave_out),
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
-    weights = WEIGHTS if with_checkpoints else {}
+    has_checkpoints = any(path.endswith(".safetensors") for path in contents if "/latest/" in path)
+    weights = WEIGHTS if has_checkpoints else {}
     with (
         replacing(file) as temporary,
         lzma.open(temporary, "wb", filters=[COMPRESSION | weights]) as compressed,
@@ -98,6 +113,17 @@ def pack_study(
             member.size = len(data)
             archive.addfile(member, io.BytesIO(data))
     return len(contents)
+
+
+def _reported_metrics(content: bytes) -> bytes:
+    """Return a table of metrics with the columns that reports read."""
+    rows = csv.DictReader(io.StringIO(content.decode()))
+    columns = [name for name in REPORTED_METRICS if name in (rows.fieldnames or ())]
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue().encode()
 
 
 def _checkpoint_files(out: Path, config: ExperimentConfig, wanted: bool) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Tasks on two axes: names, combinations, refusals, and what ends an episode among solid objects."""
+"""Tasks on two axes: names, combinations, refusals, and the end of episodes of solid objects."""
 
 import numpy as np
 import pytest

@@ -291,6 +291,8 @@ def _rows_around(
     rows = list[np.ndarray]()
     seen = frontier = start
     for hop in range(hops):
+        if not len(frontier):
+            break
         reached = [_NO_NODES]
         for entity in frontier:
             edges = graph.out_rows(entity) if direction == "out" else graph.in_rows(entity)

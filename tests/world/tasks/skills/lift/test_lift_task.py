@@ -18,18 +18,11 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
-<<<<<<< HEAD:tests/world/tasks/skills/lift/test_lift_task.py
 from knowarm.world.tasks.skills.lift.lift import FALLEN_M, LOST_M, Lift
 from knowarm.world.tasks.skills.lift.model import TIMESTEP_S, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS
-=======
-from knowarm.world.tasks.lift.lift import FALLEN_M, LOST_M, Lift
-from knowarm.world.tasks.lift.model import TIMESTEP_S, build_lift_scene
-from knowarm.world.tasks.lift.teacher import LiftTeacher
-from knowarm.world.tasks.teacher import COARSE_LEVELS
->>>>>>> gone:tests/world/tasks/lift/test_lift_task.py
 
 COUNT = 16
 
