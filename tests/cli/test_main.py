@@ -209,6 +209,7 @@ def test_list_shows_one_kind_only(capsys):
         (["evaluate", "zero", "--episodes", "many"], ["expected a whole number", "'many'"]),
         (["evaluate", "zero", "--distance-m", "5cm"], ["expected a number", "'5cm'"]),
         (["evaluate", "zero", "--epsiodes", "3"], ["Unrecognized", "Did you mean --episodes?"]),
+        (["train", "irb120-bm-ppo", "--learning-rate", "3"], ["Did you mean --algorithm.learn"]),
         (["evaluate", "zero", "--split", "S9"], ["Unknown value of --split 'S9'", "S1, S2, S3,"]),
         (["evaluate", "zero", "--split"], ["Missing value", "knowarm evaluate --help"]),
         (["evaluate"], ["Missing from knowarm evaluate: AGENT. `knowarm evaluate --help`"]),

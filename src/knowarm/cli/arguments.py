@@ -4,12 +4,11 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import redirect_stderr, suppress
+from contextlib import suppress
 from copy import copy
 from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
+from difflib import get_close_matches
 from functools import partial
-from io import StringIO
-from itertools import groupby
 from pathlib import Path
 from textwrap import fill
 from types import UnionType
@@ -25,6 +24,7 @@ from typing import (
 )
 
 import tyro
+import tyro._errors as parse_errors  # what it could not read, before it draws that
 from docstring_parser import parse_from_object
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
@@ -47,8 +47,7 @@ OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
 REGISTRY = ConstructorRegistry()
 """Rules by which values of options are read, beside tyro's own."""
 NO_TYPE = re.compile(r"no type matching (?:\{None\}\|)?(.*) could be instantiated from \[(.*)\]")
-INVALID_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.*)'\. Expected .*?\('(.*)'\)\.")
-"""Messages of tyro: type and value; value, option and allowed values."""
+"""Message of tyro on a value: type and value."""
 
 
 @REGISTRY.primitive_rule
@@ -86,34 +85,78 @@ def parse_options(
     for name, count in Counter(name for name in names if re.match(r"--[a-z]", name)).items():
         if count > 1:
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
+    shape = options.get("default") or command
     if not {*HELP}.isdisjoint(arguments):
-        _print_help(options.get("default") or command, prog)
-    frame = StringIO()
-    try:
-        with redirect_stderr(frame):
-            return tyro.cli(command, prog=prog, args=arguments, **READING, **options)
-    except SystemExit as ended:
-        error = ended.__context__
-        while error is not None and not isinstance(error, UserError):
-            error = error.__context__
-        raise error or _in_one_line(frame.getvalue(), prog) from None
+        _print_help(shape, prog)
+    with parse_errors.on_parse_error(partial(_refuse, shape)):
+        return tyro.cli(command, prog=prog, args=arguments, **READING, **options)
 
 
-def _in_one_line(frame: str, prog: str) -> UserError:
-    """Return the error that tyro has drawn in a frame, without its help texts."""
-    plain = re.sub(r"\x1b\[\d*m", "", frame)
-    rows = [re.sub("[│╰╯]", " ", row)[2:].rstrip("─- ") for row in plain.splitlines()[1:]]
-    sections = [[*part] for is_text, part in groupby(rows, bool) if is_text]
-    message = " ".join(line.strip() for line in sections[0] if not line.startswith(8 * " "))
-    if choice := INVALID_CHOICE.fullmatch(message):
-        given, option, allowed = choice.groups()
-        return unknown_name(f"value of {option}", given, {*allowed.split("', '")} - {"None"})
-    message = NO_TYPE.sub(r"expected \1, got \2", message)
-    message = message.replace("could not convert string to float:", "expected a number, got")
-    options = [line.split()[0] for part in sections[1:] for line in part if line[:6] == "    --"]
-    near = [name for name in dict.fromkeys(options) if name not in re.split("[ ,:]", message)]
-    hint = f" Did you mean {', '.join(near)}?" if near else ""
-    return UserError(f"{message.rstrip('.:')}.{hint} `{prog} --help` shows the arguments.")
+def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
+    """Raise the error of words that tyro cannot read, in one line.
+
+    ``shape`` is the command, a class or an object of it. Events that are not known here are drawn
+    by tyro.
+    """
+    error: BaseException | None = sys.exception()
+    while error is not None:
+        if isinstance(error, UserError):
+            raise error from None  # of a config that refuses its values
+        error = error.__context__
+    match event:
+        case parse_errors.InvalidChoice():
+            option = event.argument.display_name()
+            allowed = [choice for choice in event.choices if choice != "None"]
+            raise unknown_name(f"value of {option}", event.value, allowed)
+        case parse_errors.UnrecognizedArgs():
+            problem = (
+                f"Unrecognized options: {', '.join(event.tokens)}.{_near(shape, event.tokens)}"
+            )
+        case parse_errors.MissingArgs():
+            names = [missing.arg.lowered.metavar for missing in event.missing_arguments]
+            problem = f"Missing from {event.prog}: {', '.join(names)}."
+        case parse_errors.BadValue(reason="too_few_values"):
+            problem = f"Missing value of {event.argument.display_name()}."
+        case parse_errors.InstantiationFailure():
+            option = event.argument.display_name() if event.argument else "the arguments"
+            problem = f"Error parsing {option}: {_in_words(event.message)}."
+        case _:
+            return
+    raise UserError(f"{problem} `{event.prog} --help` shows the arguments.") from None
+
+
+def _in_words(message: str) -> str:
+    """Return the first line of a message of tyro on a value as the other errors say it."""
+    line = NO_TYPE.sub(r"expected \1, got \2", message.partition("\n")[0])
+    line = line.replace("could not convert string to float:", "expected a number, got")
+    return line.rstrip(".:")
+
+
+def _near(shape: Any, words: Sequence[str]) -> str:
+    """Return a question after the options that mistyped ones may stand for."""
+    options = list(_option_names(shape))
+    near = list[str]()
+    for word in words:
+        if word.startswith("--"):
+            name = word.partition("=")[0].replace("_", "-")
+            near += [option for option in options if option.endswith(f".{name[2:]}")]
+            near += get_close_matches(name, options, n=3, cutoff=0.7)
+    return f" Did you mean {', '.join(dict.fromkeys(near))}?" if near else ""
+
+
+def _option_names(shape: Any, prefix: str = "--") -> Iterator[str]:
+    """Yield the options of a command, a class or an object of it."""
+    hints = get_type_hints(shape if isinstance(shape, type) else type(shape), include_extras=True)
+    for each in fields(shape):
+        value = _default(each) if isinstance(shape, type) else getattr(shape, each.name)
+        name = prefix + each.name.replace("_", "-")
+        extras = get_args(hints[each.name])
+        if not is_dataclass(value):
+            yield name
+        elif tyro.conf.OmitArgPrefixes in extras or tyro.conf.arg(name="") in extras:
+            yield from _option_names(value, prefix)
+        else:
+            yield from _option_names(value, f"{name}.")
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
