@@ -29,7 +29,7 @@ from scipy.special import expit, logit
 from scipy.stats import norm
 
 from knowarm.config import override
-from knowarm.experiment.conditions import DamageTest, Subject
+from knowarm.experiment.evaluation import DamageTest, Subject
 from knowarm.experiment.knows import Grounded, read_known_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.other_graphs import target_names, with_graph

@@ -10,8 +10,8 @@ intervals over training seeds, and the values of the seeds.
 import argparse
 from pathlib import Path
 
-from knowarm.experiment.conditions import AnyCondition, DamageTest, ReasoningTest, SplitTest
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import AnyCondition, DamageTest, ReasoningTest, SplitTest
 from knowarm.experiment.load import load_agent
 from knowarm.statistics import mean_of_runs
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from knowarm.experiment.evaluation_files import read_film
+from knowarm.experiment.summary import read_film
 from knowarm.report.blocks import Figure
 from knowarm.report.charts import BOXES, RETURN_AXIS, Box
 from knowarm.report.collect import collect

@@ -21,8 +21,7 @@ from knowarm.benchmark.suites import (
     read_suite,
 )
 from knowarm.config import to_dict
-from knowarm.experiment.conditions import SplitTest, Subject
-from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig, SplitTest, Subject
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged

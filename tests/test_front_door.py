@@ -18,7 +18,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 import knowarm
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation_files import read_film
+from knowarm.experiment.summary import read_film
 from knowarm.reading import read_json
 from tests.study.tiny import InlineExecutor
 from tests.tiny import TINY

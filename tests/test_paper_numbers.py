@@ -11,8 +11,8 @@ import torch
 
 from knowarm.experiment.config import InterimConfig
 from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.measures import WIDE_ANGLE_DEG
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.summary import WIDE_ANGLE_DEG
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova
 from knowarm.world.config import EnvConfig

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from knowarm.cli.main import _parse, main
-from knowarm.experiment.evaluation_files import read_table
+from knowarm.experiment.summary import read_table
 from knowarm.reading import read_json
 from knowarm.world.tasks import VARIABLE
 from knowarm.world.tasks.skills import SKILLS

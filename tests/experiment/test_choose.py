@@ -12,8 +12,8 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build
-from knowarm.experiment.conditions import SplitTest, Subject
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import SplitTest, Subject
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.run import Run

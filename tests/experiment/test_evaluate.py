@@ -6,24 +6,21 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.conditions import (
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import (
+    BlindProbe,
     DamageTest,
+    EvaluationConfig,
+    FilmsProbe,
     GraphTest,
     HeldOutTest,
     ReasoningTest,
     SplitTest,
-)
-from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.evaluation_files import read_film, read_table
-from knowarm.experiment.load import load_agent
-from knowarm.experiment.measures import summarize
-from knowarm.experiment.probes import (
-    BlindProbe,
-    FilmsProbe,
     StepsProbe,
     other_questions,
 )
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.summary import read_film, read_table, summarize
 from knowarm.policy import PolicyAgent
 from knowarm.statistics import wilson
 from knowarm.world.agents import (

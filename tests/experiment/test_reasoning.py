@@ -10,14 +10,14 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.build import build
-from knowarm.experiment.conditions import (
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import (
     DamageTest,
     GraphTest,
     ReasoningTest,
     SplitTest,
     Subject,
 )
-from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.knows import reason_by
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of

@@ -11,17 +11,15 @@ import torch
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.conditions import SplitTest
-from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.evaluation_files import (
+from knowarm.experiment.evaluation import EvaluationConfig, SplitTest, step_columns
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import (
     EPISODE_COLUMNS,
-    step_columns,
+    Summary,
+    summarize,
     write_film,
     write_table,
 )
-from knowarm.experiment.measures import summarize
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.summary import Summary
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape

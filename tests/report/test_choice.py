@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.probes import FilmsProbe
+from knowarm.experiment.evaluation import FilmsProbe, SplitTest
 from knowarm.report import write_report
 from knowarm.report.blocks import flat
 from knowarm.report.collect import collect, split_groups

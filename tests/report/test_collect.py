@@ -12,11 +12,10 @@ import pytest
 
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.conditions import SplitTest
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table, write_table
+from knowarm.experiment.evaluation import SplitTest
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.summary import Summary
+from knowarm.experiment.summary import EPISODE_COLUMNS, Summary, read_table, write_table
 from knowarm.learn.algorithms import DistilConfig
 from knowarm.reading import read_json
 from knowarm.report import write_report

@@ -24,10 +24,10 @@ from knowarm.cli.train import Train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
+from knowarm.experiment.summary import read_film, read_table
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.kge import KgeConfig

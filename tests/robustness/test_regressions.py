@@ -16,10 +16,10 @@ from safetensors.torch import save_file as save_tensors
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog, read_csv
-from knowarm.experiment.evaluation_files import FRAME_MS, MAX_FRAMES, read_film
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import FRAME_MS, MAX_FRAMES, read_film
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.graph.graph import gamma
 from knowarm.knowledge.kge import KgeConfig

@@ -12,8 +12,8 @@ from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
 from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
-from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
+from knowarm.experiment.evaluation import Subject
 from knowarm.experiment.knows import NoKnowledge, answers_by_graph
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph

@@ -113,7 +113,7 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
                 f"Unrecognized options: {', '.join(event.tokens)}.{_near(shape, event.tokens)}"
             )
         case parse_errors.MissingArgs():
-            names = [missing.arg.lowered.metavar for missing in event.missing_arguments]
+            names = [str(missing.arg.lowered.metavar) for missing in event.missing_arguments]
             problem = f"Missing from {event.prog}: {', '.join(names)}."
         case parse_errors.BadValue(reason="too_few_values"):
             problem = f"Missing value of {event.argument.display_name()}."

@@ -20,23 +20,24 @@ from knowarm.cli.arguments import (
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.conditions import (
+from knowarm.experiment.config import Which
+from knowarm.experiment.evaluation import (
     AnyCondition,
     BaseTest,
+    BlindProbe,
     DamageTest,
+    EvaluationConfig,
+    FilmsProbe,
     GraphTest,
     HeldOutTest,
     Reasoning,
     ReasoningTest,
     SplitTest,
+    StepsProbe,
 )
-from knowarm.experiment.config import Which
-from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.measures import Numbers, measure
 from knowarm.experiment.other_graphs import meeting, target_names
-from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe
 from knowarm.experiment.run_lock import is_locked
-from knowarm.experiment.summary import Summary
+from knowarm.experiment.summary import Numbers, Summary, measure
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import Split
@@ -71,7 +72,7 @@ class EpisodeOptions(EvaluationConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ConditionOptions:
-    """Conditions of the test that differ from training; see `knowarm.experiment.conditions`."""
+    """Conditions of the test that differ from training; see `knowarm.experiment.evaluation`."""
 
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
@@ -120,7 +121,7 @@ class ConditionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
-    """What is recorded and measured; see `knowarm.experiment.probes`."""
+    """What is recorded and measured; see `knowarm.experiment.evaluation`."""
 
     blind_episodes: int = 200
     """Episodes that the blind agents play beside a trained one; 0 plays none."""

@@ -12,20 +12,18 @@ import numpy as np
 
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.conditions import Subject
-from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.evaluation_files import (
+from knowarm.experiment.evaluation import EvaluationConfig, Played, Subject, step_columns
+from knowarm.experiment.knows import answers_by_graph, reason_by
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.experiment.run import Run
+from knowarm.experiment.summary import (
+    WIDE_ANGLE_DEG,
+    Summary,
     episode_types,
-    step_columns,
+    summarize,
     write_film,
     write_table,
 )
-from knowarm.experiment.knows import answers_by_graph, reason_by
-from knowarm.experiment.load import TrainedAgent, load_agent
-from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
-from knowarm.experiment.probes import Played
-from knowarm.experiment.run import Run
-from knowarm.experiment.summary import Summary
 from knowarm.perception.calibration import covered
 from knowarm.policy import PolicyAgent
 from knowarm.reading import write_json, writing

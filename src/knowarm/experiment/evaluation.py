@@ -1,15 +1,406 @@
-"""Configuration of an evaluation: its episodes, the conditions of the test, and probes."""
+"""What is evaluated: episodes and thresholds, conditions of the test, and probes."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from itertools import islice
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
-from knowarm.config import above_zero, at_least, check_values, file_name, registered
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Mask
+from knowarm.config import above_zero, at_least, check_values, file_name, fraction, registered
 from knowarm.errors import UserError
-from knowarm.experiment.conditions import AnyCondition, GraphTest, SplitTest, Subject
-from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe, probe_types
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import Reasoning, read_known_graph
+from knowarm.experiment.other_graphs import (
+    answers_before_edit,
+    check_graph,
+    target_names,
+    with_graph,
+)
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
-from knowarm.world.config import EnvConfig
-from knowarm.world.tasks.probe import BaseProbe
+from knowarm.perception.config import LEVEL, Unclear
+from knowarm.statistics import bootstrap, share_difference, wilson
+from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
+from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.agents.scripted import InformedAgent
+from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks import task_probes
+from knowarm.world.tasks.probe import BaseProbe, Findings
+from knowarm.world.tasks.sampling import Episodes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is evaluated: an environment, and what a trained agent knows in it."""
+
+    env: EnvConfig
+    config: ExperimentConfig | None = None
+    """What the agent was trained with; None for one that was not trained."""
+    graph: KnowledgeGraph | None = None
+    """The graph that the agent knows; None for that of its training."""
+    reasoning: Reasoning | None = None
+    """What it answers queries by; None for what it was trained with."""
+    unclear: Unclear = "guess"
+    """What it does if it sees no answer, or several."""
+    level: float | None = None
+    """How often the right object is to be among those that count as answers; None: by name."""
+
+    @property
+    def trained(self) -> ExperimentConfig:
+        """The config of the trained agent that the condition needs."""
+        assert self.config is not None
+        return self.config
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseTest:
+    """A condition that differs from training; several apply in their order."""
+
+    changes_agent: ClassVar[bool] = True
+    """Whether it changes what a trained agent knows or does, so that others have no use for it."""
+    kind: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its part of the name of the evaluation's folder."""
+        return self.kind
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Return what is evaluated under this condition."""
+        raise NotImplementedError
+
+    def stored(self, env: EnvConfig) -> EnvConfig:
+        """Return the environment that was played as the summary stores it."""
+        return env
+
+    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return further columns of the episodes that were played."""
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOutTest(BaseTest):
+    """Play the colours and places that the environment excluded from training."""
+
+    changes_agent: ClassVar[bool] = False
+    kind: Literal["held-out"] = "held-out"
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the environment play what it held out."""
+        if subject.env.held_out is None:
+            raise UserError(
+                "A held-out test plays episodes that were excluded from training, and this "
+                "environment holds none out. Train with env.held_out, or leave the test out."
+            )
+        held_out = replace(subject.env.held_out, play="held_out")
+        return replace(subject, env=replace(subject.env, held_out=held_out))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitTest(BaseTest):
+    """Ask the questions of a split of a task whose questions a graph answers."""
+
+    changes_agent: ClassVar[bool] = False
+    kind: Literal["split"] = "split"
+    split: Split
+    """The split. On S5 an agent knows the edited graph, which also judges it."""
+    edited: str | None = None
+    """Path of the edited graph of split S5; None takes the one that swaps values."""
+
+    def __post_init__(self) -> None:
+        if self.edited is not None and self.split != "S5":
+            raise UserError(
+                f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
+            )
+
+    @property
+    def label(self) -> str:
+        """The split, and the name of an edited graph."""
+        return self.split.lower() + (f"-{Path(self.edited).stem}" if self.edited else "")
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the task ask the split's questions, and the agent know the edited graph."""
+        edited = {} if self.edited is None else {"edited": self.edited}
+        env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
+        edited_graph = env.task.edited_graph(facets_of(env))
+        if edited_graph is None or subject.config is None:
+            return replace(subject, env=env)
+        check_graph(subject.config, env)
+        return replace(subject, env=env, graph=edited_graph)
+
+    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Where the graph is edited, return whether the chosen object answered before."""
+        if env.task.edited_graph(facets_of(env)) is None:
+            return {}
+        before = answers_before_edit(env)
+        asked = zip(episodes["query"], episodes["chosen"], strict=True)
+        return {"chose_old_answer": np.array([name in before.get(q, ()) for q, name in asked])}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphTest(BaseTest):
+    """Ask and answer by another graph: all that it can be asked about objects it describes."""
+
+    kind: Literal["graph"] = "graph"
+    graph: str
+    """Path of the graph, or the name of a shipped one."""
+    names: dict[str, str] = field(default_factory=dict)
+    """Its names for objects, where they differ by more than their spelling."""
+
+    @property
+    def label(self) -> str:
+        """The name of the graph."""
+        return Path(self.graph).stem
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let task and agent take the other graph."""
+        config = with_graph(subject.trained, self.graph, self.names)
+        return replace(subject, env=config.env, config=config)
+
+    def stored(self, env: EnvConfig) -> EnvConfig:
+        """Return it with the given graph, not with the cached copy that has the names."""
+        return replace(env, task=env.task.asking(graph=self.graph))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DamageTest(BaseTest):
+    """Damage the graph that the agent knows, and repair it; the undamaged one judges."""
+
+    kind: Literal["damage"] = "damage"
+    damage: Damage | None = None
+    """Kind of triples: "missing", "wrong" or "adversarial"; None only repairs."""
+    share: float = 0.3
+    """Share of the triples about the task's objects that are damaged."""
+    seed: int = 0
+    """Seed of which triples are damaged, and of the repair."""
+    repair: Literal["analogy", "complex"] | None = None
+    """Complete the graph by link prediction with this graph embedding, after the damage."""
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "seed", where="damage.")
+        fraction(self, "share", where="damage.")
+
+    @property
+    def label(self) -> str:
+        """Kind and share of the damage, the repair, and a seed that is not 0."""
+        parts = [f"{self.damage}-{100 * self.share:g}"] if self.damage else []
+        return "-".join([*parts, *filter(None, [self.repair, str(self.seed or "")])])
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent know the damaged and repaired graph."""
+        trained, names = subject.trained, target_names(subject.env)
+        graph = subject.graph
+        if graph is None:
+            graph = read_known_graph(trained.knows)
+        if graph is None:
+            raise UserError(
+                f"A damage test changes a graph, and agent {trained.agent!r} has none. Leave it "
+                "out."
+            )
+        if self.damage is not None:
+            graph = damaged(graph, self.damage, self.share, self.seed, names)
+        if self.repair is not None:
+            from knowarm.knowledge.kge.completion import completed  # imports torch
+
+            graph = completed(graph, names, model=self.repair, seed=self.seed)
+        return replace(subject, graph=graph)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReasoningTest(BaseTest):
+    """Let an agent with a grounding network answer queries in another way."""
+
+    kind: Literal["reasoning"] = "reasoning"
+    by: Reasoning | None = None
+    """The query's "vector"; the "graph", while the network only names what stands where; as
+    controls of it "graph-shuffled", with permuted tails, or "colours", without facts. None takes
+    the agent's own."""
+    unclear: Unclear = "guess"
+    """What an agent that answers by a graph does if it sees no answer, or several. Nobody answers
+    what it asks in an evaluation, so there it stays."""
+    level: float | None = None
+    """Count an object as an answer if it may be one, so that the right one is counted with this
+    probability: calibrated on held-out images. None counts what the network names so, but for
+    ``unclear`` "ask", which takes `LEVEL`."""
+
+    @property
+    def label(self) -> str:
+        """What is answered by, whether the arm stays, and the level."""
+        unclear = "" if self.unclear == "guess" else self.unclear
+        level = "" if self.level is None else f"level-{100 * self.level:g}"
+        return "-".join(filter(None, [self.by, unclear, level]))
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent answer so."""
+        level = LEVEL if self.level is None and self.unclear == "ask" else self.level
+        return replace(subject, reasoning=self.by, unclear=self.unclear, level=level)
+
+
+AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest
+
+
+@dataclass(frozen=True)
+class Played:
+    """An agent, the episodes that it played, and their outcome."""
+
+    agent: AgentProtocol
+    env: ArmVectorEnv
+    episodes: Episodes
+    result: EpisodeResults
+    seed: int
+    is_trained: bool
+    """Whether it is a trained agent, and not that of its initial weights."""
+    report: Callable[[str], None] = lambda line: None
+    """Receives lines on the progress."""
+
+    @property
+    def scene(self) -> Scene:
+        """Robot and objects."""
+        return self.env.scene
+
+    @property
+    def success(self) -> Mask:
+        """Which episodes were solved, (n,)."""
+        return self.result.success
+
+    def paths(self, rows: NDArray[np.intp]) -> list[Floats]:
+        """Return the joint angles of some episodes by step, (T, J) [rad] each."""
+        steps = self.result.steps
+        first = np.searchsorted(steps.episode, np.arange(len(self.episodes) + 1))
+        return [steps.joint_positions[first[i] : first[i + 1]] for i in rows]
+
+
+STEP_COLUMNS = {
+    "episode": ("int32", "index of the episode in the fixed list, from 0"),
+    "step": ("int32", "step of the episode, from 1; the row holds the values after the step"),
+    "distance_m": ("float32", "distance of gripper and grasp point [m]"),
+    "angle_deg": ("float32", "geodesic angle between gripper and grasp frame [deg]"),
+    "reward": ("float32", "reward of the step"),
+}
+"""Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepsProbe(BaseProbe):
+    """Keep joint angles, action, distance and angle of every step."""
+
+    kind: Literal["steps"] = "steps"
+
+    def measure(self, played: Played, findings: Findings) -> None:
+        """Add the columns of ``steps.parquet``."""
+        steps = played.result.steps
+        values = (steps.episode, steps.step, steps.distance, steps.angle, steps.reward)
+        columns = dict(zip(STEP_COLUMNS, values, strict=True))
+        for i in range(steps.joint_positions.shape[1]):
+            columns[f"joint_{i + 1}_rad"] = steps.joint_positions[:, i]
+            columns[f"action_{i + 1}"] = steps.actions[:, i]
+        findings.steps = columns
+
+
+def step_columns(joints: int) -> dict[str, tuple[str, str]]:
+    """Return the columns of ``steps.parquet`` for a robot with ``joints`` joints."""
+    columns = dict(STEP_COLUMNS)
+    for i in range(1, joints + 1):
+        increment = f"chosen increment of joint {i}: 0..6, see ACTION_LEVELS"
+        columns[f"joint_{i}_rad"] = ("float32", f"angle of joint {i} [rad]")
+        columns[f"action_{i}"] = ("int8", increment)
+    return columns
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmsProbe(BaseProbe):
+    """Keep the images of some episodes."""
+
+    kind: Literal["films"] = "films"
+    episodes: int = 6
+    """Number of episodes, from the first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindProbe(BaseProbe):
+    """Let controls play the episodes of a trained agent: blind agents, and itself misinformed."""
+
+    kind: Literal["blind"] = "blind"
+    episodes: int = 200
+    """Number of episodes, from the first."""
+
+    def __post_init__(self) -> None:
+        at_least(self, 1, "episodes", where="blind.")
+
+    def measure(self, played: Played, findings: Findings) -> None:
+        """Add the group ``blind`` and the numbers ``vision_gain`` and ``binding``.
+
+        By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
+        the agent over all episodes minus its own; ``vision_gain`` is the smallest difference to an
+        agent that sees nothing. ``binding`` says whether an agent follows its question: it plays
+        the episodes again, told a question whose answer is another visible object, and the share of
+        right choices falls by this much.
+        """
+        if not played.is_trained:
+            return
+        success = played.result.success
+        own = wilson(int(np.count_nonzero(success)), len(success))
+        numbers: dict[str, dict[str, Any]] = {}
+        for name, entry in BLIND_AGENTS.items():
+            blind = entry.make(played.agent, played.env, played.seed)
+            chosen = played.episodes[: self.episodes]
+            played.report(f"Blind agent {name}: {len(chosen):,} episodes.")
+            solved = play(blind, played.env, chosen).success
+            share = wilson(int(np.count_nonzero(solved)), len(solved))
+            numbers[name] = {"episodes": float(len(solved)), "success": share}
+            numbers[name]["difference"] = share_difference(own, share)
+        findings.groups["blind"] = numbers
+        seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
+        findings.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
+        is_told = getattr(played.agent, "depends_on_rows", False)
+        if is_told and "is_right_object" in played.result.infos:
+            self._measure_binding(played, findings)
+
+    def _measure_binding(self, played: Played, findings: Findings) -> None:
+        """Play the episodes with the questions of other visible objects."""
+        chosen = played.episodes[: self.episodes]
+        questions = other_questions(played.env, chosen, played.seed)
+        asked = np.flatnonzero(questions != "")
+        told = iter(questions[asked])
+
+        def misinform(batch: Batch) -> Batch:
+            left = [str(each) for each in islice(told, batch.size)]
+            filled = [*left, *batch.names[len(left) :]]  # the last batch repeats its last episode
+            return replace(batch, names=np.array(filled))
+
+        if len(asked):
+            result = play(InformedAgent(played.agent, misinform), played.env, chosen[asked])
+            right, misled = (r.infos["is_right_object"] for r in (played.result, result))
+            gain = right[asked].astype(float) - misled
+            findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
+
+
+def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndarray:
+    """Draw a question that exactly one visible object answers, another than the right one, (n,).
+
+    It is one that the task asks; empty where the visible objects allow none.
+    """
+    table = questions_of(env.config)
+    assert table is not None
+    shown = env.running.first_facet[episodes.objects] + episodes.colours
+    answers = table.satisfies[:, shown]  # (Q, n, m)
+    asked = np.asarray(table.askable.any(axis=1))
+    fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]
+    drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
+    names = np.array([query.name for query in table.queries])
+    return np.where(fits.any(0), names[drawn], "")
+
+
+def probe_types() -> list[type[BaseProbe]]:
+    """List the probes: those of every evaluation, and those that parts of tasks bring."""
+    return [StepsProbe, FilmsProbe, BlindProbe, *task_probes()]
 
 
 @dataclass(frozen=True, kw_only=True)

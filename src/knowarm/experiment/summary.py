@@ -1,16 +1,195 @@
-"""Summary of an evaluation: its settings and numbers, as stored, printed and reported."""
+"""What an evaluation measured: its measures and summary, its tables and films, as stored."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image, ImageSequence
 
 from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.measures import AGAIN, Numbers
-from knowarm.reading import read_json, reading
-from knowarm.statistics import Interval
+from knowarm.measures import Columns, Measure
+from knowarm.reading import read_json, reading, replacing
+from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.world.tasks import task_measures
+
+AGAIN = "Evaluate the run again."
+"""Remedy for a damaged file of an evaluation."""
+WIDE_ANGLE_DEG = 20.0
+"""Largest angle of ``success_wide`` [deg], unless that of ``success`` is larger."""
+
+Number = float | Interval
+Numbers = dict[str, Number]
+
+
+def _share(values: np.ndarray) -> Interval:
+    return wilson(int(np.count_nonzero(values)), len(values))
+
+
+STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
+    "share": _share,
+    "mean": partial(bootstrap, repetitions=2_000),
+    "average": np.mean,
+    "std": lambda values: np.std(values, ddof=1) if len(values) > 1 else 0.0,
+    "max": np.max,
+    "count": len,
+}
+
+
+def _choice_corrected(episodes: Columns) -> Interval | None:
+    """Return the share of right choices: 0 for a choice at random, 1 if all are right."""
+    if "chance" not in episodes:
+        return None
+    choice, chance = _share(episodes["choice_correct"]), episodes["chance"][0]
+    ends = (choice.estimate, choice.low, choice.high)
+    return Interval(*(float((end - chance) / (1 - chance)) for end in ends))
+
+
+def _success_corrected(episodes: Columns) -> float | None:
+    """Return the success; 0 for an agent that reaches as often what it chooses at random."""
+    if "chance" not in episodes:
+        return None
+    success, right = episodes["success"], episodes["choice_correct"]
+    chance = episodes["chance"][0]
+    guessed = chance * (success[right].mean() if right.any() else 0.0)
+    return float((success.mean() - guessed) / (1 - chance))
+
+
+def _switched(episodes: Columns) -> Interval | None:
+    """Return the share of the new answer among the episodes that ended at the new or the old."""
+    right, old = episodes.get("choice_correct"), episodes.get("chose_old_answer")
+    if right is None or old is None or not (either := right | old).any():
+        return None
+    return _share(right[either])
+
+
+def _saw(is_so: Callable[[np.ndarray], np.ndarray]) -> Callable[[Columns], Interval | None]:
+    """Return the share of first images in which an agent sees so many answers."""
+    name = "visible_answers"
+    return lambda episodes: _share(is_so(episodes[name])) if name in episodes else None
+
+
+def _asks(episodes: Columns) -> Interval | None:
+    """Return the share of first images in which an agent sees not exactly one candidate."""
+    return _saw(lambda count: count != 1)(episodes) if "covered" in episodes else None
+
+
+_points: dict[str, Any] = {"format": "points", "compute": lambda _: None}  # a probe computes it
+_metres: dict[str, Any] = {"format": "number3"}
+_failed = _metres | {"among": lambda episodes: ~episodes["success"]}
+_CORRECTED = "corrected for chance"
+
+_ALL = (
+    Measure("episodes", "episodes", "return", "count", format="integer"),
+    Measure("success", "success", "success", about="distance and angle at one step"),
+    Measure("success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True),
+    Measure("accuracy", "accuracy", "accurate", about="final distance only"),
+    Measure("return_mean", "mean return", "return", "mean", format="number1"),
+    Measure("return_std", "std of return", "return", "std", format="number1", detail=True),
+    Measure("length_mean", "steps", "length", "mean", format="number1"),
+    Measure("length_std", "std of steps", "length", "std", format="number1", detail=True),
+    Measure("failure_distance_mean", "failure dist. [m]", "distance_m", "average", **_failed),
+    Measure("failure_distance_std", "its std [m]", "distance_m", "std", **_failed, detail=True),
+    Measure("failure_distance_max", "its max [m]", "distance_m", "max", **_failed, detail=True),
+    Measure("distance_mean", "distance [m]", "distance_m", "average", **_metres, detail=True),
+    Measure("angle_mean", "angle [deg]", "angle_deg", "average", format="number1", detail=True),
+    Measure("choice_chance", "chance", "chance", "average"),
+    Measure("choice_corrected", _CORRECTED, compute=_choice_corrected, detail=True),
+    Measure("success_corrected", _CORRECTED, compute=_success_corrected, detail=True),
+    Measure("chose_old_answer", "old answer", "chose_old_answer"),
+    Measure("switched", "switched", compute=_switched, about="new of new and old answers"),
+    Measure("saw_no_answer", "saw no answer", compute=_saw(lambda count: count == 0)),
+    Measure("saw_several_answers", "saw several", compute=_saw(lambda count: count > 1)),
+    Measure("coverage", "right one among the candidates", "covered"),
+    Measure("questions", "asks", compute=_asks, about="not exactly one candidate"),
+    Measure("difference", "agent minus this [points]", **_points),
+    Measure(
+        "vision_gain",
+        "depends on vision [points]",
+        about="success minus that of the better agent that sees nothing",
+        detail=True,
+        **_points,
+    ),
+    Measure(
+        "binding",
+        "follows its question [points]",
+        about="right choices, minus those when told the question of another visible object",
+        **_points,
+    ),
+)
+MEASURES = {each.name: each for each in _ALL}
+"""Measures of every evaluation, by name, in the order in which they are stored and shown."""
+OF_QUERIES = ("episodes", "success", "choice")
+"""Measures that are stored for every single query, of which there may be hundreds."""
+
+
+def find_measure(name: str) -> Measure | None:
+    """Return a measure of every evaluation or of a task by its name, or None."""
+    if name in MEASURES:
+        return MEASURES[name]
+    return next((each for each in task_measures() if each.name == name), None)
+
+
+def measure(name: str) -> Measure:
+    """Return a measure by its name; one of a task that is not registered has no better title."""
+    return find_measure(name) or Measure(name, name.replace("_", " "))
+
+
+GROUPS = ("target", "facet", "query_type", "query")
+"""Columns by whose values episodes are grouped, where they have them."""
+
+
+def summarize(
+    episodes: Columns, measures: Sequence[Measure] = ()
+) -> tuple[Numbers, dict[str, dict[str, Numbers]]]:
+    """Compute ``numbers`` and ``groups`` of a summary from the columns of the episodes.
+
+    Args:
+        episodes: the columns.
+        measures: those of the task and of the probes.
+    """
+    wanted = [*_ALL, *measures]
+    groups = {
+        group: {
+            str(value): _numbers(
+                {name: each[episodes[group] == value] for name, each in episodes.items()},
+                [m for m in wanted if group != "query" or m.name in OF_QUERIES],
+            )
+            for value in np.unique(episodes[group])
+        }
+        for group in GROUPS
+        if group in episodes
+    }
+    return _numbers(episodes, wanted), groups
+
+
+def _numbers(episodes: Columns, measures: Sequence[Measure]) -> Numbers:
+    found = {each.name: _compute(each, episodes) for each in measures}
+    return {
+        name: each if isinstance(each, Interval) else float(each)
+        for name, each in found.items()
+        if each is not None
+    }
+
+
+def _compute(of: Measure, episodes: Columns) -> Number | None:
+    """Return a measure of some episodes; None if they lack its column, or none counts."""
+    if of.compute is not None:
+        return of.compute(episodes)
+    if (values := episodes.get(of.column)) is None:
+        return None
+    if of.equals is not None:
+        values = values == of.equals
+    if (among := of.among) is not None:
+        values = values[episodes[among] if isinstance(among, str) else among(episodes)]
+    return STATISTICS[of.statistic](values) if len(values) else None
+
 
 FORMAT = 2
 """Version of the evaluation folder's layout."""
@@ -74,3 +253,96 @@ class Summary:
             if values.get("format") != FORMAT:
                 raise ValueError(f"format {values.get('format')!r}, this version reads {FORMAT}")
             return from_dict(cls, values)
+
+
+EPISODE_COLUMNS = {
+    "episode": ("int32", "index of the episode in the fixed list, from 0"),
+    "evaluation_seed": ("int64", "seed from which the episode was drawn"),
+    "target": ("string", "target object"),
+    "facet": ("string", "object and colour, as object/colour"),
+    "return": ("float64", "sum of the rewards, not discounted"),
+    "length": ("int32", "steps until success or the time limit"),
+    "distance_m": ("float64", "distance of gripper and grasp point at the end [m]"),
+    "angle_deg": ("float64", "geodesic angle between gripper and grasp frame at the end [deg]"),
+    "success": ("bool", "distance and angle within the thresholds at the same step"),
+    "accurate": ("bool", "distance within the threshold at the end: the paper's accuracy"),
+    "success_wide": ("bool", "distance and the wider angle threshold met at some step"),
+}
+"""Columns of ``episodes.parquet``: type and meaning; one row per episode."""
+
+FURTHER_COLUMNS = {
+    "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
+    "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
+    "covered": ("bool", "whether the right object is among those that may answer"),
+}
+"""Further columns of some evaluations; tasks and probes add their own."""
+
+FRAME_MS, LAST_MS = 120, 1_200
+"""Display time of each image, and of the last before the animation repeats [ms]."""
+MAX_FRAMES = 10_000
+"""Most images of a film that is read; an episode has at most a few hundred steps."""
+
+
+def episode_types(
+    episodes: Mapping[str, np.ndarray], meanings: Mapping[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Return type and meaning of the columns of ``episodes.parquet``.
+
+    Args:
+        episodes: the columns.
+        meanings: of those that the task and the probes add.
+    """
+    known, kinds = EPISODE_COLUMNS | FURTHER_COLUMNS, {"b": "bool", "i": "int64", "f": "float64"}
+    return {
+        name: known.get(name)
+        or (kinds.get(values.dtype.kind, "string"), meanings.get(name, "of the task"))
+        for name, values in episodes.items()
+    }
+
+
+def write_table(
+    path: Path, columns: Mapping[str, np.ndarray], described: Mapping[str, tuple[str, str]]
+) -> None:
+    """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
+    types = {"string": pa.dictionary(pa.int32(), pa.string())}
+    fields = [
+        pa.field(name, types.get(kind) or pa.type_for_alias(kind), metadata={"meaning": meaning})
+        for name, (kind, meaning) in described.items()
+    ]
+    arrays = [pa.array(columns[f.name]).cast(f.type) for f in fields]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    with replacing(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd")
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns of a Parquet file as (n,) arrays."""
+    with reading(path, AGAIN):
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
+        return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+
+
+def write_film(path: Path, frames: np.ndarray) -> None:
+    """Write images (T, H, W, 3) as a lossless animated WebP, which `read_film` reads."""
+    images = [Image.fromarray(frame) for frame in frames]
+    durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]
+    options: dict[str, Any] = {"duration": durations, "loop": 0, "lossless": True, "method": 4}
+    with replacing(path) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], **options)
+
+
+def read_film(path: Path) -> np.ndarray:
+    """Read the images of a film written by `write_film`: (T, H, W, 3) uint8."""
+    frames: list[np.ndarray] = []
+    with reading(path, AGAIN):
+        with Image.open(path) as film:
+            for number, frame in enumerate(ImageSequence.Iterator(film)):
+                image = np.asarray(frame.convert("RGB"))
+                # The encoder stores equal neighbours once, with the sum of their times.
+                shown = int(frame.info.get("duration", 0))  # a single image has none
+                is_last = number == getattr(film, "n_frames", 1) - 1
+                extra = shown - (LAST_MS if is_last else FRAME_MS)
+                frames += [image] * (1 + max(0, extra) // FRAME_MS)
+                if len(frames) > MAX_FRAMES:
+                    raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
+        return np.stack(frames)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from knowarm.experiment.measures import find_measure, measure
+from knowarm.experiment.summary import find_measure, measure
 from knowarm.report.model import Evaluated, Reference, TaskData
 from knowarm.statistics import Interval
 

@@ -13,10 +13,8 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
-from knowarm.experiment.measures import AGAIN
 from knowarm.experiment.provenance import Provenance
-from knowarm.experiment.summary import Summary
+from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, Summary, read_table
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, mean_of_runs

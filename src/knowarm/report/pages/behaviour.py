@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation_files import read_film
+from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.pictures import data_uri, encode
 from knowarm.report import format
