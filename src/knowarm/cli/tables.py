@@ -46,10 +46,12 @@ class TableCommand:
 
 def print_meeting(meeting: Mapping[str, Sequence[str]]) -> None:
     """Print how a policy and a graph meet: `meeting` of the experiment's answers."""
-    rows = [
-        [what, len(names), ", ".join(names[:MOST_NAMES]) + ", ..." * (len(names) > MOST_NAMES)]
-        for what, names in meeting.items()
-    ]
+    rows = []
+    for what, names in meeting.items():
+        listed = ", ".join(names[:MOST_NAMES])
+        if len(names) > MOST_NAMES:
+            listed += ", ..."
+        rows.append([what, len(names), listed])
     print_table("Policy and graph", ["objects", "count", "names"], rows)
 
 
@@ -68,35 +70,41 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]
 
 def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) -> list[Table]:
     """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
-    cells = [[each if isinstance(each, Text) else Text(_cell(each)) for each in r] for r in rows]
-    columns = list(map(printable, columns))
-    texts = [[name, *(row[i].plain for row in cells)] for i, name in enumerate(columns)]
-    words = [max(cell_len(word) for word in name.split() or [""]) for name in columns]
-    for row in cells:
-        for i, cell in enumerate(row):
-            parts = [cell.plain] if cell.no_wrap else cell.plain.split()
-            words[i] = max([words[i], *map(cell_len, parts)])
-    lines = [max(map(cell_len, column)) for column in texts]
+    headings = [Text(printable(name)) for name in columns]
+    cells = [list(map(_cell, row)) for row in rows]
+    least = []
+    most = []
+    for i, heading in enumerate(headings):
+        column = [heading, *(row[i] for row in cells)]
+        least.append(max(map(_longest_part, column)))
+        most.append(max(cell.cell_len for cell in column))
     tables = []
-    for block in _blocks(words, room):
-        widths = _widths([words[i] for i in block], [lines[i] for i in block], room)
+    for block in _blocks(least, room):
+        widths = _widths([least[i] for i in block], [most[i] for i in block], room)
         table = Table(width=_total(widths))
         for i, width in zip(block, widths, strict=True):
-            numeric = rows and all(isinstance(row[i], int | float) for row in rows)
-            table.add_column(Text(columns[i]), justify="right" if numeric else "left", width=width)
+            is_number = rows and all(isinstance(row[i], int | float) for row in rows)
+            table.add_column(headings[i], justify="right" if is_number else "left", width=width)
         for row in cells:
             table.add_row(*(row[i] for i in block))
         tables.append(table)
     return tables
 
 
-def _blocks(words: Sequence[int], room: int) -> list[list[int]]:
-    """Split columns, whose longest words are given, into as few tables as possible."""
-    others = range(1, len(words))
-    for count in range(1, len(words)):
+def _longest_part(cell: Text) -> int:
+    """Return the width of the longest part of a cell that must stay on one line."""
+    parts = [cell.plain] if cell.no_wrap else cell.plain.split()
+    return max(map(cell_len, parts), default=0)
+
+
+def _blocks(least: Sequence[int], room: int) -> list[list[int]]:
+    """Split columns, whose least widths are given, into as few tables as possible."""
+    others = range(1, len(least))
+    for count in range(1, len(least)):
         size = -(-len(others) // count)
         blocks = [[0, *others[i : i + size]] for i in range(0, len(others), size)]
-        if size == 1 or all(_total([words[i] for i in block]) <= room for block in blocks):
+        widest = max(_total([least[i] for i in block]) for block in blocks)
+        if size == 1 or widest <= room:
             return blocks
     return [[0]]
 
@@ -108,11 +116,15 @@ def _total(widths: Sequence[int]) -> int:
 
 def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
     """Share the room among columns, those with the shortest lines first."""
-    widths, spare = list(least), room - _total(least)
-    order = sorted(range(len(least)), key=lambda i: most[i] - least[i])
-    for left, i in zip(range(len(order), 0, -1), order, strict=True):
-        more = max(0, min(most[i] - least[i], spare // left))
-        widths[i], spare = widths[i] + more, spare - more
+    widths = list(least)
+    wishes = [wide - narrow for narrow, wide in zip(least, most, strict=True)]
+    spare = room - _total(least)
+    waiting = len(least)
+    for i in sorted(range(len(least)), key=wishes.__getitem__):
+        more = max(0, min(wishes[i], spare // waiting))
+        widths[i] += more
+        spare -= more
+        waiting -= 1
     return widths
 
 
@@ -138,12 +150,21 @@ class _Console(Console):
         raise BrokenPipeError
 
 
-def _cell(value: Any) -> str:
-    if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: "-"}[value]
-    if isinstance(value, float):
-        return f"{value:,.{3 if abs(value) < 10 else 1 if abs(value) < 1000 else 0}f}"
-    return f"{value:,}" if isinstance(value, int) else printable(str(value))
+def _cell(value: Any) -> Text:
+    """Return a value as the text of a cell."""
+    if isinstance(value, Text):
+        return value
+    if value is None:
+        return Text("-")
+    if isinstance(value, bool):
+        return Text("yes" if value else "no")
+    if isinstance(value, int):
+        return Text(f"{value:,}")
+    if not isinstance(value, float):
+        return Text(printable(str(value)))
+    if abs(value) < 10:
+        return Text(f"{value:,.3f}")
+    return Text(f"{value:,.1f}" if abs(value) < 1000 else f"{value:,.0f}")
 
 
 def check_output(path: Path | None, option: str = "--json") -> None:
