@@ -36,7 +36,8 @@ class SceneImages:
     def targets(self, targets: Sequence[int], colour: int = 0) -> Images:
         """Draw some of the targets, by index, each in its colour of an index."""
         shown = np.tile(targets, (self._simulation.num_envs, 1))
-        return self._draw(TargetColours(self._scene)(shown, np.full_like(shown, colour)))
+        paint = TargetColours(self._scene)
+        return self._draw(paint(shown, np.full_like(shown, colour)))
 
     def robot_pixels(self) -> Integers:
         """Count the pixels that show the robot, (n,)."""
@@ -49,18 +50,27 @@ class SceneImages:
         return self._renderer.draw(simulation.geom_position, simulation.geom_matrix, colours)
 
 
+def draw_once(
+    scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
+) -> Image.Image:
+    """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high."""
+    renderer = make_renderer(scene, config, side, 1)
+    images = renderer.draw(data.geom_xpos[None], data.geom_xmat[None], colours)
+    return Image.fromarray(images[0])
+
+
 def draw_large(
     scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
 ) -> Image.Image:
-    """Draw a scene once, with full meshes, which is faster than simplifying them first."""
-    renderer = make_renderer(scene, replace(config, mesh_detail="full"), side, 1)
-    return Image.fromarray(renderer.draw(data.geom_xpos[None], data.geom_xmat[None], colours)[0])
+    """Draw one image with full meshes, which is faster than simplifying them first."""
+    return draw_once(scene, replace(config, mesh_detail="full"), data, colours, side)
 
 
 def different_pixels(a: Images, b: Images) -> Integers:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
     change = np.abs(np.subtract(a, b, dtype=np.int16))
-    return np.asarray((change.max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))
+    is_different = change.max(axis=-1) > DIFFERENCE
+    return np.asarray(is_different.sum(axis=(-2, -1)))
 
 
 def robot_parts(scene: Scene) -> Mask:

@@ -17,7 +17,9 @@ CORNERS = ((-1, -1), (-1, 1), (1, 1), (1, -1))
 
 def rectangle_places(robot: Robot, signs: Any) -> Floats:
     """Return places in a robot's rectangle [m] by their signs (n, 2), -1 to 1 between its sides."""
-    return np.array(robot.rectangle_centre_m) + np.array(signs) * robot.rectangle_half_size_m
+    centre = np.array(robot.rectangle_centre_m)
+    half = np.array(robot.rectangle_half_size_m)
+    return centre + half * signs
 
 
 def grasps(scene: Scene, places: Floats) -> tuple[Floats, Floats]:

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw
 
-from knowarm.own_robot.pixels import draw_large
+from knowarm.arrays import Floats
+from knowarm.own_robot.pixels import draw_large, draw_once
 from knowarm.own_robot.poses import CORNERS, rectangle_places
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
-from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours
 from knowarm.world.scene.scene import Scene, project, target_places
 
@@ -30,9 +30,8 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     colours = TargetColours(scene)(targets, np.zeros_like(targets))
     large = draw_large(scene, config, data, colours, SIDE)
     _draw_lines(scene, data, corners, large)
-    renderer = make_renderer(scene, config, config.image_size, 1)
-    seen = renderer.draw(data.geom_xpos[None], data.geom_xmat[None], colours)[0]
-    small = Image.fromarray(seen).resize((SIDE, SIDE), Image.Resampling.NEAREST)
+    small = draw_once(scene, config, data, colours, config.image_size)
+    small = small.resize((SIDE, SIDE), Image.Resampling.NEAREST)
     both = Image.new("RGB", (2 * SIDE, SIDE))
     both.paste(large, (0, 0))
     both.paste(small, (SIDE, 0))
@@ -40,7 +39,7 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
         both.save(temporary)
 
 
-def _draw_lines(scene: Scene, data: mujoco.MjData, corners: np.ndarray, image: Image.Image) -> None:
+def _draw_lines(scene: Scene, data: mujoco.MjData, corners: Floats, image: Image.Image) -> None:
     """Draw the rectangle and the gripper's approach over an image of the scene."""
     tip = data.site_xpos[scene.tcp_site]
     approach = data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
