@@ -147,29 +147,28 @@ def _approach(
     if np.linalg.norm(out) < 1e-6:
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.
-    along = float(axis @ out)
-    length = float(np.linalg.norm(out))
+    along = axis @ out
+    length = np.linalg.norm(out)
     approach = out / max(length, 1e-9)
     if abs(along) > 0.3 * length:
         approach = axis * np.sign(along)
-    end = float((centres @ approach).max())
-    end = max(end, extent(data, geoms, approach, np.zeros(3)))
+    end = max((centres @ approach).max(), extent(data, geoms, approach, np.zeros(3)))
     if fingers:  # which grasp a little before their ends
-        end -= 0.1 * (end - float(origin @ approach))
+        end -= 0.1 * (end - origin @ approach)
     else:
         middle = origin
     if len(fingers) == 1 and len(geoms):
         other = _fixed_jaw(data, hand, fingers[0], approach, end)
         if len(other):  # between the moving jaw and the fixed one
             middle = (middle + data.geom_xpos[other].mean(axis=0)) / 2
-    return approach, middle + approach * (end - float(middle @ approach))
+    return approach, middle + approach * (end - middle @ approach)
 
 
 def _fixed_jaw(
     data: mujoco.MjData, hand: int, finger: int, approach: Floats, end: float
 ) -> Integers:
     """Return the geoms fixed to a hand that reach along a finger, which ends at a height."""
-    start = float(data.xpos[finger] @ approach)
+    start = data.xpos[finger] @ approach
     fixed = geoms_of(data.model, fixed_to(data.model, hand))
     ends = [extent(data, np.array([g]), approach, np.zeros(3)) for g in fixed]
     return fixed[np.array(ends) > start + JAW_SHARE * (end - start)]
@@ -185,7 +184,7 @@ def _across(data: mujoco.MjData, fingers: list[int], approach: Floats) -> Floats
     candidates += [np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])]
     for candidate in candidates:
         flat = candidate - (candidate @ approach) * approach
-        length = float(np.linalg.norm(flat))
-        if length > 0.3 * float(np.linalg.norm(candidate)) > 0:
+        length = np.linalg.norm(flat)
+        if length > 0.3 * np.linalg.norm(candidate) > 0:
             return np.asarray(flat / length)
     raise AssertionError("one of two perpendicular directions lies across the approach")

@@ -54,7 +54,10 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     x, y, z = simulation.tcp_position.T
     support = scene.robot.support_height_m
     reach = float(np.hypot(*scene.robot.rectangle_centre_m))
-    nearest_m, farthest_m, nearest_deg, farthest_deg = _ways(simulation, layout.ignore_roll)
+    distances, angles = _ways(simulation, layout.ignore_roll)
+    nearest_m = distances.min(axis=0)
+    nearest_deg = angles.min(axis=0)
+    farthest_deg = angles.max(axis=0)
     travel = np.abs(poses[:, None] - solutions).max(axis=(1, 2))
     penalty = (
         100.0 * (contacts.reshape(-1) > 0)
@@ -67,7 +70,7 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         + 0.1 * np.maximum(farthest_deg - FARTHEST_DEG, 0)
         + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
         + 10.0 * np.maximum(0.3 - nearest_m / reach, 0)
-        + 10.0 * np.maximum(farthest_m / reach - 1, 0)
+        + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
         + np.abs(y) / reach
     )
     homes: list[Home] = []
@@ -93,30 +96,20 @@ def _candidates(scene: Scene, solutions: Floats) -> Floats:
     return np.clip(poses, scene.joint_lower + slack, scene.joint_upper - slack)
 
 
-def _ways(simulation: MujocoSimulator, ignore_roll: bool) -> tuple[Floats, ...]:
-    """Measure n poses from the grasps at the rectangle's middle.
-
-    Return least and greatest distance [m], and least and greatest angle [deg], (n,) each.
-    """
+def _ways(simulation: MujocoSimulator, ignore_roll: bool) -> tuple[Floats, Floats]:
+    """Measure distances [m] and angles [deg] of n poses from K grasps at the middle, (K, n)."""
     scene = simulation.scene
-    count = simulation.num_envs
-    position, matrix = grasps(scene, rectangle_places(scene.robot, NODES[:1]))
-    distances = np.empty((len(position), count))
-    angles = np.empty_like(distances)
-    for k in range(len(position)):
-        distances[k], angles[k] = measure(
-            simulation.tcp_position,
-            simulation.tcp_matrix,
-            np.tile(position[k], (count, 1)),
-            np.tile(matrix[k], (count, 1)),
-            ignore_roll,
-        )
-    return (
-        distances.min(axis=0),
-        distances.max(axis=0),
-        angles.min(axis=0),
-        angles.max(axis=0),
+    targets = len(scene.targets)
+    middle = np.zeros((simulation.num_envs, 2))
+    position, matrix = grasps(scene, rectangle_places(scene.robot, middle))
+    distances, angles = measure(
+        np.tile(simulation.tcp_position, (targets, 1)),
+        np.tile(simulation.tcp_matrix, (targets, 1)),
+        position.reshape(-1, 3),
+        matrix.reshape(-1, 9),
+        ignore_roll,
     )
+    return distances.reshape(targets, -1), angles.reshape(targets, -1)
 
 
 def _reached(scene: Scene, layout: Layout, home: Home) -> float:

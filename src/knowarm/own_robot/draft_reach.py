@@ -66,7 +66,7 @@ def spread_rad(branches: Sequence[Branch]) -> float:
 def reach_m(scene: Scene) -> float:
     """Return how far the gripper reaches at the height of the grasps; 0 if never [m]."""
     x, y, z = sample_tips(scene, 3000).T
-    high = max(0.1, float(scene.grasp_position[:, 2].max()) * 1.5)
+    high = max(0.1, scene.grasp_position[:, 2].max() * 1.5)
     near = (z > 0) & (z < high)
     distance = np.hypot(x[near], y[near])
     return float(np.percentile(distance, 95)) if len(distance) >= 10 else 0.0

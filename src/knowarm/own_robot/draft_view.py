@@ -72,7 +72,7 @@ def choose_view(
 def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict[str, Any]:
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     data = scene.at(home.joints)
-    top = float(scene.grasp_position[:, 2].max()) * 1.2
+    top = scene.grasp_position[:, 2].max() * 1.2
     around = rectangle_places(scene.robot, NODES[1:])
     places = np.repeat(target_places(scene, around), 2, axis=0)
     places[1::2, 2] += top
@@ -83,7 +83,8 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict
     axes = level_axes(direction)
     local = (points - look_at) @ axes
     slope = math.tan(math.radians(fovy_deg) / 2) * MARGIN
-    distance = float((np.abs(local[:, :2]).max(axis=1) / slope + local[:, 2]).max())
+    beside = np.abs(local[:, :2]).max(axis=1)
+    distance = (beside / slope + local[:, 2]).max()
     position = look_at + distance * axes[:, 2]
     return {
         "camera_position_m": np.round(position, 4).tolist(),
@@ -94,7 +95,7 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict
 def _robot_corners(scene: Scene, data: mujoco.MjData) -> Floats:
     """Return the corners of boxes around the robot's geoms, world, (n, 3) [m]."""
     geoms = np.flatnonzero(robot_parts(scene))
-    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+    signs = np.array(list(product((-1, 1), repeat=3)))
     middle, half = np.split(scene.model.geom_aabb[geoms, None], 2, axis=-1)
     rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
     turned = np.einsum("gij,gcj->gci", rotations, middle + signs * half)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,8 +61,12 @@ def check_robot(
     Yield the results in order; only the first if the scene cannot be built. Agents play if all
     else is well.
     """
-    options: dict[str, Any] = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
-    config = EnvConfig(robot=str(path), targets=tuple(targets), **options)
+    config = EnvConfig(
+        robot=str(path),
+        targets=tuple(targets),
+        success_angle_deg=angle_deg,
+        ignore_roll=ignore_roll,
+    )
     try:
         env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:

@@ -209,16 +209,16 @@ def _repair_inertia(inertia: ElementTree.Element, mass: ElementTree.Element) -> 
     matrix = np.zeros((3, 3))
     matrix[_UPPER] = [float(inertia.get(key, 0)) for key in _ATTRIBUTES]
     values, axes = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
-    most = values[0] + values[1]  # of the greatest
-    is_wrong = kg < LEAST_KG or values[0] <= 0 or most < values[2] * (1 - ROUNDING)
-    if is_wrong:
+    too_small = kg < LEAST_KG or values[0] <= 0
+    too_long = values[:2].sum() < values[2] * (1 - ROUNDING)
+    if too_small or too_long:
         values = np.maximum(values, LEAST_INERTIA)
-        if values[0] + values[1] < values[2]:
+        if values[:2].sum() < values[2]:
             values[:] = values.mean()  # as MuJoCo's balanceinertia does
-    values[2] = min(values[2], (values[0] + values[1]) * (1 - ROUNDING))
+    values[2] = min(values[2], values[:2].sum() * (1 - ROUNDING))
     inertia.attrib.update(_attributes(axes @ np.diag(values) @ axes.T))
     mass.set("value", str(max(kg, LEAST_KG)))
-    return bool(is_wrong)
+    return bool(too_small or too_long)
 
 
 _ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
