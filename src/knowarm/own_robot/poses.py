@@ -11,7 +11,12 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.skills.ik import InverseKinematics
 
-CORNERS = ((-1, -1), (-1, 1), (1, 1), (1, -1))
+CORNERS = (
+    (-1, -1),
+    (-1, 1),
+    (1, 1),
+    (1, -1),
+)
 """Corners of a rectangle in order, relative to its centre and half-sizes."""
 
 
@@ -46,8 +51,8 @@ def sample_joints(scene: Scene, count: int) -> Floats:
 
 def sample_tips(scene: Scene, count: int) -> Floats:
     """Return where the gripper is at joint angles over their ranges, world, (count, 3) [m]."""
-    joints = sample_joints(scene, count)
-    return InverseKinematics(scene).pose(joints)[0]
+    position, _ = InverseKinematics(scene).pose(sample_joints(scene, count))
+    return position
 
 
 def place_targets(scene: Scene, joints: Floats, places: Floats) -> MujocoSimulator:

@@ -31,10 +31,9 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     large = draw_large(scene, config, data, colours, SIDE)
     _draw_lines(scene, data, corners, large)
     small = draw_once(scene, config, data, colours, config.image_size)
-    small = small.resize((SIDE, SIDE), Image.Resampling.NEAREST)
     both = Image.new("RGB", (2 * SIDE, SIDE))
     both.paste(large, (0, 0))
-    both.paste(small, (SIDE, 0))
+    both.paste(small.resize(large.size, Image.Resampling.NEAREST), (SIDE, 0))
     with replacing(path) as temporary:
         both.save(temporary)
 
@@ -43,9 +42,11 @@ def _draw_lines(scene: Scene, data: mujoco.MjData, corners: Floats, image: Image
     """Draw the rectangle and the gripper's approach over an image of the scene."""
     tip = data.site_xpos[scene.tcp_site]
     approach = data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
-    rectangle = np.concatenate([corners, corners[:1]])
+    ahead = tip + APPROACH_M * approach
     pen = ImageDraw.Draw(image)
-    for points in (rectangle, np.stack([tip, tip + APPROACH_M * approach])):
-        pixels = (project(scene, points) * [1, -1] + 1) * SIDE / 2
+    for points in (np.concatenate([corners, corners[:1]]), np.stack([tip, ahead])):
+        right_and_down = project(scene, points) * [1, -1]
+        pixels = (right_and_down + 1) * SIDE / 2
         if np.isfinite(pixels).all():
-            pen.line([tuple(pixel) for pixel in pixels.tolist()], fill=LINE, width=2)
+            line = [tuple(pixel) for pixel in pixels.tolist()]
+            pen.line(line, fill=LINE, width=2)
