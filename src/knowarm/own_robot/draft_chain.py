@@ -164,7 +164,7 @@ def _is_jaw(data: mujoco.MjData, joint: int, moving: Integers, fixed: Integers) 
         return False
     anchor = data.xanchor[joint]
     out = data.geom_xpos[moving].mean(axis=0) - anchor
-    length = np.linalg.norm(out)
+    length = float(np.linalg.norm(out))
     if length < 1e-6 or abs(data.xaxis[joint] @ out) > 0.3 * length:
         return False  # a wrist that rolls
     direction = out / length

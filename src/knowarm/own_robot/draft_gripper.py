@@ -148,7 +148,7 @@ def _approach(
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.
     along = axis @ out
-    length = np.linalg.norm(out)
+    length = float(np.linalg.norm(out))
     approach = out / max(length, 1e-9)
     if abs(along) > 0.3 * length:
         approach = axis * np.sign(along)
@@ -184,7 +184,7 @@ def _across(data: mujoco.MjData, fingers: list[int], approach: Floats) -> Floats
     candidates += [np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])]
     for candidate in candidates:
         flat = candidate - (candidate @ approach) * approach
-        length = np.linalg.norm(flat)
+        length = float(np.linalg.norm(flat))
         if length > 0.3 * np.linalg.norm(candidate) > 0:
             return np.asarray(flat / length)
     raise AssertionError("one of two perpendicular directions lies across the approach")
