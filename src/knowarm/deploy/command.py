@@ -13,11 +13,11 @@ import tyro
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.cli.tables import FilePath
 from knowarm.config import at_least, file_name
-from knowarm.deploy.contract import deployment, export, tcp_position
+from knowarm.deploy.contract import Deployment, deployment, export, tcp_position
 from knowarm.deploy.driver import Driver, Safety, Topics
 from knowarm.deploy.record import record
 from knowarm.experiment.config import Which
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -35,6 +35,14 @@ class OfRun:
     joint_map: FilePath = None
     """TOML file with the real arm's joints, ``[joint_map]``. Default: that of the robot."""
 
+    def trained(self) -> TrainedAgent:
+        """Load the policy of the run."""
+        return load_agent(self.run_folder, which=self.which)
+
+    def deployment(self) -> Deployment:
+        """Take the policy apart."""
+        return deployment(self.trained(), self.joint_map)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Export(OfRun):
@@ -45,12 +53,12 @@ class Export(OfRun):
 
     def run(self) -> None:
         """Export and say what was written."""
-        trained = load_agent(self.run_folder, which=self.which)
-        contract = export(trained, self.to, self.joint_map).contract
+        contract = export(self.trained(), self.to, self.joint_map).contract
         names = sorted(["contract.json", "runner.py", *contract["digests"]])
         print(f"Wrote {', '.join(names)} to {self.to}.")
         rows = contract["knowledge"]["rows"]
-        print(f"knowledge.npy: vectors of {', '.join(rows[:3])}{' and more' * (len(rows) > 3)}.")
+        more = " and more" if len(rows) > 3 else ""
+        print(f"knowledge.npy: vectors of {', '.join(rows[:3])}{more}.")
         if not contract["success"]:
             print(f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success.")
 
@@ -72,10 +80,13 @@ class Serve(OfRun):
 
         logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
         log.setLevel(logging.INFO)
-        parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
-        key = os.environ.get("KNOWARM_SERVE_KEY") or None
-        address = partial(PolicyServer, host=self.host, port=self.port)
-        server = address(parts.runner, key=key, resize=self.resize)
+        server = PolicyServer(
+            self.deployment().runner,
+            host=self.host,
+            port=self.port,
+            key=os.environ.get("KNOWARM_SERVE_KEY") or None,
+            resize=self.resize,
+        )
         print(
             f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
         )
@@ -98,9 +109,15 @@ class Ros(OfRun):
         """Drive until the last step, a broken rule, or a stop."""
         from knowarm.deploy.ros import drive
 
-        parts = deployment(load_agent(self.run_folder, which=self.which), self.joint_map)
-        rules = partial(tcp_position, parts.scene), self.safety, self.knowledge
-        drive(Driver(parts.runner(), *rules, resize=self.resize), self.topic)
+        parts = self.deployment()
+        driver = Driver(
+            parts.runner(),
+            partial(tcp_position, parts.scene),
+            self.safety,
+            self.knowledge,
+            resize=self.resize,
+        )
+        drive(driver, self.topic)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +153,16 @@ class Record:
         trained = None if is_scripted(self.agent) else load_agent(self.agent)
         config = self.env if trained is None else trained.config.env
         env = ArmVectorEnv(config, min(self.episodes, 100))
-        agent: AgentProtocol = (
-            SCRIPTED_AGENTS[self.agent].make(env, self.seed) if trained is None else trained.agent
+        if trained is None:
+            agent: AgentProtocol = SCRIPTED_AGENTS[self.agent].make(env, self.seed)
+        else:
+            agent = trained.agent
+        solved = record(
+            agent,
+            env,
+            evaluation_episodes(config, self.episodes, self.seed),
+            self.to,
+            camera=self.camera,
+            joint_map=self.joint_map,
         )
-        drawn = evaluation_episodes(config, self.episodes, self.seed)
-        write = partial(record, camera=self.camera, joint_map=self.joint_map)
-        solved = write(agent, env, drawn, self.to)
         print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")

@@ -6,6 +6,7 @@ State and action are in the names and units of the robot's joint map.
 """
 
 import json
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,11 @@ from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.sampling import Episodes
 
 VERSION = "v3.0"
-IMAGE, CAMERAS = "observation.image", "observation.images."
-STATE, ACTION, LEVELS = "observation.state", "action", "action.levels"
+IMAGE = "observation.image"
+CAMERAS = "observation.images."
+STATE = "observation.state"
+ACTION = "action"
+LEVELS = "action.levels"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 """Quantiles of LeRobot's statistics, by their names there."""
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -47,6 +51,30 @@ _SCALARS = {
     "index": "int64",
     "task_index": "int64",
 }
+TASKS_FRAME = {
+    "index_columns": ["task"],
+    "column_indexes": [],
+    "columns": [
+        {
+            "name": "task_index",
+            "field_name": "task_index",
+            "pandas_type": "int64",
+            "numpy_type": "int64",
+            "metadata": None,
+        },
+        {
+            "name": "task",
+            "field_name": "task",
+            "pandas_type": "unicode",
+            "numpy_type": "object",
+            "metadata": None,
+        },
+    ],
+}
+"""Data frame of the tasks that LeRobot reads: the text is its index."""
+
+_Played = tuple[str, dict[str, Any]]
+"""Text and columns of an episode."""
 
 
 def record(
@@ -71,7 +99,8 @@ def record(
     Raises:
         UserError: the folder holds something, or cannot be written to; the map does not fit.
     """
-    writer = _Writer(env, folder, CAMERAS + camera if camera else IMAGE, joint_map)
+    image = CAMERAS + camera if camera else IMAGE
+    writer = _Writer(env, folder, image, joint_map)
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
@@ -83,97 +112,108 @@ class _Writer:
     """Writes a dataset file by file; only one file's frames are in memory."""
 
     def __init__(self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None) -> None:
-        self.env, self.folder, self.image = env, folder, image
-        joints, real = [*env.scene.joint_names], real_joints(env.scene, joint_map)
+        self.env = env
+        self.folder = folder
+        self.image = image
+        joints = list(env.scene.joint_names)
+        real = real_joints(env.scene, joint_map)
         self.joint_map = JointMap({"names": joints, "real": real})
-        about = {f"{key}s": [joint[key] for joint in real] for key in ("name", "unit")}
+        about = {
+            "names": [joint["name"] for joint in real],
+            "units": [joint["unit"] for joint in real],
+        }
         self.vectors = {STATE: about, ACTION: about, LEVELS: {"names": joints}}
         self.colours = np.zeros((3, 256), np.int64)
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
-        self.frames, self.successes = 0, 0
+        self.frames = 0
+        self.successes = 0
         self.schema = self._schema()
 
     def write(self, agent: AgentProtocol, episodes: Episodes) -> int:
         """Play and write everything; return the number of successes."""
-        count, pending, file = len(episodes), [], 0
-        for first in range(0, count, self.env.num_envs):
+        pending: list[_Played] = []
+        file = 0
+        for first in range(0, len(episodes), self.env.num_envs):
             pending += self._play(agent, episodes[first : first + self.env.num_envs])
             while len(pending) >= EPISODES_PER_FILE:
                 self._write_file(pending[:EPISODES_PER_FILE], file)
-                pending, file = pending[EPISODES_PER_FILE:], file + 1
+                pending = pending[EPISODES_PER_FILE:]
+                file += 1
         if pending:
             self._write_file(pending, file)
         self._write_meta()
         return self.successes
 
-    def _play(self, agent: AgentProtocol, chunk: Episodes) -> list[tuple[str, dict[str, Any]]]:
+    def _play(self, agent: AgentProtocol, chunk: Episodes) -> list[_Played]:
         """Play up to n episodes; return the text and the columns of each."""
         env = self.env
-        rows: list[list[tuple[Any, ...]]] = [[] for _ in range(len(chunk))]
-        texts, images, joints = [""], np.array([]), np.array([])
+        played: list[_Played] = []
+        images = np.array([])
+        joints = np.array([])
         for moment in play_steps(agent, env, chunk):
             if moment.actions is None:  # before the first step
-                texts = [env.running.instruct(i) for i in range(len(chunk))]
+                played = [(env.running.instruct(i), defaultdict(list)) for i in range(len(chunk))]
             else:
                 targets = self.joint_map.to_real(env.joint_targets)
-                values = images, joints, targets, moment.actions, moment.reward
                 for i in np.flatnonzero(moment.played):
-                    success = bool(moment.infos["is_success"][i])
-                    rows[i].append((*(each[i] for each in values), success))
-            images, joints = moment.images, self.joint_map.to_real(env.joint_positions)
-        names = (self.image, STATE, ACTION, LEVELS, "next.reward", "next.success")
-        columns = (dict(zip(names, zip(*each, strict=True), strict=True)) for each in rows)
-        return list(zip(texts, columns, strict=True))
+                    _, columns = played[i]
+                    columns[self.image].append(images[i])
+                    columns[STATE].append(joints[i])
+                    columns[ACTION].append(targets[i])
+                    columns[LEVELS].append(moment.actions[i])
+                    columns["next.reward"].append(moment.reward[i])
+                    columns["next.success"].append(bool(moment.infos["is_success"][i]))
+            images = moment.images
+            joints = self.joint_map.to_real(env.joint_positions)
+        return played
 
-    def _write_file(self, played: list[tuple[str, dict[str, Any]]], file: int) -> None:
+    def _write_file(self, played: list[_Played], file: int) -> None:
         """Write the frames of some episodes to one data file, one row group per episode."""
         path = self.folder / DATA.format(chunk_index=0, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
         with pq.ParquetWriter(path, self.schema, compression="snappy") as writer:
             for text, columns in played:
-                length, episode = len(columns[ACTION]), len(self.rows)
-                task = self.tasks.setdefault(text, len(self.tasks))
-                columns |= {
-                    "next.done": np.arange(length) == length - 1,
-                    "timestamp": np.arange(length) * CONTROL_PERIOD_S,
-                    "frame_index": np.arange(length),
-                    "episode_index": np.full(length, episode),
-                    "index": self.frames + np.arange(length),
-                    "task_index": np.full(length, task),
-                }
-                numbers = (*_VECTORS, *_SCALARS)
-                arrays = {name: np.asarray(columns[name]).tolist() for name in numbers}
-                images = columns[self.image]
-                arrays[self.image] = [
-                    {"bytes": encode(each, "PNG", compress_level=1), "path": None}
-                    for each in images
-                ]
-                colours = count_colours(images)
-                self.colours += colours
-                stats = {name: statistics(columns[name]) for name in numbers}
-                stats[self.image] = image_statistics(colours, length)
-                writer.write_table(pa.table(arrays, schema=self.schema))
-                self.rows.append(
-                    {
-                        "episode_index": episode,
-                        "tasks": [text],
-                        "length": length,
-                        "data/chunk_index": 0,
-                        "data/file_index": file,
-                        "dataset_from_index": self.frames,
-                        "dataset_to_index": self.frames + length,
-                        "meta/episodes/chunk_index": 0,
-                        "meta/episodes/file_index": 0,
-                        **{
-                            f"stats/{name}/{key}": value
-                            for name in self.schema.names
-                            for key, value in stats[name].items()
-                        },
-                    }
-                )
-                self.frames += length
-                self.successes += bool(columns["next.success"][-1])
+                writer.write_table(self._add_episode(text, columns, file))
+
+    def _add_episode(self, text: str, columns: dict[str, Any], file: int) -> pa.Table:
+        """Return the frames of an episode, and count it."""
+        length = len(columns[ACTION])
+        frames = np.arange(length)
+        columns["next.done"] = frames == length - 1
+        columns["timestamp"] = frames * CONTROL_PERIOD_S
+        columns["frame_index"] = frames
+        columns["episode_index"] = np.full(length, len(self.rows))
+        columns["index"] = self.frames + frames
+        columns["task_index"] = np.full(length, self.tasks.setdefault(text, len(self.tasks)))
+        images = columns[self.image]
+        files = [encode(image, "PNG", compress_level=1) for image in images]
+        arrays: dict[str, Any] = {self.image: [{"bytes": data, "path": None} for data in files]}
+        colours = count_colours(images)
+        self.colours += colours
+        row = {
+            "episode_index": len(self.rows),
+            "tasks": [text],
+            "length": length,
+            "data/chunk_index": 0,
+            "data/file_index": file,
+            "dataset_from_index": self.frames,
+            "dataset_to_index": self.frames + length,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+        }
+        for name in self.schema.names:
+            if name == self.image:
+                stats = image_statistics(colours, length)
+            else:
+                stats = statistics(columns[name])
+                arrays[name] = np.asarray(columns[name]).tolist()
+            for key, value in stats.items():
+                row[f"stats/{name}/{key}"] = value
+        self.rows.append(row)
+        self.frames += length
+        self.successes += bool(columns["next.success"][-1])
+        return pa.table(arrays, schema=self.schema)
 
     def _schema(self) -> pa.Schema:
         """Return the columns, with the metadata by which Hugging Face's datasets decodes images."""
@@ -191,16 +231,13 @@ class _Writer:
         return pa.schema(fields, metadata=hints)
 
     def _write_meta(self) -> None:
-        size = self.env.config.image_size
-        names = ["height", "width", "channels"]
-        features: dict[str, Any] = {
-            self.image: {"dtype": "image", "shape": [size, size, 3], "names": names}
-        }
-        for name, kind in _VECTORS.items():
-            about = self.vectors[name]
-            features[name] = {"dtype": kind, "shape": [len(about["names"])], **about}
-        for name, kind in _SCALARS.items():
-            features[name] = {"dtype": kind, "shape": [1], "names": None}
+        path = self.folder / EPISODES
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.Table.from_pylist(self.rows), path)
+        tasks = pa.table({"task_index": [*self.tasks.values()], "task": [*self.tasks]})
+        tasks = tasks.replace_schema_metadata({"pandas": json.dumps(TASKS_FRAME)})
+        pq.write_table(tasks, self.folder / "meta/tasks.parquet")
+        write_json(self.folder / "meta/stats.json", self._statistics())
         info = {
             "codebase_version": VERSION,
             "robot_type": self.env.scene.robot.name,
@@ -214,46 +251,47 @@ class _Writer:
             "splits": {"train": f"0:{len(self.rows)}"},
             "data_path": DATA,
             "video_path": None,
-            "features": features,
+            "features": self._features(),
         }
-        path = self.folder / EPISODES
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.Table.from_pylist(self.rows), path)
-        # The text is the index of the data frame that LeRobot reads.
-        tasks = {"task_index": [*self.tasks.values()], "task": [*self.tasks]}
-        kinds: dict[str, Any] = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-        pandas = {
-            "index_columns": ["task"],
-            "column_indexes": [],
-            "columns": [
-                {"name": name, "field_name": name, "pandas_type": kind}
-                | {"numpy_type": numpy_kind, "metadata": None}
-                for name, (kind, numpy_kind) in kinds.items()
-            ],
-        }
-        table = pa.table(tasks).replace_schema_metadata({"pandas": json.dumps(pandas)})
-        pq.write_table(table, self.folder / "meta/tasks.parquet")
-        write_json(self.folder / "meta/stats.json", self._statistics())
         write_json(self.folder / "meta/info.json", info)
+
+    def _features(self) -> dict[str, Any]:
+        """Describe the columns as LeRobot does."""
+        size = self.env.config.image_size
+        features: dict[str, Any] = {
+            self.image: {
+                "dtype": "image",
+                "shape": [size, size, 3],
+                "names": ["height", "width", "channels"],
+            }
+        }
+        for name, kind in _VECTORS.items():
+            about = self.vectors[name]
+            features[name] = {"dtype": kind, "shape": [len(about["names"])], **about}
+        for name, kind in _SCALARS.items():
+            features[name] = {"dtype": kind, "shape": [1], "names": None}
+        return features
 
     def _statistics(self) -> dict[str, Any]:
         """Compute the statistics of the whole dataset from its files."""
-        found = {self.image: image_statistics(self.colours, self.frames)}
+        stats = {self.image: image_statistics(self.colours, self.frames)}
         for name in (*_VECTORS, *_SCALARS):
             column = pq.read_table(self.folder / "data", columns=[name])[name].combine_chunks()
             values = column.flatten() if name in _VECTORS else column
             array = values.to_numpy(zero_copy_only=False).reshape(len(column), -1)
-            found[name] = statistics(array)
-        return found
+            stats[name] = statistics(array)
+        return stats
 
 
 def statistics(values: Any) -> dict[str, list[Any]]:
     """Compute a column's statistics per element as LeRobot names them."""
     array: NDArray[np.float64] = np.asarray(values, np.float64)
     array = array.reshape(len(array), -1)
-    found = {key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")}
+    stats = {key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")}
     quantiles = np.quantile(array, [*QUANTILES.values()], 0).tolist()
-    return found | dict(zip(QUANTILES, quantiles, strict=True)) | {"count": [len(array)]}
+    stats.update(zip(QUANTILES, quantiles, strict=True))
+    stats["count"] = [len(array)]
+    return stats
 
 
 def count_colours(images: Any) -> NDArray[np.int64]:
@@ -264,14 +302,18 @@ def count_colours(images: Any) -> NDArray[np.int64]:
 
 def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list[Any]]:
     """Compute statistics per channel, (3, 1, 1), in 0..1, of the counts of `count_colours`."""
-    levels, shares = np.arange(256) / 255, counts / counts.sum(1, keepdims=True)
-    mean, below = shares @ levels, np.cumsum(shares, 1)
-    found = {
+    levels = np.arange(256) / 255
+    shares = counts / counts.sum(1, keepdims=True)
+    mean = shares @ levels
+    below = np.cumsum(shares, 1)
+    values = {
         "min": levels[(counts > 0).argmax(1)],
         "max": levels[255 - (counts[:, ::-1] > 0).argmax(1)],
         "mean": mean,
         "std": np.sqrt(((levels - mean[:, None]) ** 2 * shares).sum(1)),
-        **{key: levels[(below >= share).argmax(1)] for key, share in QUANTILES.items()},
     }
-    shaped = {key: value.reshape(3, 1, 1).tolist() for key, value in found.items()}
-    return shaped | {"count": [frames]}
+    for key, share in QUANTILES.items():
+        values[key] = levels[(below >= share).argmax(1)]
+    stats = {key: value.reshape(3, 1, 1).tolist() for key, value in values.items()}
+    stats["count"] = [frames]
+    return stats

@@ -32,7 +32,9 @@ class DriverNode(Node):
     def __init__(self, driver: Driver, topics: Topics) -> None:
         clock = Parameter("use_sim_time", value=topics.use_clock)
         super().__init__("knowarm", parameter_overrides=[clock])
-        self.driver, self._shown, self._out = driver, "", None
+        self.driver = driver
+        self._shown = ""
+        self._out = None
         self._topic = topics.positions or topics.trajectory
         self._sends_positions = bool(topics.positions)
         latest = qos_profile_sensor_data
@@ -48,9 +50,8 @@ class DriverNode(Node):
                 Empty, topics.stop, lambda _: driver.stop(stop), qos, event_callbacks=quiet
             )
         if not driver.safety.dry_run:
-            self._out = self.create_publisher(
-                Float64MultiArray if self._sends_positions else JointTrajectory, self._topic, 1
-            )
+            kind = Float64MultiArray if self._sends_positions else JointTrajectory
+            self._out = self.create_publisher(kind, self._topic, 1)
         if topics.use_clock:
             driver.clock = self._seconds
         self._from = time.monotonic() + DISCOVERY_S
@@ -114,7 +115,8 @@ def drive(driver: Driver, topics: Topics) -> None:
     threading.Thread(target=_listen, args=[driver], daemon=True).start()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node, executor = DriverNode(driver, topics), SingleThreadedExecutor()
+        node = DriverNode(driver, topics)
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not driver.end:
             executor.spin_once(timeout_sec=driver.period_s)

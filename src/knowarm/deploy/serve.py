@@ -40,8 +40,12 @@ MOST_SOCKETS = 64
 """Open connections, with those that have sent no key yet; each takes a thread and three files."""
 KEY = re.compile(r"[!-~]{16,}")
 """Keys: visible ASCII characters, which every client can send."""
-IMAGE, STATE, PROMPT, RESET = "observation/image", "observation/state", "prompt", "reset"
-ENVIRONMENT, RESIZE = "env_id", "resize"
+IMAGE = "observation/image"
+STATE = "observation/state"
+PROMPT = "prompt"
+RESET = "reset"
+ENVIRONMENT = "env_id"
+RESIZE = "resize"
 
 log = logging.getLogger("knowarm.serve")
 
@@ -64,7 +68,8 @@ class _Listener(socket.socket):
                 if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
                     raise
                 time.sleep(0.1)
-        self._open = [*(each for each in self._open if each.fileno() >= 0), connection]
+        others = [other for other in self._open if other.fileno() >= 0]
+        self._open = [*others, connection]
         if len(self._open) > MOST_SOCKETS:
             connection.close()
         return connection, address
@@ -100,7 +105,9 @@ class PolicyServer:
             )
         if key is not None and not KEY.fullmatch(key):
             raise UserError("The key must have at least 16 characters: ASCII, and no spaces.")
-        self._make_runner, self._key, self._is_closed = make_runner, key, False
+        self._make_runner = make_runner
+        self._key = key
+        self._is_closed = False
         self._resize = resize
         self._is_local = host in LOOPBACK
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
@@ -145,10 +152,12 @@ class PolicyServer:
         """Answer ``/healthz``, and refuse pages of a browser and clients without the key."""
         if request.path == "/healthz":
             return connection.respond(200, "OK\n")
-        if self._is_local and (reason := refusal(request.path, request.headers)):
-            return connection.respond(403, f"{reason}\n")
-        given = "".join(request.headers.get_all("Authorization")).encode(errors="replace")
-        if self._key is None or hmac.compare_digest(given, f"Api-Key {self._key}".encode()):
+        if self._is_local:
+            reason = refusal(request.path, request.headers)
+            if reason:
+                return connection.respond(403, f"{reason}\n")
+        sent = "".join(request.headers.get_all("Authorization")).encode(errors="replace")
+        if self._key is None or hmac.compare_digest(sent, f"Api-Key {self._key}".encode()):
             return None
         return connection.respond(401, "The key is missing or wrong: Authorization: Api-Key KEY\n")
 
@@ -174,7 +183,8 @@ class PolicyServer:
                 log.info("%s left", client)
 
     def _serve(self, connection: ServerConnection) -> None:
-        first, previous_ms = Episode(self._make_runner(), self._resize), None
+        first = Episode(self._make_runner(), self._resize)
+        previous_ms = None
         episodes: dict[Any, Episode] = {}
         connection.send(pack(metadata(first.runner)))
         while True:
@@ -192,14 +202,16 @@ class PolicyServer:
             if name not in episodes and len(episodes) == MOST_ENVIRONMENTS:
                 raise ValueError(f"a connection has at most {MOST_ENVIRONMENTS} of {ENVIRONMENT!r}")
             with self._computing:
-                if name not in episodes:
-                    new = Episode(self._make_runner(), self._resize) if episodes else first
-                    episodes[name] = new
+                if not episodes:
+                    episodes[name] = first
+                elif name not in episodes:
+                    episodes[name] = Episode(self._make_runner(), self._resize)
                 answer = episodes[name].answer(observation)
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
-            connection.send(pack(answer | {"server_timing": timing}))
+            answer["server_timing"] = timing
+            connection.send(pack(answer))
             previous_ms = 1e3 * (time.monotonic() - begin)
 
 
@@ -219,7 +231,8 @@ class Episode:
     """
 
     def __init__(self, runner: Runner, resize: bool = False) -> None:
-        self.runner, self._resize = runner, resize
+        self.runner = runner
+        self._resize = resize
         self._prompt: Any = None
         self.question: Any = None
 
@@ -229,7 +242,8 @@ class Episode:
         Raises:
             ValueError: the observation lacks something or does not fit the contract.
         """
-        runner, image = self.runner, observation.get(IMAGE)
+        runner = self.runner
+        image = observation.get(IMAGE)
         if not isinstance(image, np.ndarray):
             raise ValueError(f"the observation lacks the array {IMAGE!r}")
         if self._resize or observation.get(RESIZE) in (True,):
@@ -239,7 +253,8 @@ class Episode:
         if starts or (prompt is not None and prompt != self._prompt):
             question = self._read(prompt)
             starts = starts or question != self.question
-            self._prompt, self.question = prompt, question
+            self._prompt = prompt
+            self.question = question
         if starts:
             runner.reset(Start(self._angles(observation.get(STATE, ())), self.question))
         runner.act({"image": image[None]})

@@ -71,107 +71,124 @@ class Doctor(TableCommand):
         if self.camera is None:
             self._refuse("--camera", "points")
         values = super().run()
-        if failed := [check for check in values["checks"] if not check["ok"]]:
-            shared: dict[str, list[str]] = {}
+        failed = [check for check in values["checks"] if not check["ok"]]
+        if failed:
+            names_of: dict[str, list[str]] = {}
             for check in failed:
-                shared.setdefault(check["remedy"], []).append(check["name"])
-            remedies = " ".join(f"{', '.join(names)}: {r}" for r, names in shared.items())
-            raise UserError(f"{len(failed)} of {len(values['checks'])} checks failed. {remedies}")
+                names_of.setdefault(check["remedy"], []).append(check["name"])
+            remedies = [f"{', '.join(names)}: {remedy}" for remedy, names in names_of.items()]
+            raise UserError(
+                f"{len(failed)} of {len(values['checks'])} checks failed. {' '.join(remedies)}"
+            )
         return values
 
     def result(self) -> dict[str, Any]:
         """Run the checks and print them."""
         if self.image is not None:
             check_suffix(self.image, "The image")
-        if self.camera is not None:
-            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
-            config = EnvConfig(robot=self.robot or DEFAULT_ROBOT)
-            overlay = self.image or Path("camera.png")
-            found: Iterable[Check] = check_camera(config, self.camera, self.points, overlay)
-            what = f"camera of robot {config.robot}"
-        elif self.task is not None:
-            robot = self.robot or DEFAULT_ROBOT
-            found = self._check_robot(robot, self.targets)
-            what = f"objects of robot {robot}"
-        elif self.robot is None:
-            from knowarm.experiment.installation_check import check_installation  # imports torch
-
-            self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
-            found, what = check_installation(self.runs), "installation"
-        else:
-            found, what = self._check_robot(self.robot, self.targets), f"robot {self.robot}"
+        what, results = self._checks()
         checks = list[Check]()
-        for check in found:
+        for check in results:
             if not checks:  # a robot's draft is printed before
                 print(f"Checks of the {what}; what runs for the first time is compiled:")
             checks.append(check)
-            line = f"{'ok' if check.ok else 'FAILED':<6}  {check.name}: {check.found}"
-            print(printable(line), flush=True)
+            verdict = "ok" if check.ok else "FAILED"
+            print(printable(f"{verdict:<6}  {check.name}: {check.found}"), flush=True)
         return {"what": what, "checks": [vars(check) for check in checks]}
 
-    def _check_robot(self, robot: str, targets: tuple[str, ...]) -> Iterator[Check]:
+    def _checks(self) -> tuple[str, Iterable[Check]]:
+        """Return what is checked, and the checks."""
+        robot = self.robot or DEFAULT_ROBOT
+        if self.camera is not None:
+            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
+            config = EnvConfig(robot=robot)
+            overlay = self.image or Path("camera.png")
+            checks = check_camera(config, self.camera, self.points, overlay)
+            return f"camera of robot {config.robot}", checks
+        if self.task is not None:
+            return f"objects of robot {robot}", self._check_robot(robot)
+        if self.robot is not None:
+            return f"robot {robot}", self._check_robot(robot)
+        from knowarm.experiment.installation_check import check_installation  # imports torch
+
+        self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
+        return "installation", check_installation(self.runs)
+
+    def _check_robot(self, robot: str) -> Iterator[Check]:
         """Check a description, after drafting it where the robot is a bare model file."""
-        names = ("angle_deg", "ignore_roll", "distance_m")
-        options: dict[str, Any] = {name: getattr(self, name) for name in names}
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
-            yield from self._check(robot, targets, **options)
+            yield from self._check(robot, self.angle_deg, self.ignore_roll, self.distance_m)
             return
-        if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
+        new = self.write
+        if new is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
         with TemporaryDirectory() as folder:
-            file = self.write or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
+            file = new or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
             model, note = as_mjcf(
                 Path(robot), file.with_suffix(""), arguments=self.xacro, packages=self.package
             )
-            drawn = targets or EnvConfig().targets
-            draft = draft_robot(model, drawn, read_overrides(self.set))
+            targets = self.targets or EnvConfig().targets
+            draft = draft_robot(model, targets, read_overrides(self.set))
             if self.task is None:
-                draft = shrink_distance(draft, drawn)
+                draft = shrink_distance(draft, targets)
             if note:
-                draft.how["file"] = note + ("" if self.write else "; --write keeps the result")
-            self._print(draft, file)
+                draft.how["file"] = note if new else f"{note}; --write keeps the result"
+            text = draft.toml(file)
+            self._print(draft, text, new or Path(file.name))
             with replacing(file) as temporary:
-                temporary.write_text(draft.toml(file), "utf-8")
-            options = {"angle_deg": draft.success_angle_deg, "ignore_roll": draft.ignore_roll}
-            yield from self._check(str(file), targets, **options, distance_m=draft.distance_m)
+                temporary.write_text(text, "utf-8")
+            yield from self._check(
+                str(file), draft.success_angle_deg, draft.ignore_roll, draft.distance_m
+            )
 
     def _check(
-        self, robot: str, targets: tuple[str, ...], distance_m: float, **options: Any
+        self, robot: str, angle_deg: float, ignore_roll: bool, distance_m: float
     ) -> Iterable[Check]:
         """Draw and check a robot's description, or the objects of a task."""
-        self._draw(robot, targets or EnvConfig().targets)
+        targets = self.targets or EnvConfig().targets
+        if self.image is not None:
+            config = EnvConfig(robot=robot, targets=targets)
+            write_scene_image(load_scene(robot, targets), config, self.image)
+            print(f"Wrote {self.image}")
         if self.task is None:
-            targets = targets or EnvConfig().targets
-            return check_robot(robot, targets, **options, distance_m=distance_m)
-        options["success_angle_deg"] = options.pop("angle_deg")
-        return check_objects(robot, self.task, targets, **options)
+            return check_robot(
+                robot,
+                targets,
+                angle_deg=angle_deg,
+                ignore_roll=ignore_roll,
+                distance_m=distance_m,
+            )
+        return check_objects(
+            robot,
+            self.task,
+            self.targets,
+            success_angle_deg=angle_deg,
+            ignore_roll=ignore_roll,
+        )
 
-    def _print(self, draft: Draft, file: Path) -> None:
+    def _print(self, draft: Draft, text: str, file: Path) -> None:
         """Print a draft, and the commands that come next."""
         title = f"Draft of a description of {self.robot}"
         print_table(title, ["topic", "choice"], list(draft.how.items()))
-        print(draft.toml(file))
-        file, agent = self.write or Path(file.name), "full-fast"
-        eased = draft.success_angle_deg != EnvConfig.success_angle_deg
-        angle = f"--angle-deg {draft.success_angle_deg:.0f}" if eased else ""
-        roll, judged = "ignore-roll" if draft.ignore_roll else "", draft.evaluation_options()
-        lines = (
-            f"doctor --robot {file} {judged} {roll and f'--{roll}'}",
-            f"view {file} {angle} {roll and f'--{roll}'}",
-            f"evaluate oracle --env.robot {file} {judged} {roll and f'--env.{roll}'}",
+        print(text)
+        agent = "full-fast"
+        judged = draft.evaluation_options()
+        angle = ""
+        if draft.success_angle_deg != EnvConfig.success_angle_deg:
+            angle = f"--angle-deg {draft.success_angle_deg:.0f}"
+        roll = "--ignore-roll" if draft.ignore_roll else ""
+        env_roll = "--env.ignore-roll" if draft.ignore_roll else ""
+        print("Next, each with the options that this arm needs:")
+        for command in (
+            f"doctor --robot {file} {judged} {roll}",
+            f"view {file} {angle} {roll}",
+            f"evaluate oracle --env.robot {file} {judged} {env_roll}",
             f"train {agent} --env.robot {file} {draft.task_options()}",
             f"evaluate runs/{file.stem}-{agent}/0 {judged}",
-        )
-        print("Next, each with the options that this arm needs:")
-        print("".join(f"  knowarm {' '.join(line.split())}\n" for line in lines))
-
-    def _draw(self, robot: str, targets: tuple[str, ...]) -> None:
-        """Write the image if one is wanted."""
-        if self.image is not None:
-            config = EnvConfig(robot=robot, targets=tuple(targets))
-            write_scene_image(load_scene(robot, targets), config, self.image)
-            print(f"Wrote {self.image}")
+        ):
+            print(f"  knowarm {' '.join(command.split())}")
+        print()
 
     def _refuse(self, needed: str, *options: str) -> None:
         """Refuse options that need another command line."""

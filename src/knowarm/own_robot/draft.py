@@ -4,7 +4,7 @@ import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,8 +18,9 @@ from knowarm.own_robot.draft_area import find_area
 from knowarm.own_robot.draft_base import lowest_fixed_m, place_base
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
-from knowarm.own_robot.draft_reach import find_layout, spread_rad
+from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
+from knowarm.own_robot.poses import rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.reading import one_line
@@ -36,33 +37,39 @@ HEIGHTS_M = (0.0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6)
 BASE_FIELDS = {"base_position_m", "base_yaw_deg", "table"}
 """Fields that say where the base is; if one is given, no other place is searched."""
 
-SCALE, EASY_DEG = 0.35, 30.0
+SCALE = 0.35
 """Distance of success in an evaluation relative to half the diagonal of the rectangle, at most
-`EVALUATION_M`, and the angle above which it is at most that of the task: a small arm, or one of
-few joints, is not tested with thresholds that a fixed list of actions meets."""
+`EVALUATION_M`: a small arm is not tested with thresholds that a fixed list of actions meets."""
 
-LEAST_M, STEP_M, SHRINK, WANTED_BLIND = 0.02, 0.005, 0.7, MAX_BLIND - 0.1
-"""Least distance of success and its multiples [m], the factor by which it shrinks while a fixed
-list of actions solves too much, and the success of the list from which it stays."""
+EASY_DEG = 30.0
+"""Angle above which that distance is at most that of the task: so for an arm of few joints."""
 
+LEAST_M = 0.02  # Least distance of success
+STEP_M = 0.005  # It is a multiple of this
+SHRINK = 0.7  # Factor by which it shrinks while a fixed list of actions solves too much
+WANTED_BLIND = MAX_BLIND - 0.1  # Success of the list from which it stays
 START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
 
-JOINT_MAP = (
-    "# The real arm, for knowarm serve, ros, record and export, in its order: value = sign * angle",
-    '# + offset, in the unit: "rad", "deg", or LeRobot\'s "range_0_100" and "range_m100_100".',
-    "[joint_map]",
-)
+JOINT_MAP = """
+# The real arm, for knowarm serve, ros, record and export, in its order: value = sign * angle
+# + offset, in the unit: "rad", "deg", or LeRobot's "range_0_100" and "range_m100_100".
+[joint_map]"""
 UNCHANGED = 'sign = 1, offset = 0.0, unit = "rad"'
 """Lines of a drafted joint map, which converts nothing; a held joint is sent if it is named."""
 
-_POINT = {"rectangle_centre_m": [0.0, 0.0], "rectangle_half_size_m": [0.0, 0.0]}
-NO_RECTANGLE = _POINT | {"target_yaw_deg": 0.0, "target_yaws_deg": {}}
+NO_RECTANGLE = {
+    "rectangle_centre_m": [0.0, 0.0],
+    "rectangle_half_size_m": [0.0, 0.0],
+    "target_yaw_deg": 0.0,
+    "target_yaws_deg": {},
+}
 WIDE_VIEW = {
     "camera_position_m": [20.0, -20.0, 20.0],
     "camera_look_at_m": [0.0, 0.0, 0.0],
     "camera_fovy_deg": 60.0,
 }
+"""A view in which everything is visible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,42 +96,49 @@ class Draft:
 
     def evaluation_options(self) -> str:
         """Return the options of ``knowarm evaluate`` for the task that the arm can do, or ''."""
-        eased = self.success_angle_deg != EnvConfig.success_angle_deg
-        near = self.distance_m < EVALUATION_M
-        angle = f"--angle-deg {self.success_angle_deg:.0f}" if eased else ""
-        return f"{angle} {f'--distance-m {self.distance_m:g}' if near else ''}".strip()
+        options = []
+        if self.success_angle_deg != EnvConfig.success_angle_deg:
+            options.append(f"--angle-deg {self.success_angle_deg:.0f}")
+        if self.distance_m < EVALUATION_M:
+            options.append(f"--distance-m {self.distance_m:g}")
+        return " ".join(options)
 
     def toml(self, file: Path | None = None, **given: Any) -> str:
         """Return the description as TOML, with ``mjcf`` relative to its file if that works.
 
         ``given`` replaces fields of the description.
         """
-        lines = [f"# {topic}: {text}" for topic, text in self.how.items()]
-        if task := self.task_options():
-            lines.append(f"# train with: {task}")
-        if options := self.evaluation_options():
-            lines.append(f"# evaluate with: {options}")
+        how = dict(self.how)
+        how["train with"] = self.task_options()
+        how["evaluate with"] = self.evaluation_options()
+        lines = [f"# {topic}: {text}" for topic, text in how.items() if text]
         mjcf = self.robot.mjcf.resolve()
         folder = file.resolve().parent if file else Path.cwd()
         if mjcf.is_relative_to(folder):
             mjcf = mjcf.relative_to(folder)
-        for name, value in (self.fields | given | {"mjcf": mjcf.as_posix()}).items():
-            lines.append(f"{name} = {_toml(value)}")
+        values = self.fields | given
+        values["mjcf"] = mjcf.as_posix()
+        lines += [f"{name} = {_toml(value)}" for name, value in values.items()]
         if "joint_map" not in self.fields:
-            marks = dict.fromkeys(self.robot.held_joints, "# ") | dict.fromkeys(
-                self.robot.joints, ""
-            )
-            lines += ["", *JOINT_MAP]
-            for name in (*self.robot.joints, *self.robot.held_joints):
-                key = json.dumps(name)
-                lines.append(f"{marks[name]}{key} = {{name = {key}, {UNCHANGED}}}")
+            lines.append(JOINT_MAP)
+            for joint in self.robot.joints:
+                lines.append(_joint_line(joint))
+            for joint in self.robot.held_joints:
+                lines.append(f"# {_joint_line(joint)}")
         return "\n".join(lines) + "\n"
+
+
+def _joint_line(joint: str) -> str:
+    """Return the line of a joint in a joint map that converts nothing."""
+    key = json.dumps(joint)
+    return f"{key} = {{name = {key}, {UNCHANGED}}}"
 
 
 def _toml(value: Any) -> str:
     """Write a value in TOML's notation, mappings as inline tables."""
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{json.dumps(k)} = {_toml(v)}' for k, v in value.items())}}}"
+        items = [f"{json.dumps(key)} = {_toml(item)}" for key, item in value.items()]
+        return f"{{{', '.join(items)}}}"
     return json.dumps(value)
 
 
@@ -151,125 +165,170 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
 
     Targets are names or TOML files; overrides are fields of ``Robot`` that are not drafted.
     """
-    values: dict[str, Any] = {"mjcf": str(path)}
-    how = {}
+    how: dict[str, str] = {}
+    build = partial(_wide_scene, path, targets)
     model = read_mjcf(path, str(path)).compile()
-    joints = overrides.get("joints", [])
-    if not isinstance(joints, list):
-        raise UserError(f"joints must be a list of names, got {joints!r}.")
-    if not joints or not {"tcp_site", "tcp_body"} & set(overrides):
-        gripper = find_gripper(model, joints)
-        values |= {"joints": list(gripper.joints), **gripper.fields}
-        how["arm"] = gripper.how
-    if "tcp_site" in overrides and "tcp_body" not in overrides:
-        values = {k: v for k, v in values.items() if not k.startswith("tcp_")}
-    values |= overrides
-    values.setdefault("home", _rest(model, values["joints"]))
-    scene = _wide_scene(path, values | NO_RECTANGLE, targets)
-    if not BASE_FIELDS & set(overrides):
-        root = model.body_rootid[model.joint(values["joints"][0]).bodyid[0]]
-        free = mujoco.mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
-        values |= (base := place_base(scene, free))
+    values = {"mjcf": str(path)} | _arm(model, overrides, how)
+    scene = build(values | NO_RECTANGLE)
+    is_placed = not BASE_FIELDS.isdisjoint(overrides)
+    if not is_placed:
+        base = place_base(scene, _is_free(model, values["joints"][0]))
+        values |= base
         if base:
             how["base"] = "turned or shifted so that the arm stands at the origin and faces x"
     x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
 
     @cache  # compiling many meshes takes seconds
     def scene_at(height: float) -> Scene:
-        base = {"base_position_m": [x, y, height]}
-        return _wide_scene(path, values | NO_RECTANGLE | base, targets)
+        return build(values | NO_RECTANGLE | {"base_position_m": [x, y, height]})
 
     try:
-        low = lowest_fixed_m(scene_at(z))
-        changes = [each for each in HEIGHTS_M if each >= 0 or low + each > 0]
-        heights = (z,) if BASE_FIELDS & set(overrides) else [z + each for each in changes]
+        heights = [z]
+        if not is_placed:
+            low = lowest_fixed_m(scene_at(z))
+            heights = [z + change for change in HEIGHTS_M if change >= 0 or low + change > 0]
         layout = find_layout(scene_at, heights, overrides)
     except UserError as error:
         tried = "; ".join(f"{topic}: {text}" for topic, text in how.items())
         raise UserError(f"{error} Tried: {tried or 'the given joints and TCP'}.") from None
-    scene, angle, roll = layout.scene, layout.angle_deg, layout.ignore_roll
-    half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
-    values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))
-    values["base_position_m"] = _numbers(scene.robot.base_position_m)
-    values.setdefault("rectangle_centre_m", _numbers(layout.centre_m))
-    values.setdefault("rectangle_half_size_m", _numbers(layout.half_size_m))
-    yaws = [branch.yaw_deg for branch in layout.branches]
-    values.setdefault("target_yaw_deg", max(set(yaws), key=yaws.count))
-    named = zip(scene.targets, yaws, strict=True)
-    others = {target.name: yaw for target, yaw in named if yaw != values["target_yaw_deg"]}
-    if others:
-        values.setdefault("target_yaws_deg", others)
-    how["rectangle"] = (
-        f"in reach of all targets within {angle:.0f} degrees{', any roll' if roll else ''}, with "
-        f"the base at {scene.robot.base_position_m[2]:.2f} m; joints differ by at most "
-        f"{spread_rad(layout.branches):.2f} rad between the grasps"
-    )
-    scene = _wide_scene(path, values, targets)
-    homes = [Home(scene.home, 0.0, "")] if "home" in overrides else find_homes(scene, layout)
-    values.setdefault("camera_fovy_deg", FOVY_DEG)
-    home, view, how["camera"] = choose_view(scene, homes, values)
-    if "home" not in overrides:
-        values["home"], how["home"] = _numbers(home.joints), home.text
-        values.setdefault("mpi_rad", round(home.travel / STEPS, 3))
-        steps = home.travel / values["mpi_rad"]
-        how["actions"] = f"{steps:.0f} steps of mpi_rad to the farthest grasp"
-    values = view | values
-    lag = servo_lag(scene := _wide_scene(path, values, targets))
+    _add_rectangle(layout, values, how)
+    values = _view(build(values), layout, values, how, is_home_given="home" in overrides)
+    scene = build(values)
+    lag = servo_lag(scene)
     if lag >= MAX_LAG_RAD and "servo_frequency_hz" not in overrides:
         values["servo_frequency_hz"], best = best_frequency(scene)
         how["servos"] = f"{best:.4f} rad from their targets; {lag:.4f} rad at the usual 7 Hz"
     robot = _robot(path, values)
-    size_m = float(np.linalg.norm(robot.rectangle_half_size_m))
-    most_m = EVALUATION_M if angle <= EASY_DEG else EnvConfig.success_distance_m
+    distance_m = round(SCALE * float(np.linalg.norm(robot.rectangle_half_size_m)), 2)
+    most_m = EVALUATION_M if layout.angle_deg <= EASY_DEG else EnvConfig.success_distance_m
     draft = Draft(
         robot=robot,
         fields=values,
         how=how,
-        success_angle_deg=angle,
-        ignore_roll=roll,
-        distance_m=min(most_m, max(LEAST_M, round(SCALE * size_m, 2))),
+        success_angle_deg=layout.angle_deg,
+        ignore_roll=layout.ignore_roll,
+        distance_m=min(most_m, max(LEAST_M, distance_m)),
     )
-    for skill in SKILLS.types() if robot.fingers and not robot.areas else ():
-        if skill.moves_fingers:
-            area, how[skill.area] = find_area(robot, draft.toml, skill())
-            values |= {"areas": {skill.area: area}} if area else {}
+    if robot.fingers and not robot.areas:
+        _add_areas(draft)
     return draft
+
+
+def _arm(
+    model: mujoco.MjModel, overrides: Mapping[str, Any], how: dict[str, str]
+) -> dict[str, Any]:
+    """Return the fields of arm and TCP, and all that are given."""
+    values: dict[str, Any] = {}
+    joints = overrides.get("joints", [])
+    if not isinstance(joints, list):
+        raise UserError(f"joints must be a list of names, got {joints!r}.")
+    is_tcp_given = "tcp_site" in overrides or "tcp_body" in overrides
+    if not joints or not is_tcp_given:
+        gripper = find_gripper(model, joints)
+        values = {"joints": list(gripper.joints), **gripper.fields}
+        how["arm"] = gripper.how
+    if "tcp_site" in overrides and "tcp_body" not in overrides:
+        values = {name: value for name, value in values.items() if not name.startswith("tcp_")}
+    values |= overrides
+    values.setdefault("home", _rest(model, values["joints"]))
+    return values
+
+
+def _is_free(model: mujoco.MjModel, joint: str) -> bool:
+    """Return whether the body on which all others before a joint hang moves freely."""
+    root = model.body_rootid[model.joint(joint).bodyid[0]]
+    return mujoco.mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
+
+
+def _rest(model: mujoco.MjModel, joints: Sequence[str]) -> list[float]:
+    """Return 0 for each joint, or the middle of its range where that excludes 0."""
+    ranges = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}
+    rest = []
+    for name in joints:
+        low, high = ranges.get(name, (0.0, 0.0))
+        rest.append(0.0 if low <= 0 <= high else (low + high) / 2)
+    return rounded(rest)
+
+
+def _add_rectangle(layout: Layout, values: dict[str, Any], how: dict[str, str]) -> None:
+    """Add the fields of a layout that are not given."""
+    scene = layout.scene
+    half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
+    values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))
+    values["base_position_m"] = rounded(scene.robot.base_position_m)
+    values.setdefault("rectangle_centre_m", rounded(layout.centre_m))
+    values.setdefault("rectangle_half_size_m", rounded(layout.half_size_m))
+    yaws = [branch.yaw_deg for branch in layout.branches]
+    usual = values.setdefault("target_yaw_deg", max(set(yaws), key=yaws.count))
+    named = zip(scene.targets, yaws, strict=True)
+    others = {target.name: yaw for target, yaw in named if yaw != usual}
+    if others:
+        values.setdefault("target_yaws_deg", others)
+    roll = ", any roll" if layout.ignore_roll else ""
+    how["rectangle"] = (
+        f"in reach of all targets within {layout.angle_deg:.0f} degrees{roll}, with "
+        f"the base at {scene.robot.base_position_m[2]:.2f} m; joints differ by at most "
+        f"{spread_rad(layout.branches):.2f} rad between the grasps"
+    )
+
+
+def _view(
+    scene: Scene,
+    layout: Layout,
+    values: dict[str, Any],
+    how: dict[str, str],
+    *,
+    is_home_given: bool,
+) -> dict[str, Any]:
+    """Return the fields with those of camera and start pose before or among them."""
+    homes = [Home(scene.home, 0.0, "")] if is_home_given else find_homes(scene, layout)
+    values.setdefault("camera_fovy_deg", FOVY_DEG)
+    home, view, how["camera"] = choose_view(scene, homes, values)
+    if not is_home_given:
+        values["home"] = rounded(home.joints)
+        how["home"] = home.text
+        step = values.setdefault("mpi_rad", round(home.travel / STEPS, 3))
+        how["actions"] = f"{home.travel / step:.0f} steps of mpi_rad to the farthest grasp"
+    return view | values
+
+
+def _add_areas(draft: Draft) -> None:
+    """Add the areas of skills in which the robot uses its fingers."""
+    for skill in SKILLS.types():
+        if skill.moves_fingers:
+            area, draft.how[skill.area] = find_area(draft.robot, draft.toml, skill())
+            if area:
+                draft.fields["areas"] = {skill.area: area}
 
 
 def shrink_distance(draft: Draft, targets: Sequence[str]) -> Draft:
     """Shrink a draft's distance of success until a fixed list of actions solves little enough."""
-    angle, roll = draft.success_angle_deg, draft.ignore_roll
+    distance_m = draft.distance_m
     with TemporaryDirectory() as folder:
-        (file := Path(folder) / "arm.toml").write_text(draft.toml(file), "utf-8")
+        file = Path(folder) / "arm.toml"
+        file.write_text(draft.toml(file), "utf-8")
         config = EnvConfig(
-            robot=str(file), targets=tuple(targets), success_angle_deg=angle, ignore_roll=roll
+            robot=str(file),
+            targets=tuple(targets),
+            success_angle_deg=draft.success_angle_deg,
+            ignore_roll=draft.ignore_roll,
         )
-        distance_m = draft.distance_m
-        while (share := fixed_list_success(config, distance_m)[0]) > WANTED_BLIND:
-            if distance_m <= LEAST_M:
-                break
+        share, _ = fixed_list_success(config, distance_m)
+        while share > WANTED_BLIND and distance_m > LEAST_M:
             distance_m = max(LEAST_M, round(SHRINK * distance_m / STEP_M) * STEP_M)
-    solved = f"the best fixed list of actions solves {100 * share:.0f} %"
-    how = draft.how | {"success": f"within {100 * distance_m:g} cm, where {solved}"}
+            share, _ = fixed_list_success(config, distance_m)
+    how = dict(draft.how)
+    how["success"] = (
+        f"within {100 * distance_m:g} cm, where the best fixed list of actions solves "
+        f"{100 * share:.0f} %"
+    )
     return replace(draft, distance_m=distance_m, how=how)
 
 
-def _wide_scene(path: Path, values: dict[str, Any], targets: Sequence[str]) -> Scene:
+def _wide_scene(path: Path, targets: Sequence[str], values: dict[str, Any]) -> Scene:
     """Build a scene in which everything is visible, to compute with."""
     return build_scene(_robot(path, values | WIDE_VIEW), find_targets(targets))
 
 
 def _robot(path: Path, values: Mapping[str, Any]) -> Robot:
-    known = {"name": path.stem} | dict(values) | {"mjcf": path}
-    return from_dict(Robot, known, where=str(path))
-
-
-def _rest(model: mujoco.MjModel, joints: Sequence[str]) -> list[float]:
-    """Return 0 for each joint, or the middle of its range where that excludes 0."""
-    limited = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}
-    ranges = [limited.get(name, (0.0, 0.0)) for name in joints]
-    return _numbers([0.0 if low <= 0 <= high else (low + high) / 2 for low, high in ranges])
-
-
-def _numbers(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]
+    return from_dict(Robot, {"name": path.stem, **values, "mjcf": path}, where=str(path))

@@ -6,14 +6,13 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from scipy.spatial.transform import Rotation
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
-from knowarm.world.backend import MujocoSimulator
-from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.own_robot.poses import sample_joints, sample_tips
+from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
 YAWS_DEG = (180.0, -135.0, 135.0, -90.0, 90.0)  # Directions of the targets that are tried [deg]
 LARGEST = np.array([0.18, 0.4])
@@ -24,9 +23,10 @@ RECTANGLES = tuple(product((1.0, 0.75, 0.5), (0.6, 0.5, 0.7)))
 
 NODES = np.array(list(product((0, -1, 1), (0, -1, 1))))  # Places in a rectangle; its centre first
 STARTS = 16  # Random joint angles from which solutions are searched at the centre
-TOLERANCES = ((15.0, False), (15.0, True), (30.0, True), (45.0, True), (60.0, True), (90.0, True))
-"""Success angles [deg] and whether the roll is ignored, from the task as it is to the easiest."""
+TOLERANCES_DEG = {False: (15.0,), True: (15.0, 30.0, 45.0, 60.0, 90.0)}
+"""Success angles from the strictest to the easiest, by whether the roll is ignored."""
 
+MARGIN_DEG = 2.0  # Least distance of a solution from the success angle
 DISTANCE_M = 0.03  # Distance from the grasp point within which a place counts as reached [m]
 SPREAD_RAD = 2.5  # Greatest wanted difference of a joint between two grasps
 
@@ -59,24 +59,16 @@ class Layout:
 
 def spread_rad(branches: Sequence[Branch]) -> float:
     """Return the largest difference of a joint between two grasps of any targets [rad]."""
-    return float(np.ptp(np.concatenate([each.joints for each in branches]), axis=0).max())
-
-
-def samples(scene: Scene, count: int) -> Floats:
-    """Spread joint angles over their ranges, (count, J)."""
-    share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(count)
-    return np.asarray(scene.joint_lower + share * (scene.joint_upper - scene.joint_lower))
+    joints = np.concatenate([branch.joints for branch in branches])
+    return float(np.ptp(joints, axis=0).max())
 
 
 def reach_m(scene: Scene) -> float:
     """Return how far the gripper reaches at the height of the grasps; 0 if never [m]."""
-    joints = samples(scene, 3000)
-    simulation = MujocoSimulator(scene, len(joints))
-    simulation.set_joints(joints)
-    place = simulation.tcp_position
-    high = max(0.1, float(scene.grasp_position[:, 2].max()) * 1.5)
-    near = (place[:, 2] > 0) & (place[:, 2] < high)
-    distance = np.hypot(place[near, 0], place[near, 1])
+    x, y, z = sample_tips(scene, 3000).T
+    high = max(0.1, scene.grasp_position[:, 2].max() * 1.5)
+    near = (z > 0) & (z < high)
+    distance = np.hypot(x[near], y[near])
     return float(np.percentile(distance, 95)) if len(distance) >= 10 else 0.0
 
 
@@ -90,13 +82,14 @@ def find_layout(
     """
     best: Layout | None = None
     most: dict[str, int] = {}
-    for roll in (False, True):
+    for ignore_roll in TOLERANCES_DEG:
         for height in heights:
             scene = scene_at(height)
             counts = {f"{target.name} at {height:.2f} m": 0 for target in scene.targets}
-            for layout in _layouts(scene, roll, given, counts):
-                best = layout if best is None or layout.cost < best.cost else best
-                if best.cost < (TOLERANCES[0][0], True):
+            for layout in _layouts(scene, ignore_roll, given, counts):
+                if best is None or layout.cost < best.cost:
+                    best = layout
+                if best.cost < (TOLERANCES_DEG[False][0], True):
                     return best
             most |= counts
         if best is not None:
@@ -111,34 +104,49 @@ def find_layout(
 
 
 def _layouts(
-    scene: Scene, roll: bool, given: Mapping[str, Any], counts: dict[str, int]
+    scene: Scene, ignore_roll: bool, given: Mapping[str, Any], counts: dict[str, int]
 ) -> Iterator[Layout]:
     """Yield the layouts at a base height; count the places reached at best per target."""
     reach = reach_m(scene)
-    turned = given.get("target_yaws_deg", {})
-    yaws = [turned.get(target.name, given.get("target_yaw_deg")) for target in scene.targets]
-    cases = [(k, y) for k, yaw in enumerate(yaws) for y in (YAWS_DEG if yaw is None else (yaw,))]
-    for size, centre in RECTANGLES if reach else ():
-        middle = np.array(given.get("rectangle_centre_m", (centre * reach, 0.0)))
+    if not reach:
+        return
+    cases = _cases(scene, given)
+    for size, distance in RECTANGLES:
+        centre = np.array(given.get("rectangle_centre_m", (distance * reach, 0.0)))
         half = np.array(given.get("rectangle_half_size_m", size * LARGEST * reach))
-        found = _branches(scene, roll, middle + NODES * half, cases, counts)
-        for angle in (angle for angle, free in TOLERANCES if free is roll):
-            fits = [[each for each in some if each.angle_deg < angle - 2] for some in found]
-            if all(fits):
+        branches = _branches(scene, ignore_roll, centre + NODES * half, cases, counts)
+        for angle in TOLERANCES_DEG[ignore_roll]:
+            fitting = [_within(alternatives, angle) for alternatives in branches]
+            if all(fitting):
                 yield Layout(
                     scene=scene,
                     angle_deg=angle,
-                    ignore_roll=roll,
-                    centre_m=middle,
+                    ignore_roll=ignore_roll,
+                    centre_m=centre,
                     half_size_m=half,
-                    branches=_nearest(fits),
+                    branches=_nearest(fitting),
                 )
                 break
 
 
+def _cases(scene: Scene, given: Mapping[str, Any]) -> list[tuple[int, float]]:
+    """Return the indices of targets, each with a direction [deg] that is given or tried."""
+    turned = given.get("target_yaws_deg", {})
+    cases: list[tuple[int, float]] = []
+    for k, target in enumerate(scene.targets):
+        yaw = turned.get(target.name, given.get("target_yaw_deg"))
+        cases += product([k], YAWS_DEG if yaw is None else [yaw])
+    return cases
+
+
+def _within(branches: Sequence[Branch], angle_deg: float) -> list[Branch]:
+    """Return the branches within a success angle."""
+    return [branch for branch in branches if branch.angle_deg < angle_deg - MARGIN_DEG]
+
+
 def _branches(
     scene: Scene,
-    roll: bool,
+    ignore_roll: bool,
     places: Floats,
     cases: Sequence[tuple[int, float]],
     counts: dict[str, int],
@@ -147,31 +155,35 @@ def _branches(
 
     Cases are targets with a direction [deg]. Return the branches of each target.
     """
+    n = len(places)
     target, yaw = np.array(cases).T
-    turn = Rotation.from_euler("z", yaw[:, None], degrees=True).as_matrix()
     target = target.astype(np.intp)
-    ground = np.column_stack([places, np.full(len(places), scene.robot.support_height_m)])
-    position = ground + (turn @ scene.grasp_position[target][..., None]).transpose(0, 2, 1)
+    turn = Rotation.from_euler("z", yaw[:, None], degrees=True).as_matrix()
+    offset = (turn @ scene.grasp_position[target][..., None]).transpose(0, 2, 1)
+    position = target_places(scene, places) + offset
     matrix = (turn @ scene.grasp_matrix[target]).reshape(-1, 9)
-    solver = InverseKinematics(scene, starts=1, ignore_roll=roll)
-    starts = np.concatenate([scene.home[None], samples(scene, STARTS)])
+    solver = InverseKinematics(scene, starts=1, ignore_roll=ignore_roll)
+    starts = np.concatenate([scene.home[None], sample_joints(scene, STARTS)])
     row = np.repeat(np.arange(len(cases)), len(starts))
     start = np.tile(starts, (len(cases), 1))
     first = solver.solve(position[row, 0], matrix[row], start, attempts=1)
-    limit_deg = max(angle for angle, free in TOLERANCES if free is roll) - 2
-    good = np.flatnonzero(first.within(DISTANCE_M, limit_deg))
+    good = np.flatnonzero(_is_good(first, ignore_roll))
     branches: list[list[Branch]] = [[] for _ in scene.targets]
     if not len(good):
         return branches
     # Solutions that round to the same angles are one branch.
     same = np.column_stack([row[good], first.joints[good].round()])
     good = good[np.unique(same, axis=0, return_index=True)[1]]
-    case, n = row[good], len(places)
-    start = np.repeat(first.joints[good], n, axis=0)
-    poses = position[case].reshape(-1, 3), np.repeat(matrix[case], n, axis=0)
-    follow = solver.solve(*poses, start, attempts=1)
-    near = follow.within(DISTANCE_M, limit_deg).reshape(-1, n)
-    angle, joints = follow.angle.reshape(-1, n), follow.joints.reshape(len(good), n, -1)
+    case = row[good]
+    follow = solver.solve(
+        position[case].reshape(-1, 3),
+        np.repeat(matrix[case], n, axis=0),
+        np.repeat(first.joints[good], n, axis=0),
+        attempts=1,
+    )
+    near = _is_good(follow, ignore_roll).reshape(-1, n)
+    angle = follow.angle.reshape(-1, n)
+    joints = follow.joints.reshape(len(good), n, -1)
     for i, k in enumerate(target[case]):
         name = list(counts)[k]
         counts[name] = max(counts[name], int(near[i].sum()))
@@ -180,10 +192,17 @@ def _branches(
     return branches
 
 
+def _is_good(solution: IKSolution, ignore_roll: bool) -> Mask:
+    """Return which solutions the easiest task accepts."""
+    return solution.within(DISTANCE_M, TOLERANCES_DEG[ignore_roll][-1] - MARGIN_DEG)
+
+
 def _nearest(branches: Sequence[Sequence[Branch]]) -> list[Branch]:
     """Choose a branch per target, so that all grasps are near each other in joint angles."""
-    chosen = [[first] for first in branches[0]]
-    for others in branches[1:]:
-        for some in chosen:
-            some.append(min(others, key=lambda other: spread_rad([*some, other])))
-    return min(chosen, key=spread_rad)
+    choices = []
+    for first in branches[0]:
+        choice = [first]
+        for others in branches[1:]:
+            choice.append(min(others, key=lambda other: spread_rad([*choice, other])))
+        choices.append(choice)
+    return min(choices, key=spread_rad)

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -12,11 +13,9 @@ import numpy as np
 from knowarm.arrays import Floats
 from knowarm.own_robot.draft_home import Home
 from knowarm.own_robot.draft_reach import NODES
-from knowarm.own_robot.pixels import different_pixels, robot_parts
-from knowarm.world.backend import MujocoSimulator
+from knowarm.own_robot.pixels import SceneImages, different_pixels, robot_parts
+from knowarm.own_robot.poses import place_targets, rectangle_places
 from knowarm.world.config import EnvConfig
-from knowarm.world.render.renderer import make_renderer
-from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.compose import CAMERA, level_axes
 from knowarm.world.scene.scene import Scene, target_places
 
@@ -32,9 +31,14 @@ VIEWS = {
 }
 """Directions from what is looked at to the camera, preferred first."""
 
-ENOUGH_PIXELS, ENOUGH_ROBOT = 24, 0.03
-"""Pixels of every target at every place, and share of the image that shows the robot, with which
-the first view is taken."""
+ENOUGH_PIXELS = 24
+"""Pixels of every target at every place with which the first view is taken."""
+
+ENOUGH_ROBOT = 0.03
+"""Share of the image that shows the robot with which the first view is taken."""
+
+
+FIELDS = ("camera_position_m", "camera_look_at_m", "camera_fovy_deg")
 
 
 def choose_view(
@@ -44,49 +48,43 @@ def choose_view(
 
     Fields of the camera that are given are kept. Return the fields of the camera and a description.
     """
-    best: tuple[float, Home, dict[str, Any], str] | None = None
-    fixed = {"camera_position_m", "camera_look_at_m"} <= set(given)
-    for home in homes:
-        for name, direction in list(VIEWS.items())[: 1 if fixed else None]:
-            view = {**_frame(scene, home, np.array(direction), given["camera_fovy_deg"]), **given}
-            pixels, robot = _shown(scene, home, view)
-            score = min(pixels / ENOUGH_PIXELS, robot / ENOUGH_ROBOT, 1.0)
+    views = VIEWS
+    if "camera_position_m" in given and "camera_look_at_m" in given:
+        views = {"as given": VIEWS["right in front and above"]}
+    most = -1.0
+    for home, (name, direction) in product(homes, views.items()):
+        frame = _frame(scene, home, np.array(direction), given["camera_fovy_deg"])
+        view = frame | {field: given[field] for field in FIELDS if field in given}
+        pixels, robot = _shown(scene, home, view)
+        score = min(pixels / ENOUGH_PIXELS, robot / ENOUGH_ROBOT, 1.0)
+        if score > most:
+            most = score
             text = (
-                f"{'as given' if fixed else name}: at its start the arm fills {100 * robot:.1f} % "
-                f"of the image, and every target at least {pixels:.0f} pixels"
+                f"{name}: at its start the arm fills {100 * robot:.1f} % of the image, and every "
+                f"target at least {pixels:.0f} pixels"
             )
-            if best is None or score > best[0]:
-                best = score, home, view, text
-            if score >= 1:
-                break
-        if best is not None and best[0] >= 1:
+            best = (home, view, text)
+        if score >= 1:
             break
-    assert best is not None, "there are start poses and views"
-    _, home, view, text = best
-    fields = ("camera_position_m", "camera_look_at_m", "camera_fovy_deg")
-    return home, {name: view[name] for name in fields}, text
+    return best
 
 
 def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict[str, Any]:
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
-    robot, model = scene.robot, scene.model
     data = scene.at(home.joints)
-    heights = np.array([0.0, float(scene.grasp_position[:, 2].max()) * 1.2])
-    corners = np.array(robot.rectangle_centre_m) + NODES[1:] * robot.rectangle_half_size_m
-    places = np.repeat(target_places(scene, corners), 2, axis=0)
-    places[:, 2] += np.tile(heights, len(corners))
-    geoms = np.flatnonzero(robot_parts(scene))
-    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
-    box = model.geom_aabb[geoms, None, :3] + signs * model.geom_aabb[geoms, None, 3:]
-    turned = np.einsum("gij,gcj->gci", data.geom_xmat[geoms].reshape(-1, 3, 3), box)
-    ends = (data.geom_xpos[geoms, None] + turned).reshape(-1, 3)
+    top = scene.grasp_position[:, 2].max() * 1.2
+    around = rectangle_places(scene.robot, NODES[1:])
+    places = np.repeat(target_places(scene, around), 2, axis=0)
+    places[1::2, 2] += top
+    ends = _robot_corners(scene, data)
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
     points = np.concatenate([places, ends, data.site_xpos[[scene.tcp_site]]])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = level_axes(direction)
     local = (points - look_at) @ axes
     slope = math.tan(math.radians(fovy_deg) / 2) * MARGIN
-    distance = float((np.abs(local[:, :2]).max(axis=1) / slope + local[:, 2]).max())
+    beside = np.abs(local[:, :2]).max(axis=1)
+    distance = (beside / slope + local[:, 2]).max()
     position = look_at + distance * axes[:, 2]
     return {
         "camera_position_m": np.round(position, 4).tolist(),
@@ -94,27 +92,29 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict
     }
 
 
+def _robot_corners(scene: Scene, data: mujoco.MjData) -> Floats:
+    """Return the corners of boxes around the robot's geoms, world, (n, 3) [m]."""
+    geoms = np.flatnonzero(robot_parts(scene))
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    middle, half = np.split(scene.model.geom_aabb[geoms, None], 2, axis=-1)
+    rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    turned = np.einsum("gij,gcj->gci", rotations, middle + signs * half)
+    return (data.geom_xpos[geoms, None] + turned).reshape(-1, 3)
+
+
 def _shown(scene: Scene, home: Home, view: Mapping[str, Any]) -> tuple[float, float]:
     """Return the least pixels of a target at a place, and the share of the image with the robot."""
     model = copy.copy(scene.model)
-    position, look_at = np.array(view["camera_position_m"]), np.array(view["camera_look_at_m"])
+    position = np.array(view["camera_position_m"])
+    axes = level_axes(position - view["camera_look_at_m"])
     camera = model.camera(CAMERA)
-    camera.pos, camera.fovy = position, view["camera_fovy_deg"]
-    mujoco.mju_mat2Quat(model.cam_quat[scene.camera], level_axes(position - look_at).ravel())
-    count, size = len(NODES), EnvConfig.image_size
-    simulation = MujocoSimulator(scene, count, 1, "kinematic")
-    places = np.array(scene.robot.rectangle_centre_m) + NODES * scene.robot.rectangle_half_size_m
-    everything = np.repeat(places[:, None], len(scene.targets), axis=1)
-    simulation.reset(np.arange(count), np.tile(home.joints, (count, 1)), everything)
-    renderer = make_renderer(replace(scene, model=model), EnvConfig(), size)
-    poses = simulation.geom_position, simulation.geom_matrix
-    colours = resting_colours(scene, count)
-    empty = renderer.draw(*poses, colours).astype(np.int16)
-    paint, first = TargetColours(scene), np.zeros(count, dtype=np.int64)
-    least = [
-        different_pixels(renderer.draw(*poses, paint(first + k, first)), empty).min()
-        for k in range(len(scene.targets))
-    ]
-    colours[:, robot_parts(scene), 3] = 0.0
-    robot = different_pixels(renderer.draw(*poses, colours), empty)
-    return float(min(least)), float(robot[0]) / size**2
+    camera.pos = position
+    camera.fovy = view["camera_fovy_deg"]
+    mujoco.mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
+    simulation = place_targets(scene, home.joints, rectangle_places(scene.robot, NODES))
+    images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
+    least = min(
+        different_pixels(images.targets([k]), images.empty).min() for k in range(len(scene.targets))
+    )
+    robot = images.robot_pixels()[0]
+    return float(least), float(robot) / EnvConfig.image_size**2

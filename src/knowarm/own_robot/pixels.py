@@ -1,21 +1,76 @@
-"""Pixels that show something: differences between images with and without it."""
+"""Images of a scene with and without its parts, and the pixels in which they differ."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from knowarm.arrays import Integers, Mask
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.config import EnvConfig
+from knowarm.world.render.renderer import make_renderer
+from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
+
+Images = NDArray[np.uint8]
+"""RGB images, (..., H, W, 3)."""
 
 DIFFERENCE = 25
 """Change of a colour channel from which a pixel counts as showing the target, of 255."""
 
 
-def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> Integers:
+class SceneImages:
+    """Draws a simulation's n copies of a scene as the policy sees them: (n, H, W, 3) each."""
+
+    def __init__(self, scene: Scene, simulation: MujocoSimulator, config: EnvConfig) -> None:
+        self._scene = scene
+        self._simulation = simulation
+        self._renderer = make_renderer(scene, config, config.image_size)
+        self._resting = resting_colours(scene, simulation.num_envs)
+        self.empty = self._draw(self._resting)  # without targets
+
+    def targets(self, targets: Sequence[int], colour: int = 0) -> Images:
+        """Draw some of the targets, by index, each in its colour of an index."""
+        shown = np.tile(targets, (self._simulation.num_envs, 1))
+        paint = TargetColours(self._scene)
+        return self._draw(paint(shown, np.full_like(shown, colour)))
+
+    def robot_pixels(self) -> Integers:
+        """Count the pixels that show the robot, (n,)."""
+        colours = self._resting.copy()
+        colours[:, robot_parts(self._scene), 3] = 0.0
+        return different_pixels(self._draw(colours), self.empty)
+
+    def _draw(self, colours: NDArray[np.float32]) -> Images:
+        simulation = self._simulation
+        return self._renderer.draw(simulation.geom_position, simulation.geom_matrix, colours)
+
+
+def draw_once(
+    scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
+) -> Image.Image:
+    """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high."""
+    renderer = make_renderer(scene, config, side, 1)
+    images = renderer.draw(data.geom_xpos[None], data.geom_xmat[None], colours)
+    return Image.fromarray(images[0])
+
+
+def draw_large(
+    scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
+) -> Image.Image:
+    """Draw one image with full meshes, which is faster than simplifying them first."""
+    return draw_once(scene, replace(config, mesh_detail="full"), data, colours, side)
+
+
+def different_pixels(a: Images, b: Images) -> Integers:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
-    return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))
+    change = np.abs(np.subtract(a, b, dtype=np.int16))
+    is_different = change.max(axis=-1) > DIFFERENCE
+    return np.asarray(is_different.sum(axis=(-2, -1)))
 
 
 def robot_parts(scene: Scene) -> Mask:

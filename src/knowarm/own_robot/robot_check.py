@@ -3,17 +3,15 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
 from knowarm.check import Check
 from knowarm.errors import UserError
-from knowarm.own_robot.draft_chain import couplings, joint_name
-from knowarm.own_robot.pixels import different_pixels, robot_parts
+from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, polyline_m
+from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
 from knowarm.own_robot.servo_check import check_servos
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent, searched_list
@@ -22,8 +20,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.render.renderer import make_renderer
-from knowarm.world.scene.appearance import TargetColours, resting_colours
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.mjcf import read_mjcf, surroundings
 from knowarm.world.scene.scene import Scene
@@ -34,17 +31,20 @@ MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of th
 MOVING_SHARE = 0.9
 """Share of the time limit in which a solution has to be reached; servos lag behind."""
 
-MIN_ROBOT_SHARE, MAX_PART = 0.01, 2.0
-"""Least share of the image that shows the robot at its start, and greatest diameter of one of its
-geoms relative to the length of the arm."""
+MIN_ROBOT_SHARE = 0.01
+"""Least share of the image that shows the robot at its start."""
+
+MAX_PART = 2.0
+"""Greatest diameter of one of the robot's geoms relative to the length of the arm."""
 
 MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
-MIN_ORACLE, LEARNABLE_SHARE = 0.95, 0.6
-"""Least success of the oracle, and share of the time limit in which three quarters of its episodes
-have to end."""
+MIN_ORACLE = 0.95  # Least success of the oracle
+LEARNABLE_SHARE = 0.6
+"""Share of the time limit in which three quarters of the oracle's episodes have to end."""
 
 MAX_BLIND = 0.5  # Greatest success of the best fixed list of actions
-EVALUATION_M, EVALUATION_DEG = 0.10, 17.0
+EVALUATION_M = 0.10
+EVALUATION_DEG = 17.0
 """Thresholds of success of an evaluation; the angle is that of the task where it is easier."""
 
 
@@ -61,8 +61,12 @@ def check_robot(
     Yield the results in order; only the first if the scene cannot be built. Agents play if all
     else is well.
     """
-    options: dict[str, Any] = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
-    config = EnvConfig(robot=str(path), targets=tuple(targets), **options)
+    config = EnvConfig(
+        robot=str(path),
+        targets=tuple(targets),
+        success_angle_deg=angle_deg,
+        ignore_roll=ignore_roll,
+    )
     try:
         env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:
@@ -79,21 +83,28 @@ def check_robot(
 
 def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
     """Check all but what agents do."""
-    yield _check_scene(env.scene)
-    yield check_joints(env.scene)
-    yield from _check_body(env)
+    scene = env.scene
+    yield _check_scene(scene)
+    yield check_joints(scene)
+    yield _check_robot_in_image(env)
+    yield _check_size(scene)
     yield _check_gripper(env)
-    yield check_servos(env.scene)
+    yield check_servos(scene)
     for name in env.config.targets:
-        one = ArmVectorEnv(replace(env.config, targets=(name,), colours="randomized"), SAMPLES)
+        alone = replace(env.config, targets=(name,), colours="randomized")
+        one = ArmVectorEnv(alone, SAMPLES)
         yield _check_reach(one)
         yield from _check_visible(one)
+
+
+def _read_file(robot: Robot) -> mujoco.MjSpec:
+    return read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
 
 
 def _check_scene(scene: Scene) -> Check:
     """Say what of the robot's file is left out, and what of its world is kept as the base."""
     robot = scene.robot
-    part = read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
+    part = _read_file(robot)
     found = f"compiles, {scene.model.ngeom} geoms"
     names = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
@@ -102,7 +113,8 @@ def _check_scene(scene: Scene) -> Check:
         part.delete(element)
     if names:
         found += f"; left out of {robot.mjcf.name}: {', '.join(names)}"
-    if kept := [geom.name or "unnamed" for geom in part.worldbody.geoms]:
+    kept = [geom.name or "unnamed" for geom in part.worldbody.geoms]
+    if kept:
         found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
     return Check("scene", True, found)
 
@@ -110,65 +122,67 @@ def _check_scene(scene: Scene) -> Check:
 def check_joints(scene: Scene) -> Check:
     """Check that no joints are coupled in the file; say what is held still and has no range."""
     robot = scene.robot
-    file = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
-    limited = [scene.model.joint(ROBOT_PREFIX + name).limited[0] for name in robot.joints]
-    ranges = zip(robot.joints, scene.joint_lower, scene.joint_upper, limited, strict=True)
-    found = ", ".join(
-        f"{name} [{low:.2f}, {high:.2f}]{'' if own else ' (no range in the file)'}"
-        for name, low, high, own in ranges
-    )
+    file = _read_file(robot).compile()
     named = {*robot.joints, *robot.held_joints}
+    ranges = []
+    for name, low, high in zip(robot.joints, scene.joint_lower, scene.joint_upper, strict=True):
+        limited = scene.model.joint(ROBOT_PREFIX + name).limited[0]
+        note = "" if limited else " (no range in the file)"
+        ranges.append(f"{name} [{low:.2f}, {high:.2f}]{note}")
+    found = ", ".join(ranges)
     body = file.body(robot.tcp_body).id if robot.tcp_body else file.site(robot.tcp_site).bodyid[0]
     still: list[str] = []
     while body:
-        names = [joint_name(file, j) for j in np.flatnonzero(file.jnt_bodyid == body).tolist()]
+        names = [joint_name(file, j) for j in joints_of(file, [body])]
         still += [name for name in names if name not in named]
         body = file.body_parentid[body]
     if still:
         found += f"; held still between base and gripper: {', '.join(still)}"
-    groups = [[joint_name(file, j) for j in group] for group in couplings(file)]
-    freed = [" and ".join(group) for group in groups if named & set(group)]
+    freed = []
+    is_free = True
+    for group in couplings(file):
+        names = [joint_name(file, j) for j in group]
+        if named & set(names):
+            freed.append(" and ".join(names))
+        is_free &= len(set(robot.joints) & set(names)) < 2
     if freed:
         found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
     return Check(
         "joints",
-        all(len(set(robot.joints) & set(group)) < 2 for group in groups),
+        is_free,
         found,
         "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
         "remove them from the file only if the robot's joints are free of each other.",
     )
 
 
-def _check_body(env: ArmVectorEnv) -> Iterator[Check]:
-    """Check that the image shows the robot, and that no part is far larger than the arm."""
-    scene, simulation = env.scene, env.simulation
-    model = scene.model
-    parts = robot_parts(scene)
-    poses = simulation.geom_position, simulation.geom_matrix
-    renderer = make_renderer(scene, env.config, env.config.image_size)
-    colours = resting_colours(scene, SAMPLES)
-    shown = renderer.draw(*poses, colours)
-    colours[:, parts, 3] = 0.0
-    pixels = different_pixels(shown, renderer.draw(*poses, colours).astype(np.int16))
+def _check_robot_in_image(env: ArmVectorEnv) -> Check:
+    """Check that the image shows the robot."""
+    pixels = SceneImages(env.scene, env.simulation, env.config).robot_pixels()
     share = float(np.median(pixels)) / env.config.image_size**2
-    yield Check(
+    return Check(
         "robot in the image",
         share >= MIN_ROBOT_SHARE,
         f"fills {100 * share:.1f} % of the image at its start (median)",
         f"Below {100 * MIN_ROBOT_SHARE:.0f} %: draw its geoms in group 0, 1 or 2, give them "
         "colours that differ from the floor's, or change camera_position_m and camera_look_at_m.",
     )
+
+
+def _check_size(scene: Scene) -> Check:
+    """Check that no part is far larger than the arm."""
+    model = scene.model
     data = scene.at(scene.home)
     joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.joint_names]
-    points = np.concatenate([data.xanchor[joints], data.site_xpos[[scene.tcp_site]]])
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    diameter = 2 * np.where(parts, model.geom_rbound, 0.0)
-    largest = int(diameter.argmax())
+    length = polyline_m([*data.xanchor[joints], data.site_xpos[scene.tcp_site]])
+    diameters = 2 * np.where(robot_parts(scene), model.geom_rbound, 0.0)
+    largest = int(diameters.argmax())
+    diameter = diameters[largest]
     body = model.body(model.geom_bodyid[largest]).name.removeprefix(ROBOT_PREFIX)
-    yield Check(
+    return Check(
         "size of the robot",
-        bool(diameter[largest] <= MAX_PART * length),
-        f"the largest geom, of body {body!r}, has a diameter of {diameter[largest]:.3g} m; the arm "
+        bool(diameter <= MAX_PART * length),
+        f"the largest geom, of body {body!r}, has a diameter of {diameter:.3g} m; the arm "
         f"is {length:.3g} m long from its first joint",
         f"More than {MAX_PART:.0f} times the arm: a mesh in millimetres needs "
         'scale="0.001 0.001 0.001".',
@@ -192,22 +206,25 @@ def _check_gripper(env: ArmVectorEnv) -> Check:
 
 def _check_reach(env: ArmVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
+    scene = env.scene
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
-    solver = InverseKinematics.of_task(env.scene, env.running)
-    start, pose = env.joint_positions, (env.running.goal_position, env.running.goal_matrix)
-    solution = solver.solve(*pose, start)
-    reached = _reached(env.scene, env.config, start, solution)
+    solver = InverseKinematics.of_task(scene, env.running)
+    start = env.joint_positions
+    position = env.running.goal_position
+    matrix = env.running.goal_matrix
+    solution = solver.solve(position, matrix, start)
+    reached = _reached(scene, env.config, start, solution)
     if reached.any():  # the branch of the nearest place that is reached may also reach the others
-        distance = np.linalg.norm(pose[0][:, None] - pose[0][reached], axis=2)
+        distance = np.linalg.norm(position[:, None] - position[reached], axis=2)
         near = solution.joints[reached][distance.argmin(axis=1)]
-        follow = InverseKinematics.of_task(env.scene, env.running, starts=1)
-        again = follow.solve(*pose, near, attempts=1)
-        better = ~reached & _reached(env.scene, env.config, start, again)
+        follow = InverseKinematics.of_task(scene, env.running, starts=1)
+        again = follow.solve(position, matrix, near, attempts=1)
+        better = ~reached & _reached(scene, env.config, start, again)
         for name in ("joints", "distance", "angle", "contact"):
             getattr(solution, name)[better] = getattr(again, name)[better]
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
-    return check_reach(env.scene, env.config, 0, episodes.position, start, solution, remedy)
+    return check_reach(scene, env.config, 0, episodes.position, start, solution, remedy)
 
 
 def _steps(scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution) -> Floats:
@@ -231,9 +248,9 @@ def check_agents(config: EnvConfig, distance_m: float = EVALUATION_M) -> Iterato
     """
     near_m = min(config.success_distance_m, distance_m)
     env = ArmVectorEnv(replace(config, success_distance_m=near_m), SAMPLES)
-    episodes = evaluation_episodes(config, SAMPLES, 2)
-    oracle = play(OracleAgent(env), env, episodes)
-    share, steps = oracle.success.mean(), float(np.percentile(oracle.length, 75))
+    oracle = play(OracleAgent(env), env, evaluation_episodes(config, SAMPLES, 2))
+    share = oracle.success.mean()
+    steps = float(np.percentile(oracle.length, 75))
     most = LEARNABLE_SHARE * config.max_episode_steps
     yield Check(
         "way to the grasps",
@@ -260,10 +277,12 @@ def fixed_list_success(config: EnvConfig, distance_m: float) -> tuple[float, flo
     Return the share of episodes that it solves, and the angle within which they count [deg].
     """
     angle_deg = max(EVALUATION_DEG, config.success_angle_deg)
-    judged = replace(config, success_distance_m=distance_m, success_angle_deg=angle_deg)
-    env = ArmVectorEnv(replace(judged, image_size=1), SAMPLES)
-    played = play(searched_list(env, 0), env, evaluation_episodes(config, SAMPLES, 2))
-    return float(played.success.mean()), angle_deg
+    judged = replace(
+        config, success_distance_m=distance_m, success_angle_deg=angle_deg, image_size=1
+    )
+    env = ArmVectorEnv(judged, SAMPLES)
+    results = play(searched_list(env, 0), env, evaluation_episodes(config, SAMPLES, 2))
+    return float(results.success.mean()), angle_deg
 
 
 def check_reach(
@@ -279,50 +298,48 @@ def check_reach(
 
     The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
     """
-    steps, most = _steps(scene, config, start, solution), MOVING_SHARE * config.max_episode_steps
+    name = scene.targets[target].name
     reached = _reached(scene, config, start, solution)
-    share, where = float(reached.mean()), ""
+    share = float(reached.mean())
+    where = ""
     if not reached.all():
         missed = ~reached
         x, y = places[missed].mean(axis=0)
-        distance, angle = np.median(solution.distance[missed]), np.median(solution.angle[missed])
+        distance = np.median(solution.distance[missed])
+        angle = np.median(solution.angle[missed])
+        steps = np.median(_steps(scene, config, start, solution)[missed])
+        most = MOVING_SHARE * config.max_episode_steps
         where = (
             f"Not reached: positions around x {x:.2f}, y {y:.2f} m (median error {distance:.3f} m, "
-            f"{angle:.0f} deg; {np.median(steps[missed]):.0f} steps of at most {most:.0f}; "
+            f"{angle:.0f} deg; {steps:.0f} steps of at most {most:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
-    name, yaws = scene.targets[target].name, scene.robot.target_yaws_deg
-    own = " (target_yaws_deg)" if object_of(name) in yaws else ""
+    source = " (target_yaws_deg)" if object_of(name) in scene.robot.target_yaws_deg else ""
     return Check(
         f"reach of {name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact, at "
-        f"a yaw of {scene.robot.yaw_deg(name):.0f} degrees{own}",
+        f"a yaw of {scene.robot.yaw_deg(name):.0f} degrees{source}",
         where,
     )
 
 
-def _check_visible(env: ArmVectorEnv) -> list[Check]:
+def _check_visible(env: ArmVectorEnv) -> Iterator[Check]:
     """Count the pixels in which the images with and without the target differ."""
-    scene, simulation = env.scene, env.simulation
-    renderer = make_renderer(scene, env.config, env.config.image_size)
-    poses = simulation.geom_position, simulation.geom_matrix
-    hidden = renderer.draw(*poses, resting_colours(scene, SAMPLES)).astype(np.int16)
-    first = np.zeros(SAMPLES, dtype=np.int64)
+    scene = env.scene
+    images = SceneImages(scene, env.simulation, env.config)
     remedy = (
         "move the camera nearer or to the side (camera_position_m), narrow camera_fovy_deg, or "
         "choose a colour that differs from the support's."
     )
-    checks = []
-    for c, colour in enumerate(scene.colour_names[0]):
-        shown = renderer.draw(*poses, TargetColours(scene)(first, np.full_like(first, c)))
-        checks.append(check_visible(f"{colour} {scene.targets[0].name}", shown, hidden, remedy))
-    return checks
+    for i, colour in enumerate(scene.colour_names[0]):
+        name = f"{colour} {scene.targets[0].name}"
+        yield check_visible(name, images.targets([0], i), images.empty, remedy)
 
 
-def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], remedy: str) -> Check:
+def check_visible(name: str, shown: Images, empty: Images, remedy: str) -> Check:
     """Check the number of pixels in which images with an object differ from those without."""
-    pixels = different_pixels(shown, hidden)
+    pixels = different_pixels(shown, empty)
     few = float(np.percentile(pixels, 5))
     return Check(
         f"{name} in the image",

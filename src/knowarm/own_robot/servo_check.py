@@ -10,7 +10,8 @@ from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.state import ACTION_LEVELS
 
-ARMS, STEPS = 50, 10  # Copies of the arm and random actions with which the servos are measured
+ARMS = 50  # Copies of the arm with which the servos are measured
+STEPS = 10  # Random actions of each
 MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
 UNSTABLE_RAD = 2 * np.pi  # A joint that is farther from its target is not controlled at all
 FREQUENCIES_HZ = (5.0, 3.5, 10.0, 14.0)  # Tried where a servo is not good enough
@@ -30,7 +31,8 @@ def servo_lag(scene: Scene) -> float:
         targets = targets.clip(scene.joint_lower, scene.joint_upper)
         simulation.step(targets)
         lags.append(np.abs(simulation.joint_positions - targets))
-    return float(np.nan_to_num(np.mean(lags, axis=(0, 1)).max(), nan=np.inf))
+    worst = np.mean(lags, axis=(0, 1)).max()
+    return float(np.nan_to_num(worst, nan=np.inf))
 
 
 def best_frequency(scene: Scene) -> tuple[float, float]:
@@ -41,25 +43,30 @@ def best_frequency(scene: Scene) -> tuple[float, float]:
         lags[frequency] = servo_lag(build_scene(robot, scene.targets))
         if lags[frequency] < MAX_LAG_RAD:
             break
-    best = min(lags, key=lambda each: lags[each])
+    best = min(lags, key=lags.__getitem__)
     return best, lags[best]
 
 
 def check_servos(scene: Scene) -> Check:
     """Check the distance of the joints from their targets under random actions."""
-    lag, remedy = servo_lag(scene), ""
+    lag = servo_lag(scene)
+    remedy = ""
     found = f"mean distance from target after a step at most {lag:.4f} rad per joint"
     if lag > UNSTABLE_RAD:
         found = "the simulation is unstable: joints are whole turns from their targets"
     if lag >= MAX_LAG_RAD:
         frequency, best = best_frequency(scene)
-        model = scene.model
-        joints = [model.joint(ROBOT_PREFIX + name) for name in scene.joint_names]
-        springs = ", ".join(j.name.removeprefix(ROBOT_PREFIX) for j in joints if j.stiffness[0])
         remedy = f"Above {MAX_LAG_RAD}: servo_frequency_hz = {frequency} gives {best:.4f}."
         if best >= MAX_LAG_RAD:
             remedy += (
                 " Look for links that collide with the support, for damping or friction meant to "
-                f"hold a joint still, and for springs (stiffness of {springs or 'no joint'})."
+                f"hold a joint still, and for springs (stiffness of {_springs(scene)})."
             )
     return Check("servos", lag < MAX_LAG_RAD, found, remedy)
+
+
+def _springs(scene: Scene) -> str:
+    """Name the joints with a spring."""
+    joints = [scene.model.joint(ROBOT_PREFIX + name) for name in scene.joint_names]
+    names = [joint.name.removeprefix(ROBOT_PREFIX) for joint in joints if joint.stiffness[0]]
+    return ", ".join(names) or "no joint"

@@ -3,6 +3,7 @@
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -22,11 +23,14 @@ from knowarm.reading import one_line, read_text, reading, writing
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
 
-XACRO, MESHES = ".xacro", "meshes"
+XACRO = ".xacro"
+MESHES = "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
-VISUAL_GROUP, COLLISION_GROUP = 1, 3  # MuJoCo's of a URDF's visuals, and one that is not drawn
-LEAST_KG, LEAST_INERTIA = 1e-4, 1e-6  # Of a link that moves [kg], [kg m^2]
+VISUAL_GROUP = 1  # MuJoCo's of a URDF's visuals
+COLLISION_GROUP = 3  # Is not drawn
+LEAST_KG = 1e-4  # Of a link that moves
+LEAST_INERTIA = 1e-6  # [kg m^2]
 ROUNDING = 1e-4  # Relative error of inertias as they are written
 COMPILER = {
     "discardvisual": "false",
@@ -54,8 +58,7 @@ def as_mjcf(
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
-    given = {name: Path(each) for name, each in _pairs("--package", packages, "=").items()}
-    find = partial(_find_package, path, given)
+    find = partial(_find_package, path, _pairs("--package", packages, "="))
     root = None
     if path.suffix == XACRO:
         root = _expand(path, find, _pairs("--xacro", arguments, ":="))
@@ -75,23 +78,11 @@ def as_mjcf(
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / name
-        _compiler(root)
+        _set_compiler(root)
         _convert_meshes(root, path, file.with_name(MESHES), find)
         ElementTree.ElementTree(root).write(file)
         try:
-            spec = mujoco.MjSpec.from_file(str(file))
-            for mesh in spec.meshes:  # a visual has no mass, and may have no volume
-                if mesh.name.startswith("visual"):
-                    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            geoms = [geom for body in spec.bodies for geom in body.geoms]
-            if any(geom.group == VISUAL_GROUP for geom in geoms):
-                for geom in geoms:  # images show what a viewer of URDF does, safety boxes not
-                    geom.group = geom.group or COLLISION_GROUP
-            for body in spec.bodies[1:]:  # frames without shape, such as tool0
-                if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
-                    body.add_site(name=body.name)
-            spec.compile()
-            file.write_text(spec.to_xml(), encoding="utf-8")
+            file.write_text(_compile(file), encoding="utf-8")
         except (ValueError, mujoco.FatalError) as error:
             raise UserError(f"{path} cannot be converted: {one_line(error)}. Correct it.") from None
         with writing(folder):
@@ -99,13 +90,31 @@ def as_mjcf(
     return folder / name, "; ".join(notes)
 
 
+def _compile(file: Path) -> str:
+    """Return the MJCF of a URDF whose meshes MuJoCo reads."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    for mesh in spec.meshes:  # a visual has no mass, and may have no volume
+        if mesh.name.startswith("visual"):
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    if any(geom.group == VISUAL_GROUP for geom in spec.geoms):
+        for geom in spec.geoms:  # images show what a viewer of URDF does, safety boxes not
+            geom.group = geom.group or COLLISION_GROUP
+    for body in spec.bodies[1:]:  # frames without shape, such as tool0
+        if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
+            body.add_site(name=body.name)
+    spec.compile()
+    return spec.to_xml()
+
+
 def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
     """Read the values of an option by name."""
-    pairs = [value.partition(sign) for value in values]
-    for (name, found, _), value in zip(pairs, values, strict=True):
-        if not name or not found:
-            raise UserError(f"{option} must have the form name{sign}value, got {value!r}.")
-    return {name: value for name, _, value in pairs}
+    pairs = {}
+    for text in values:
+        name, _, value = text.partition(sign)
+        if not name or not value:
+            raise UserError(f"{option} must have the form name{sign}value, got {text!r}.")
+        pairs[name] = value
+    return pairs
 
 
 def _expand(
@@ -123,12 +132,13 @@ def _expand(
         return ElementTree.fromstring(document.toxml())
 
 
-def _find_package(path: Path, given: Mapping[str, Path], name: str) -> Path:
+def _find_package(path: Path, given: Mapping[str, str], name: str) -> Path:
     """Return the folder of a ROS package: given, or above the file or beside such a folder."""
     if name in given:
-        return given[name]
+        return Path(given[name])
     for above in path.absolute().parents[:LEVELS]:
-        for folder in (above, *sorted(each for each in above.iterdir() if each.is_dir())):
+        beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
+        for folder in (above, *beside):
             if name == _package_name(folder):
                 return folder
     raise UserError(
@@ -140,66 +150,84 @@ def _find_package(path: Path, given: Mapping[str, Path], name: str) -> Path:
 def _package_name(folder: Path) -> str:
     """Return the name in the package.xml of a folder, else the folder's."""
     try:
-        found = ElementTree.parse(folder / "package.xml").findtext("name")
+        name = ElementTree.parse(folder / "package.xml").findtext("name")
     except (OSError, ElementTree.ParseError):
-        found = None
-    return (found or folder.name).strip()
+        name = None
+    return (name or folder.name).strip()
 
 
-def _compiler(root: ElementTree.Element) -> None:
+def _set_compiler(root: ElementTree.Element) -> None:
     """Set the options of MuJoCo's compiler in a URDF."""
     extension = root.find("mujoco")
     if extension is None:
         extension = ElementTree.SubElement(root, "mujoco")
-    for old in extension.findall("compiler"):
-        extension.remove(old)
+    _remove(extension, "compiler")
     ElementTree.SubElement(extension, "compiler", COMPILER)
+
+
+def _remove(element: ElementTree.Element, tag: str) -> None:
+    """Remove the children of an element that have a tag."""
+    for child in element.findall(tag):
+        element.remove(child)
 
 
 def _repair_inertias(root: ElementTree.Element) -> Iterator[str]:
     """Make the inertias of a URDF possible; name the links that move and whose inertia is not."""
-    moved = {
-        child.get("link")
-        for joint in root.iter("joint")
-        if joint.get("type") != "fixed"
-        for child in joint.findall("child")
-    }
-    missing, repaired = [], []
+    moved = []
+    for joint in root.iter("joint"):
+        if joint.get("type") != "fixed":
+            moved += [child.get("link") for child in joint.findall("child")]
+    missing = []
+    repaired = []
     for link in root.findall("link"):
         name = link.get("name", "")
-        inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
+        inertia = link.find("inertial/inertia")
+        mass = link.find("inertial/mass")
         if inertia is None or mass is None:
-            missing += [name] * (name in moved)
-            if link.find("collision") is None:
-                part = ElementTree.SubElement(link, "inertial")
-                ElementTree.SubElement(part, "mass", value=str(LEAST_KG))
-                diagonal = np.diag(3 * [LEAST_INERTIA])
-                ElementTree.SubElement(part, "inertia", _six(diagonal))
-            continue
-        matrix = np.zeros((3, 3))
-        matrix[_UPPER] = [float(inertia.get(key, 0)) for key in _SIX]
-        values, axes = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
-        heavy = float(mass.get("value", 0)) >= LEAST_KG
-        if not heavy or values[0] <= 0 or values[0] + values[1] < values[2] * (1 - ROUNDING):
-            repaired += [name] * (name in moved)
-            values = np.maximum(values, LEAST_INERTIA)
-            if values[0] + values[1] < values[2]:
-                values[:] = values.mean()  # as MuJoCo's balanceinertia does
-        values[2] = min(values[2], (values[0] + values[1]) * (1 - ROUNDING))
-        inertia.attrib.update(_six(axes @ np.diag(values) @ axes.T))
-        mass.set("value", str(max(float(mass.get("value", 0)), LEAST_KG)))
+            _add_inertia(link)
+            if name in moved:
+                missing.append(name)
+        elif _repair_inertia(inertia, mass) and name in moved:
+            repaired.append(name)
     if missing:
         yield f"inertia from shapes or least values, as the file has none: {', '.join(missing)}"
     if repaired:
         yield f"impossible inertia repaired: {', '.join(repaired)}"
 
 
-_SIX, _UPPER = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), np.triu_indices(3)
+def _add_inertia(link: ElementTree.Element) -> None:
+    """Give a link without shape that can collide the least inertia."""
+    if link.find("collision") is None:
+        inertial = ElementTree.SubElement(link, "inertial")
+        ElementTree.SubElement(inertial, "mass", value=str(LEAST_KG))
+        ElementTree.SubElement(inertial, "inertia", _attributes(np.diag(3 * [LEAST_INERTIA])))
 
 
-def _six(matrix: Floats) -> dict[str, str]:
+def _repair_inertia(inertia: ElementTree.Element, mass: ElementTree.Element) -> bool:
+    """Make an inertia possible; return whether it was not."""
+    kg = float(mass.get("value", 0))
+    matrix = np.zeros((3, 3))
+    matrix[_UPPER] = [float(inertia.get(key, 0)) for key in _ATTRIBUTES]
+    values, axes = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
+    too_small = kg < LEAST_KG or values[0] <= 0
+    too_long = values[:2].sum() < values[2] * (1 - ROUNDING)
+    if too_small or too_long:
+        values = np.maximum(values, LEAST_INERTIA)
+        if values[:2].sum() < values[2]:
+            values[:] = values.mean()  # as MuJoCo's balanceinertia does
+    values[2] = min(values[2], values[:2].sum() * (1 - ROUNDING))
+    inertia.attrib.update(_attributes(axes @ np.diag(values) @ axes.T))
+    mass.set("value", str(max(kg, LEAST_KG)))
+    return bool(too_small or too_long)
+
+
+_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_UPPER = np.triu_indices(3)
+
+
+def _attributes(matrix: Floats) -> dict[str, str]:
     """Return the attributes of an inertia in a URDF."""
-    return dict(zip(_SIX, map(str, matrix[_UPPER].tolist()), strict=True))
+    return dict(zip(_ATTRIBUTES, map(str, matrix[_UPPER].tolist()), strict=True))
 
 
 def _convert_meshes(
@@ -212,8 +240,7 @@ def _convert_meshes(
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             shape.attrib.pop("name", None)  # MuJoCo takes no name twice
             for material in shape.findall("material"):
-                for texture in material.findall("texture"):
-                    material.remove(texture)
+                _remove(material, "texture")
             mesh = shape.find("geometry/mesh")
             if mesh is None:
                 continue
@@ -225,74 +252,88 @@ def _convert_meshes(
             link.remove(shape)
             for part in known[key]:
                 mesh.set("filename", f"{MESHES}/{part.file.name}")
-                copy = ElementTree.fromstring(ElementTree.tostring(shape))
-                if part.rgba is not None:
-                    for old in copy.findall("material"):
-                        copy.remove(old)
-                    material = ElementTree.SubElement(copy, "material", name=part.file.stem)
-                    ElementTree.SubElement(material, "color", rgba=part.rgba)
-                link.append(copy)
+                link.append(_coloured(shape, part))
+
+
+def _coloured(shape: ElementTree.Element, part: _Part) -> ElementTree.Element:
+    """Return a copy of a shape in the colour of a part of its mesh."""
+    copy = deepcopy(shape)
+    if part.rgba is not None:
+        _remove(copy, "material")
+        material = ElementTree.SubElement(copy, "material", name=part.file.stem)
+        ElementTree.SubElement(material, "color", rgba=part.rgba)
+    return copy
 
 
 def _mesh_file(name: str, path: Path, find: Callable[[str], Path]) -> Path:
     """Return the file of a mesh of a URDF."""
-    scheme, found, place = name.replace("\\", "/").rpartition("://")
+    scheme, separator, place = name.replace("\\", "/").rpartition("://")
     if scheme in ("package", "model"):
-        package, _, inside = unquote(place).partition("/")
-        # A copied folder may have lost its package.xml and its name.
-        above = [folder / inside for folder in path.absolute().parents[:LEVELS]]
-        own = next((file for file in above if file.is_file()), None)
-        file = own or find(package) / inside
+        file = _package_file(unquote(place), path, find)
     else:
-        place = unquote(place) if found else place
-        place = place[1:] if re.match(r"/[A-Za-z]:/", place) else place
+        if separator:
+            place = unquote(place)
+        if re.match(r"/[A-Za-z]:/", place):
+            place = place[1:]
         file = path.parent / place
     if not file.is_file():
         raise UserError(f"Mesh {name!r} of {path} is not found: there is no {file}.")
     return file.resolve()
 
 
+def _package_file(place: str, path: Path, find: Callable[[str], Path]) -> Path:
+    """Return a file of a package from its place after the scheme."""
+    package, _, inside = place.partition("/")
+    # A copied folder may have lost its package.xml and its name.
+    for folder in path.absolute().parents[:LEVELS]:
+        if (folder / inside).is_file():
+            return folder / inside
+    return find(package) / inside
+
+
 def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
     """Copy a binary STL file; split another mesh by its colours, which collisions do without."""
-    with source.open("rb") as file:
-        faces = int.from_bytes(file.read(84)[80:], "little")
-    binary = source.suffix.lower() == ".stl" and source.stat().st_size == 84 + 50 * faces
-    if binary and 0 < faces <= MOST_STL_FACES:
+    if _is_binary_stl(source):
         return [_Part(Path(shutil.copyfile(source, target.with_suffix(".stl"))), None)]
     with packages_of("urdf", f"The mesh {source}"):
         import trimesh
 
         import_module("collada")  # with which trimesh reads COLLADA
+    parts = []
     with reading(source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."):
-        meshes = [m for m in trimesh.load_scene(source).dump() if isinstance(m, trimesh.Trimesh)]
         groups: dict[str | None, list[Any]] = {}
-        for mesh in meshes:
-            metres = re.match(r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", ""))
-            mesh.apply_scale(float(metres[1]) if metres else 1.0)
-            groups.setdefault(_rgba(mesh) if colours else None, []).append(mesh)
+        for mesh in trimesh.load_scene(source).dump():
+            if isinstance(mesh, trimesh.Trimesh):
+                metres = re.match(r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", ""))
+                mesh.apply_scale(float(metres[1]) if metres else 1.0)
+                groups.setdefault(_rgba(mesh) if colours else None, []).append(mesh)
         if not groups:
             raise ValueError("it has no faces")
-        parts = []
-        for i, (rgba, some) in enumerate(groups.items()):
-            whole: Any = trimesh.util.concatenate(some)
+        for i, (rgba, meshes) in enumerate(groups.items()):
+            whole: Any = trimesh.util.concatenate(meshes)
             suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
-            part = target.with_name(f"{target.name}_{i}{suffix}")
-            whole.export(part)
-            parts.append(_Part(part, rgba))
+            file = target.with_name(f"{target.name}_{i}{suffix}")
+            whole.export(file)
+            parts.append(_Part(file, rgba))
     return parts
+
+
+def _is_binary_stl(path: Path) -> bool:
+    """Return whether MuJoCo reads a file as it is."""
+    with path.open("rb") as file:
+        faces = int.from_bytes(file.read(84)[80:], "little")
+    has_size = path.stat().st_size == 84 + 50 * faces
+    return path.suffix.lower() == ".stl" and has_size and 0 < faces <= MOST_STL_FACES
 
 
 def _rgba(mesh: Any) -> str | None:
     """Return the mean colour of a mesh in URDF's notation, or None if it has none."""
     if not mesh.visual.defined:
         return None
-    material = getattr(mesh.visual, "material", None)
-    image = next(
-        (each for key in ("image", "baseColorTexture") if (each := getattr(material, key, None))),
-        None,
-    )
+    material = getattr(mesh.visual, "material", None) or mesh.visual
+    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     if image is not None:
         colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
     else:
-        colour = np.asarray(mesh.visual.main_color if material is None else material.main_color)
+        colour = np.asarray(material.main_color)
     return " ".join(f"{value:.3g}" for value in colour / 255)

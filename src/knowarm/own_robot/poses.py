@@ -1,0 +1,69 @@
+"""Poses with which drafts and checks compute: places, grasps there, and arms at joint angles."""
+
+from typing import Any
+
+import numpy as np
+import scipy
+
+from knowarm.arrays import Floats
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.tasks.skills.ik import InverseKinematics
+
+CORNERS = (
+    (-1, -1),
+    (-1, 1),
+    (1, 1),
+    (1, -1),
+)
+"""Corners of a rectangle in order, relative to its centre and half-sizes."""
+
+
+def rectangle_places(robot: Robot, signs: Any) -> Floats:
+    """Return places in a robot's rectangle [m] by their signs (n, 2), -1 to 1 between its sides."""
+    centre = np.array(robot.rectangle_centre_m)
+    half = np.array(robot.rectangle_half_size_m)
+    return centre + half * signs
+
+
+def grasps(scene: Scene, places: Floats) -> tuple[Floats, Floats]:
+    """Return the grasps of K targets at n places (n, 2) [m].
+
+    Positions (K, n, 3) [m] and row-major rotations (K, n, 9), world.
+    """
+    position = target_places(scene, places) + scene.grasp_position[:, None]
+    matrix = scene.grasp_matrix.reshape(-1, 1, 9)
+    return position, np.repeat(matrix, len(places), axis=1)
+
+
+def sample_shares(scene: Scene, count: int) -> Floats:
+    """Spread shares of the joints' ranges evenly, (count, J) in 0..1: a Halton sequence."""
+    sequence = scipy.stats.qmc.Halton(scene.num_joints, scramble=False)
+    return np.asarray(sequence.random(count))
+
+
+def sample_joints(scene: Scene, count: int) -> Floats:
+    """Spread joint angles over their ranges, (count, J) [rad]."""
+    ranges = scene.joint_upper - scene.joint_lower
+    return scene.joint_lower + sample_shares(scene, count) * ranges
+
+
+def sample_tips(scene: Scene, count: int) -> Floats:
+    """Return where the gripper is at joint angles over their ranges, world, (count, 3) [m]."""
+    position, _ = InverseKinematics(scene).pose(sample_joints(scene, count))
+    return position
+
+
+def place_targets(scene: Scene, joints: Floats, places: Floats) -> MujocoSimulator:
+    """Pose an arm at angles (J,) [rad] and all targets at one place per copy, (n, 2) [m]."""
+    count = len(places)
+    simulation = MujocoSimulator(scene, count, 1, "kinematic")
+    positions = np.repeat(places[:, None], len(scene.targets), axis=1)
+    simulation.reset(np.arange(count), np.tile(joints, (count, 1)), positions)
+    return simulation
+
+
+def rounded(values: Any) -> list[float]:
+    """Return numbers as they are written to a description."""
+    return [round(float(value), 4) for value in values]
