@@ -74,8 +74,7 @@ def _project_geoms(
     """Append the visible geoms of a list to ``count`` records; return the new count."""
     eye = vector_at(view, 0)
     camera = matrix_at(view, 3)
-    ambient, head, light = matrix_at(lamps, 0)
-    lights = (ambient, head, light, vector_at(lamps, 9))
+    lights = (vector_at(lamps, 0), vector_at(lamps, 3), vector_at(lamps, 6), vector_at(lamps, 9))
     meshes = scenery.meshes
     dirty = scratch.dirty
     for g in geoms:
