@@ -82,16 +82,15 @@ class MujocoSimulator:
         Positions are x and y [m] of the K targets, also of hidden ones, and of the D distractors.
         ``visible`` tells which targets are not hidden, (m, K), where that matters to the physics.
         """
-        ids = env_ids
-        self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
-        self._qvel[ids] = 0.0
-        self._warmstart[ids] = 0.0
-        self._set_servos(ids, joint_targets)
-        self._place_targets(ids, target_position, visible)
+        rows = env_ids[:, None]
+        self._qpos[rows, self.scene.qpos_index] = joint_targets
+        self._qvel[env_ids] = 0.0
+        self._warmstart[env_ids] = 0.0
+        self._set_servos(env_ids, joint_targets)
+        self._place_targets(env_ids, target_position, visible)
         if distractor_position is not None:
-            at = ids[:, None], self.scene.distractor_mocap
-            self._mocap[(*at, slice(2))] = distractor_position
-        self.batch.forward(ids=ids, stage=self._stage)
+            self._mocap[rows, self.scene.distractor_mocap, :2] = distractor_position
+        self.batch.forward(ids=env_ids, stage=self._stage)
 
     def step(self, joint_targets: Floats) -> None:
         """Advance by ``substeps`` to joint targets (n, J) [rad]."""

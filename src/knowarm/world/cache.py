@@ -25,12 +25,18 @@ def cache_file(kind: str, *parts: object) -> Path:
             digest.update(np.ascontiguousarray(part).tobytes())
         else:
             digest.update(f"{part!r};".encode())
+    return _cache_folder() / kind / f"{digest.hexdigest()[:32]}.npz"
+
+
+def _cache_folder() -> Path:
     folder = os.environ.get("KNOWARM_CACHE")
-    if not folder:
-        given = (os.environ.get(name, "") for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"))
-        root = next(filter(os.path.isabs, given), Path.home() / ".cache")
-        folder = str(Path(root) / "knowarm")
-    return Path(folder) / kind / f"{digest.hexdigest()[:32]}.npz"
+    if folder:
+        return Path(folder)
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        root = Path(os.environ.get(name, ""))
+        if root.is_absolute():
+            return root / "knowarm"
+    return Path.home() / ".cache" / "knowarm"
 
 
 def read_arrays(file: Path) -> dict[str, NDArray[np.generic]] | None:
