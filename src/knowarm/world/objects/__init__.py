@@ -37,9 +37,9 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
     targets = []
     for name in names:
         if name.endswith(SUFFIX):
-            target = read_description(Path(name), Target)
-        else:
-            target = shipped.get(name) or made(name)
+            targets.append(read_description(Path(name), Target))
+            continue
+        target = shipped.get(name) or made(name)
         if target is None:
             raise unknown_name("target", name, shipped)
         targets.append(target)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
-from knowarm.world.render.numeric import FAR
+from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
 from knowarm.world.render.scenery import Scenery, read_lamps, read_scenery, read_view
 from knowarm.world.render.tiles import (
     ANTIALIASING,
@@ -30,18 +30,18 @@ NEAREST_M = 0.2  # Least distance of a mesh from the camera for which triangles 
 class Appearance(NamedTuple):
     """What environments look like, as `render_range` takes it."""
 
-    rgba: NDArray[np.float32]  # Colours of the geoms, (n or 1, G, 4)
-    views: NDArray[np.float32]  # Cameras, (n or 1, 12)
-    lamps: NDArray[np.float32]  # Lights, (n or 1, 12)
+    rgba: Floats32  # Colours of the geoms, (n or 1, G, 4)
+    views: Floats32  # Cameras, (n or 1, 12)
+    lamps: Floats32  # Lights, (n or 1, 12)
     is_own: bool  # Whether cameras and lights are those of the model
 
 
 class Trace(NamedTuple):
     """What the centre of each pixel shows."""
 
-    geom: NDArray[np.int32]  # Id of the geom, -1 for none, (n, H, W)
+    geom: Integers32  # Id of the geom, -1 for none, (n, H, W)
     # Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)
-    distance: NDArray[np.float32]
+    distance: Floats32
 
 
 class Raycaster:
@@ -107,7 +107,7 @@ class Raycaster:
         self.stored = self._draw_fixed(data, background)
 
     @property
-    def geom_rgba(self) -> NDArray[np.float32]:
+    def geom_rgba(self) -> Floats32:
         """Colours of the model's geoms, (G, 4), a copy to modify and pass to ``draw``."""
         return self.scenery.rgba.copy()
 
@@ -115,12 +115,12 @@ class Raycaster:
         self,
         geom_position: NDArray[Any],
         geom_matrix: NDArray[Any],
-        geom_rgba: NDArray[np.float32] | None = None,
-        views: NDArray[np.float32] | None = None,
-        lamps: NDArray[np.float32] | None = None,
+        geom_rgba: Floats32 | None = None,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
         *,
-        out: NDArray[np.uint8] | None = None,
-    ) -> NDArray[np.uint8]:
+        out: Images | None = None,
+    ) -> Images:
         """Draw n images as a ``Renderer``, into ``out`` if given.
 
         With ``views`` or ``lamps``, geoms that stand still are drawn again in every image. Without
@@ -151,7 +151,7 @@ class Raycaster:
         self,
         geom_position: NDArray[Any],
         geom_matrix: NDArray[Any],
-        geom_rgba: NDArray[np.float32] | None = None,
+        geom_rgba: Floats32 | None = None,
     ) -> Trace:
         """Find what the centre of each pixel shows, with the kernels that draw."""
         if self.grid.mask:
@@ -162,7 +162,7 @@ class Raycaster:
         count = len(geom_position)
         grid = self.grid
         poses = self._poses(geom_position, geom_matrix)
-        appearance = self._appearance(count, geom_rgba, None, None)
+        appearance = self._appearance(count, geom_rgba)
         columns = np.arange(self.width)
         rows = np.arange(self.height)[:, None]
         index = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
@@ -189,7 +189,7 @@ class Raycaster:
         self.stored = Stored(empty, empty, empty_image, empty_image)
         self.scenery = scenery._replace(fixed=scenery.fixed[:0], moving=scenery.fixed)
         poses = self._poses(data.geom_xpos[None], data.geom_xmat[None])
-        self._draw_range(0, 1, poses, self._appearance(1, None, None, None), 0, image)
+        self._draw_range(0, 1, poses, self._appearance(1), 0, image)
         self.scenery = scenery
         # Only the tiles that were touched are in the scratch field.
         scratch = self._scratch[0]
@@ -204,10 +204,10 @@ class Raycaster:
         self,
         start: int,
         stop: int,
-        poses: tuple[NDArray[np.float32], NDArray[np.float32]],
+        poses: tuple[Floats32, Floats32],
         appearance: Appearance,
         thread: int,
-        out: NDArray[np.uint8] | None,
+        out: Images | None,
     ) -> None:
         """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
         ids = out is None
@@ -219,9 +219,9 @@ class Raycaster:
     def _appearance(
         self,
         count: int,
-        geom_rgba: NDArray[np.float32] | None,
-        views: NDArray[np.float32] | None,
-        lamps: NDArray[np.float32] | None,
+        geom_rgba: Floats32 | None = None,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
     ) -> Appearance:
         """Return colours, cameras and lights: one for all environments, or one per environment."""
         return Appearance(
@@ -233,7 +233,7 @@ class Raycaster:
 
     def _poses(
         self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats32, Floats32]:
         """Copy poses to reused float32 arrays."""
         count = len(geom_position)
         geoms = len(self.scenery.kind)
@@ -249,9 +249,7 @@ class Raycaster:
         return positions, matrices
 
 
-def _batch(
-    values: NDArray[np.float32] | None, default: NDArray[np.float32], count: int
-) -> NDArray[np.float32]:
+def _batch(values: Floats32 | None, default: Floats32, count: int) -> Floats32:
     """Return values of each of ``count`` environments, or the default as a batch of one."""
     if values is None:
         values = default[None]
@@ -273,6 +271,6 @@ def _make_scratch(grid: TileGrid, scenery: Scenery) -> Scratch:
         field=_make_field(grid, 0),
         record=np.empty((geoms, RECORD), dtype=np.float32),
         extent=np.empty((geoms, EXTENT), dtype=np.int32),
-        projection=np.empty((PROJECTION, vertices), dtype=np.float32),
+        projection=np.empty((vertices, PROJECTION), dtype=np.float32),
         dirty=np.empty((grid.strips, 2), dtype=np.int32),
     )

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from knowarm.world.render.fill_loops import Field, fill_mesh, fill_primitive
 from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import (
+    Floats32,
+    Images,
+    Integers32,
     Matrix,
     Paint,
     Vector,
@@ -31,41 +34,41 @@ class Stored(NamedTuple):
 
     empty: Field  # Samples of the background
     backdrop: Field  # Samples of the fixed geoms
-    empty_image: NDArray[np.uint8]  # Image of the background, (H * W * 3,)
-    image: NDArray[np.uint8]  # Image of the fixed geoms, (H * W * 3,)
+    empty_image: Images  # Image of the background, (H * W * 3,)
+    image: Images  # Image of the fixed geoms, (H * W * 3,)
 
 
 class Scratch(NamedTuple):
     """Working memory of a thread."""
 
     field: Field  # The samples, (strips * rows * TILE,) each
-    record: NDArray[np.float32]  # Records of the visible geoms, (G, RECORD)
-    extent: NDArray[np.int32]  # Extents of the visible geoms, (G, EXTENT)
-    # Projected vertices of a mesh, (PROJECTION, vertices of the largest)
-    projection: NDArray[np.float32]
+    record: Floats32  # Records of the visible geoms, (G, RECORD)
+    extent: Integers32  # Extents of the visible geoms, (G, EXTENT)
+    # Projected vertices of a mesh, (vertices of the largest, PROJECTION)
+    projection: Floats32
     # First and one past the last row of each strip that a geom covers, (strips, 2)
-    dirty: NDArray[np.int32]
+    dirty: Integers32
 
 
 @scalar
-def _write(numbers: NDArray[np.float32], start: int, v: Vector) -> None:
+def _write(numbers: Floats32, start: int, v: Vector) -> None:
     numbers[start], numbers[start + 1], numbers[start + 2] = v
 
 
 @scalar
-def _write_all(numbers: NDArray[np.float32], start: int, vectors: Matrix | Paint) -> None:
+def _write_all(numbers: Floats32, start: int, vectors: Matrix | Paint) -> None:
     for i in range(3):
         _write(numbers, start + 3 * i, vectors[i])
 
 
 @njit(error_model="numpy")
 def _project_geoms(
-    geoms: NDArray[np.int32],
-    position: NDArray[np.float32],
-    matrix: NDArray[np.float32],
-    rgba: NDArray[np.float32],
-    view: NDArray[np.float32],
-    lamps: NDArray[np.float32],
+    geoms: Integers32,
+    position: Floats32,
+    matrix: Floats32,
+    rgba: Floats32,
+    view: Floats32,
+    lamps: Floats32,
     grid: TileGrid,
     scenery: Scenery,
     scratch: Scratch,
@@ -74,7 +77,6 @@ def _project_geoms(
     """Append the visible geoms of a list to ``count`` records; return the new count."""
     eye = vector_at(view, 0)
     camera = matrix_at(view, 3)
-    lights = (vector_at(lamps, 0), vector_at(lamps, 3), vector_at(lamps, 6), vector_at(lamps, 9))
     meshes = scenery.meshes
     dirty = scratch.dirty
     for g in geoms:
@@ -102,7 +104,7 @@ def _project_geoms(
         extent[0] = kind
         extent[1] = g
         extent[2], extent[3], extent[4], extent[5] = window
-        sun, paint = light_geom(vector_at(rgba[g], 0), scenery.emission[g], lights, rotation)
+        sun, paint = light_geom(vector_at(rgba[g], 0), scenery.emission[g], lamps, rotation)
         _write(record, 0, origin)
         _write_all(record, 3, frame)
         _write(record, 12, size)
@@ -116,7 +118,7 @@ def _project_geoms(
 
 
 @njit(error_model="numpy")
-def _has_stored_colours(scenery: Scenery, rgba: NDArray[np.float32]) -> bool:
+def _has_stored_colours(scenery: Scenery, rgba: Floats32) -> bool:
     """Tell whether the fixed geoms have the colours of the stored image."""
     for g in scenery.fixed:
         for c in range(4):
@@ -133,7 +135,7 @@ def _copy(target: NDArray[Any], source: NDArray[Any]) -> None:
 
 
 @njit(error_model="numpy")
-def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: TileGrid) -> None:
+def _restore(field: Field, source: Field, dirty: Integers32, grid: TileGrid) -> None:
     """Copy the dirty samples of a stored field."""
     depth, value = field
     old_depth, old_value = source
@@ -146,11 +148,11 @@ def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: TileGr
 
 @njit(error_model="numpy")
 def _average(
-    value: NDArray[np.int32],
-    dirty: NDArray[np.int32],
+    value: Integers32,
+    dirty: Integers32,
     grid: TileGrid,
     width: int,
-    out: NDArray[np.uint8],
+    out: Images,
 ) -> None:
     """Average the samples of the dirty pixels into an image (H * W * 3,)."""
     samples = np.int32(grid.mask + 1)
@@ -176,22 +178,28 @@ def _average(
                 out[red + 2] = outer >> (power + 16)
 
 
+@scalar
+def _row(values: NDArray[Any], e: int) -> NDArray[Any]:
+    """Return the values of an environment, or those that all have."""
+    return values[min(e, values.shape[0] - 1)]
+
+
 @cached_njit
 def render_range(
     start: int,
     stop: int,
-    positions: NDArray[np.float32],
-    matrices: NDArray[np.float32],
-    rgba: NDArray[np.float32],
-    views: NDArray[np.float32],
-    lamps: NDArray[np.float32],
+    positions: Floats32,
+    matrices: Floats32,
+    rgba: Floats32,
+    views: Floats32,
+    lamps: Floats32,
     is_own: bool,
     grid: TileGrid,
     scenery: Scenery,
     stored: Stored,
     scratch: Scratch,
     ids: bool,
-    out: NDArray[np.uint8],
+    out: Images,
 ) -> None:
     """Draw environments start .. stop - 1 to ``out``, (n, H, W, 3).
 
@@ -212,25 +220,20 @@ def render_range(
     dirty = scratch.dirty
     size = stored.image.shape[0]
     for e in range(start, stop):
-        colours = rgba[min(e, rgba.shape[0] - 1)]
-        view = views[min(e, views.shape[0] - 1)]
-        light = lamps[min(e, lamps.shape[0] - 1)]
+        colours = _row(rgba, e)
+        view = _row(views, e)
+        light = _row(lamps, e)
         position = positions[e]
         matrix = matrices[e]
         reuse = is_own and not ids and _has_stored_colours(scenery, colours)
-        dirty[:, 0] = grid.rows
-        dirty[:, 1] = 0
+        dirty[:, 0] = 0 if ids else grid.rows
+        dirty[:, 1] = grid.rows if ids else 0
+        fixed = scenery.fixed[:0] if reuse else scenery.fixed
         count = 0
-        if not reuse:
+        for geoms in (fixed, scenery.moving):
             count = _project_geoms(
-                scenery.fixed, position, matrix, colours, view, light, grid, scenery, scratch, count
+                geoms, position, matrix, colours, view, light, grid, scenery, scratch, count
             )
-        count = _project_geoms(
-            scenery.moving, position, matrix, colours, view, light, grid, scenery, scratch, count
-        )
-        if ids:
-            dirty[:, 0] = 0
-            dirty[:, 1] = grid.rows
         _restore(field, stored.backdrop if reuse else stored.empty, dirty, grid)
         if ids:
             field[1][:] = -1

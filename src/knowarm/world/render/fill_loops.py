@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from knowarm.world.render import intersections
 from knowarm.world.render.intersections import (
@@ -29,6 +28,8 @@ from knowarm.world.render.intersections import (
 from knowarm.world.render.numeric import (
     ONE,
     ZERO,
+    Floats32,
+    Integers32,
     Matrix,
     Paint,
     Vector,
@@ -52,23 +53,22 @@ from knowarm.world.render.tiles import (
     tiles_of,
 )
 
-Field = tuple[NDArray[np.float32], NDArray[np.int32]]
+Field = tuple[Floats32, Integers32]
 """Depth [m] and value (packed colour or geom id) of the samples, (strips * rows * TILE,) each."""
 
 PROJECTION = 3  # Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1
 
 
 @scalar
-def _window(extent: NDArray[np.int32]) -> Window:
+def _window(extent: Integers32) -> Window:
     """Read the window of a projected geom."""
     return extent[2], extent[3], extent[4], extent[5]
 
 
 @scalar
-def _light(record: NDArray[np.float32]) -> tuple[Vector, Vector, Paint]:
+def _light(record: Floats32) -> tuple[Vector, Vector, Paint]:
     """Read the directions towards headlight and directional light, and the paint."""
-    paint = (vector_at(record, 18), vector_at(record, 21), vector_at(record, 24))
-    return vector_at(record, 9), vector_at(record, 15), paint
+    return vector_at(record, 9), vector_at(record, 15), matrix_at(record, 18)
 
 
 @scalar
@@ -84,9 +84,7 @@ def _lane_direction(k: int, strip: int, upper: int, frame: Matrix, grid: TileGri
 
 
 @scalar
-def _keep_nearer(
-    depth: NDArray[np.float32], value: NDArray[np.int32], k: int, t: np.float32, new: np.int32
-) -> None:
+def _keep_nearer(depth: Floats32, value: Integers32, k: int, t: np.float32, new: np.int32) -> None:
     """Replace sample k by what lies at depth t if that is nearer, without branching."""
     old_depth = depth[k]
     old_value = value[k]
@@ -98,8 +96,8 @@ def _keep_nearer(
 @njit(error_model="numpy")
 def _fill(
     hit: Callable[..., Hit],
-    record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     field: Field,
     ids: bool,
@@ -145,11 +143,11 @@ def _fill_triangle(
 
 @njit(error_model="numpy")
 def _shade_triangles(
-    record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     meshes: Meshes,
-    value: NDArray[np.int32],
+    value: Integers32,
 ) -> None:
     """Replace the triangles' marks in the samples of a mesh by their colours."""
     eye = vector_at(record, 0)
@@ -172,7 +170,7 @@ def _shade_triangles(
 
 @njit(error_model="numpy")
 def fill_primitive(
-    record: NDArray[np.float32], extent: NDArray[np.int32], grid: TileGrid, field: Field, ids: bool
+    record: Floats32, extent: Integers32, grid: TileGrid, field: Field, ids: bool
 ) -> None:
     """Draw a projected primitive."""
     kind = extent[0]
@@ -221,11 +219,11 @@ def _visible_winding(meshes: Meshes, geom: int, eye: Vector) -> np.float32:
 
 @njit(error_model="numpy")
 def fill_mesh(
-    record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     meshes: Meshes,
-    projection: NDArray[np.float32],
+    projection: Floats32,
     field: Field,
     ids: bool,
 ) -> None:
@@ -236,31 +234,25 @@ def fill_mesh(
     winding = _visible_winding(meshes, geom, eye)
     span = meshes.span[geom]
     first = span[0]
-    x = projection[0]
-    y = projection[1]
-    side = projection[2]
     for i in range(span[1] - first):
         right, up, backward = to_parent(frame, _corner(meshes, first + i, eye))
         behind = backward > -NEAR
         inverse = -ONE / (-ONE if behind else backward)
-        x[i] = right * inverse
-        y[i] = up * inverse
-        side[i] = ONE if behind else -ONE
+        projection[i, 0] = right * inverse
+        projection[i, 1] = up * inverse
+        projection[i, 2] = ONE if behind else -ONE
     for face in range(span[2], span[3]):
         vertices = meshes.face[face]
-        i = vertices[0] - first
-        j = vertices[1] - first
-        k = vertices[2] - first
+        ax, ay, a_side = vector_at(projection[vertices[0] - first], 0)
+        bx, by, b_side = vector_at(projection[vertices[1] - first], 0)
+        cx, cy, c_side = vector_at(projection[vertices[2] - first], 0)
         window = _window(extent)
-        if max(side[i], side[j], side[k]) < 0:
-            turn = (x[j] - x[i]) * (y[k] - y[i]) - (x[k] - x[i]) * (y[j] - y[i])
+        if max(a_side, b_side, c_side) < 0:
+            turn = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
             if turn * winding < ZERO:
                 continue
-            x0 = min(x[i], x[j], x[k])
-            x1 = max(x[i], x[j], x[k])
-            y0 = min(y[i], y[j], y[k])
-            y1 = max(y[i], y[j], y[k])
-            window = samples_within((x0, x1, y0, y1), window, grid)
+            bounds = (min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy))
+            window = samples_within(bounds, window, grid)
         if is_empty(window):
             continue
         a, b, c = corners(meshes, face, eye)

@@ -180,7 +180,7 @@ def _capsule_end(
 ) -> tuple[np.float32, np.float32]:
     """Correct t, an intersection with the infinite cylinder, where the ray hits a cap instead.
 
-    Return t and the z of the cap's centre (of the point itself between the rims).
+    Return t and the z of the cap's centre, of the point itself between the rims.
     """
     radius, half, _ = size
     _, _, z = point_at(origin, t, direction)
@@ -190,7 +190,7 @@ def _capsule_end(
     enter, leave = _unit_sphere(times(from_centre, scale), times(direction, scale))
     on_cap = abs(z) > half
     on_sphere = enter if first else leave
-    return on_sphere if on_cap else t, centre if on_cap else z
+    return on_sphere if on_cap else t, centre
 
 
 @scalar
@@ -201,12 +201,11 @@ def capsule(origin: Vector, direction: Vector, size: Vector) -> Hit:
     intersection; above or below, it lies on the cap of that end, because the ray passes through
     that cap before it can reach the rest.
     """
-    radius, half, _ = size
+    radius = size[0]
     side_enter, side_leave = _tube(origin, direction, radius)
-    enter, enter_z = _capsule_end(origin, direction, size, side_enter, True)
-    leave, leave_z = _capsule_end(origin, direction, size, side_leave, False)
-    z = enter_z if enter >= ZERO else leave_z
-    centre = min(max(z, -half), half)
+    enter, enter_centre = _capsule_end(origin, direction, size, side_enter, True)
+    leave, leave_centre = _capsule_end(origin, direction, size, side_leave, False)
+    centre = enter_centre if enter >= ZERO else leave_centre
     t = _first(enter, leave)
     from_centre = minus(point_at(origin, t, direction), (ZERO, ZERO, centre))
     return t if side_enter <= side_leave else FAR, times(from_centre, ONE / radius)

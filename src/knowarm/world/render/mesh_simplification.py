@@ -13,7 +13,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
+from knowarm.world.render.numeric import Floats32, Integers32
 
 FEWEST = 32  # Meshes are not simplified to fewer triangles
 WELD = 0.25  # Side of the cells whose vertices are merged before the collapses, in triangles
@@ -27,9 +29,9 @@ REVISION = 2  # Part of the cache's key; to be increased with every change of th
 class Mesh(NamedTuple):
     """A triangle mesh with normals."""
 
-    vertex: NDArray[np.float32]  # Vertices [m], (V, 3)
-    face: NDArray[np.int32]  # Vertices of each triangle, (T, 3)
-    normal: NDArray[np.float32]  # Unit normals at each triangle's corners, (T, 3, 3)
+    vertex: Floats32  # Vertices [m], (V, 3)
+    face: Integers32  # Vertices of each triangle, (T, 3)
+    normal: Floats32  # Unit normals at each triangle's corners, (T, 3, 3)
 
 
 def simplified(mesh: Mesh, side_m: float) -> Mesh:
@@ -54,7 +56,7 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
 
 
 def merge_vertices(
-    vertex: NDArray[Any], face: NDArray[np.int32]
+    vertex: NDArray[Any], face: Integers32
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Merge equal vertices (V, 3): return the new index of each, (V,), and the triangles of these.
 
@@ -74,7 +76,7 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
     cell, faces = merge_vertices(cells, mesh.face)
     faces = faces.astype(np.int32)
     sums = np.stack([np.bincount(cell, axis) for axis in mesh.vertex.T], axis=1)
-    points: NDArray[np.float64] = sums / np.bincount(cell)[:, None]
+    points: Floats = sums / np.bincount(cell)[:, None]
     if len(faces) > count:
         # The library's first threshold has a fixed size, hence lengths in triangles.
         points, faces = fast_simplification.simplify(points / side_m, faces, target_count=count)[:2]
@@ -98,7 +100,7 @@ def unit_normals(corners: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(normal / np.maximum(length, 1e-20))
 
 
-def _normals(full: Mesh, corners: NDArray[np.float64]) -> NDArray[np.float32]:
+def _normals(full: Mesh, corners: Floats) -> Floats32:
     """Average the full mesh's normals near each corner (T, 3, 3), those across an edge left out."""
     face_normal = unit_normals(corners)
     # A corner belongs to several sides of the surface; slightly inside, the triangle's own is near.

@@ -20,6 +20,10 @@ from numpy.typing import NDArray
 from knowarm.compiling import njit
 from knowarm.private_apis import key_numba_cache
 
+Floats32 = NDArray[np.float32]
+Integers32 = NDArray[np.int32]
+Images = NDArray[np.uint8]
+
 Vector = tuple[np.float32, np.float32, np.float32]
 """Three float32 scalars, which compiled code keeps in registers."""
 
@@ -54,13 +58,13 @@ def cached_njit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @scalar
-def vector_at(values: NDArray[np.float32], start: int) -> Vector:
+def vector_at(values: Floats32, start: int) -> Vector:
     """Read three numbers of an array."""
     return values[start], values[start + 1], values[start + 2]
 
 
 @scalar
-def matrix_at(values: NDArray[np.float32], start: int) -> Matrix:
+def matrix_at(values: Floats32, start: int) -> Matrix:
     """Read nine numbers of an array, row-major."""
     return vector_at(values, start), vector_at(values, start + 3), vector_at(values, start + 6)
 
@@ -156,13 +160,14 @@ normal incidence, in 0..255."""
 
 @scalar
 def light_geom(
-    rgb: Vector, emission: np.float32, lamps: tuple[Vector, Vector, Vector, Vector], matrix: Matrix
+    rgb: Vector, emission: np.float32, lamps: Floats32, matrix: Matrix
 ) -> tuple[Vector, Paint]:
-    """Multiply a geom's colour by the light: the rows of ``read_lamps``.
+    """Multiply a geom's colour by the light: the rows of ``read_lamps``, (12,).
 
     Return the unit vector towards the directional light in the geom's frame, and the paint.
     """
-    ambient, head, sun, towards_sun = lamps
+    ambient, head, sun = matrix_at(lamps, 0)
+    towards_sun = vector_at(lamps, 9)
     colour = times(rgb, FULL)
     everywhere = plus(ambient, (emission, emission, emission))
     dark = plus(product(colour, everywhere), HALVES)

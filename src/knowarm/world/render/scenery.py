@@ -7,9 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.render.intersections import MESH, SUPPORTED
 from knowarm.world.render.mesh_simplification import Mesh, merge_vertices, simplified, unit_normals
+from knowarm.world.render.numeric import Floats32, Integers32
 from knowarm.world.scene.appearance import geom_colours
 
 NO_MESH = Mesh(
@@ -22,36 +24,36 @@ MIN_NORMAL_COSINE = 0.25
 class Meshes(NamedTuple):
     """All meshes of a model, concatenated. V vertices, T triangles, G geoms."""
 
-    vertex: NDArray[np.float32]  # Vertices in the frame of their geom [m], (V, 3)
-    face: NDArray[np.int32]  # Vertices of each triangle, (T, 3)
-    normal: NDArray[np.float32]  # Unit normals at each triangle's corners, (T, 9)
+    vertex: Floats32  # Vertices in the frame of their geom [m], (V, 3)
+    face: Integers32  # Vertices of each triangle, (T, 3)
+    normal: Floats32  # Unit normals at each triangle's corners, (T, 9)
     # First and one past the last vertex, first and one past the last triangle of each geom, zero
     # for geoms that are not meshes, (G, 4)
-    span: NDArray[np.int32]
+    span: Integers32
     # 1 for a geom whose mesh is closed with triangles anticlockwise from outside, -1 if clockwise,
     # 0 if open or not a mesh, (G,)
-    winding: NDArray[np.int32]
-    middle: NDArray[np.float32]  # Centre of each geom's bounding box in its frame [m], (G, 3)
-    half: NDArray[np.float32]  # Half-sizes of that box [m], (G, 3)
+    winding: Integers32
+    middle: Floats32  # Centre of each geom's bounding box in its frame [m], (G, 3)
+    half: Floats32  # Half-sizes of that box [m], (G, 3)
 
 
 class Scenery(NamedTuple):
     """The geoms of a model. G geoms, F fixed and M moving ones that are drawn."""
 
-    kind: NDArray[np.int32]  # Type of each geom, (G,)
-    size: NDArray[np.float32]  # ``geom_size`` [m], (G, 3)
-    emission: NDArray[np.float32]  # Emission of each geom's material, (G,)
+    kind: Integers32  # Type of each geom, (G,)
+    size: Floats32  # ``geom_size`` [m], (G, 3)
+    emission: Floats32  # Emission of each geom's material, (G,)
     meshes: Meshes  # The triangles of mesh geoms
     # Colour of each geom, its material's where it has none of its own, (G, 4)
-    rgba: NDArray[np.float32]
-    fixed: NDArray[np.int32]  # Ids of the drawn geoms that stand still in every state, (F,)
-    moving: NDArray[np.int32]  # Ids of the drawn geoms that can move, (M,)
+    rgba: Floats32
+    fixed: Integers32  # Ids of the drawn geoms that stand still in every state, (F,)
+    moving: Integers32  # Ids of the drawn geoms that can move, (M,)
 
 
 def read_scenery(
     model: mujoco.MjModel,
     geom_groups: tuple[int, ...],
-    triangle_m: NDArray[np.float64] | None = None,
+    triangle_m: Floats | None = None,
 ) -> Scenery:
     """Read the geoms of a model in some groups.
 
@@ -86,7 +88,7 @@ def read_scenery(
 
 def read_view(
     model: mujoco.MjModel, data: mujoco.MjData, camera: int | str
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[Floats32, float]:
     """Read a perspective camera that stands still, by name or id.
 
     Return position [m] and row-major rotation from camera to world, (12,), and tan(fovy / 2).
@@ -114,7 +116,7 @@ def read_view(
     return view.astype(np.float32), math.tan(math.radians(model.cam_fovy[camera]) / 2)
 
 
-def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float32]:
+def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
     """Read a model's lights, (4, 3) in world coordinates.
 
     Rows: sum of ambient colours, diffuse colours of headlight and directional light, and the unit
@@ -166,7 +168,7 @@ def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _read_meshes(
-    model: mujoco.MjModel, drawn: NDArray[np.intp], triangle_m: NDArray[np.float64] | None
+    model: mujoco.MjModel, drawn: NDArray[np.intp], triangle_m: Floats | None
 ) -> Meshes:
     """Read the triangles of the drawn mesh geoms, those of a shared mesh once."""
     span = np.zeros((model.ngeom, 4), dtype=np.int32)
@@ -228,9 +230,7 @@ def _winding(mesh: Mesh) -> int:
     return int(np.sign(np.sum(volumes)))
 
 
-def _plausible_normals(
-    normals: NDArray[np.float32], corners: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _plausible_normals(normals: Floats32, corners: Floats32) -> Floats32:
     """Replace corner normals (T, 3, 3) that deviate from their triangle's by the triangle's own.
 
     MuJoCo gives meshes without faces the triangles of their hull, and normals that do not fit.

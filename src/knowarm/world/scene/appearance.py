@@ -155,18 +155,10 @@ class AppearanceSource:
     def __init__(
         self, scene: Scene, randomization: VisualRandomization, marked: bool = False
     ) -> None:
-        model = scene.model
         self._scene = scene
         self._config = randomization
         self._marked = marked
         self._colours = TargetColours(scene)
-        self._ambient = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
-        self._headlight = np.array(model.vis.headlight.diffuse, dtype=np.float64)
-        self._sunlight = model.light_diffuse[0].astype(np.float64)
-        self._sun_direction = model.light_dir[0].astype(np.float64)
-        self._surfaces = list(scene.surface_geoms)
-        self._centre = np.array(scene.robot.rectangle_centre_m)
-        self._half = _SPREAD * np.array(scene.robot.rectangle_half_size_m)
 
     def __call__(self, target: Integers, colour: Integers, position: Floats, look: Floats) -> Shown:
         """Compute the appearance of k episodes.
@@ -175,15 +167,16 @@ class AppearanceSource:
         from which distractors keep a distance, and ``look`` draws in [0, 1), (k, ``config.draws``).
         """
         config = self._config
+        scene = self._scene
         rgba = self._colours(target, colour, self._marked)
         if not config.draws:
             return Shown(rgba, None, None, None)
         signed = 2 * look - 1
         if config.surface_colour > 0:
-            rgba[:, self._surfaces, :3] = self._surface_colours(signed)
+            rgba[:, scene.surface_geoms, :3] = self._surface_colours(signed)
         shape = (len(look), config.distractors, DRAWS_PER_DISTRACTOR)
         draws = look[:, FIXED_DRAWS:].reshape(shape)
-        rgba[:, self._scene.distractor_geoms, :3] = draws[..., 2:]
+        rgba[:, scene.distractor_geoms, :3] = draws[..., 2:]
         views = None
         if config.camera_shift_m > 0 or config.camera_turn_deg > 0:
             views = self._views(signed)
@@ -200,26 +193,32 @@ class AppearanceSource:
         return np.concat([position, matrix.reshape(-1, 9)], axis=1).astype(np.float32)
 
     def _lamps(self, signed: Floats) -> NDArray[np.float32]:
+        model = self._scene.model
+        headlight = model.vis.headlight
+        ambient = headlight.ambient + model.light_ambient.sum(axis=0)
         head, sun, turn_x, turn_y = np.split(signed[:, _LIGHT], 4, axis=1)
         head = 1 + self._config.light * head
         sun = 1 + self._config.light * sun
         turn = np.concat([turn_x, turn_y, np.zeros_like(turn_x)], axis=1)
         turn *= math.radians(self._config.light_angle_deg)
-        towards = -(Rotation.from_rotvec(turn).as_matrix() @ self._sun_direction)
-        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
+        towards = -(Rotation.from_rotvec(turn).as_matrix() @ model.light_dir[0])
+        lamps = [ambient * head, headlight.diffuse * head, model.light_diffuse[0] * sun, towards]
         return np.stack(lamps, axis=1).astype(np.float32)
 
     def _surface_colours(self, signed: Floats) -> Floats:
         """Return RGB of the floor and, if there is one, the table top, (k, S, 3)."""
-        resting = self._scene.model.geom_rgba[self._surfaces, :3]
+        scene = self._scene
+        resting = scene.model.geom_rgba[scene.surface_geoms, :3]
         draws = signed[:, _SURFACE].reshape(-1, 2, 3)
         change = self._config.surface_colour * draws[:, : len(resting)]
         return np.clip(resting + change, 0, 1)
 
     def _places(self, signed: Floats, position: Floats) -> Floats:
         """Return positions in a rectangle larger than the targets', pushed away from the target."""
+        robot = self._scene.robot
         position = position[:, None]
-        drawn = self._centre + signed * self._half
+        half = _SPREAD * np.array(robot.rectangle_half_size_m)
+        drawn = robot.rectangle_centre_m + signed * half
         offset = drawn - position
         distance = np.linalg.norm(offset, axis=-1, keepdims=True)
         pushed = position + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M

@@ -168,11 +168,9 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     mujoco.mj_fullM(model, data, inertia)
     frequency = 2 * np.pi * robot.servo_frequency_hz
     for name, dof in zip(robot.joints, dofs, strict=True):
-        mass = max(
-            float(inertia[dof, dof]),
-            float(model.dof_frictionloss[dof]) / (STOP_RAD * frequency**2),
-            float(model.dof_damping[dof]) / (2 * SLOWER * frequency),
-        )
+        least_for_friction = model.dof_frictionloss[dof] / (STOP_RAD * frequency**2)
+        least_for_damping = model.dof_damping[dof] / (2 * SLOWER * frequency)
+        mass = float(max(inertia[dof, dof], least_for_friction, least_for_damping))
         actuator = spec.add_actuator(
             name=name, target=ROBOT_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )

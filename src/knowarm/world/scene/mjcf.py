@@ -6,8 +6,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.reading import one_line, reading
 from knowarm.world.description import HOW_TO_GET, menagerie_folder
@@ -88,7 +88,7 @@ def turn_about_z(degrees: float) -> list[float]:
     return [np.cos(half), 0, 0, np.sin(half)]
 
 
-def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotation(quaternion: Floats) -> Floats:
     """Return the rotation matrix of a quaternion, (3, 3)."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quaternion)

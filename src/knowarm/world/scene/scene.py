@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.reading import one_line
 from knowarm.world.description import SUFFIX
@@ -19,6 +20,8 @@ from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
 from knowarm.world.scene.mjcf import turn_about_z
+
+Indices = NDArray[np.intp]
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
 
@@ -35,26 +38,26 @@ class Scene:
     robot: Robot  # Description of the robot
     targets: tuple[Target, ...]  # Descriptions of the targets
     joint_names: tuple[str, ...]  # Names of the joints that the agent moves, (J,)
-    qpos_index: NDArray[np.intp]  # Index in qpos of each joint, (J,)
-    joint_lower: NDArray[np.float64]  # Lower limit of each joint [rad], (J,)
-    joint_upper: NDArray[np.float64]  # Upper limit of each joint [rad], (J,)
-    home: NDArray[np.float64]  # Start angle of each joint before the random offset [rad], (J,)
+    qpos_index: Indices  # Index in qpos of each joint, (J,)
+    joint_lower: Floats  # Lower limit of each joint [rad], (J,)
+    joint_upper: Floats  # Upper limit of each joint [rad], (J,)
+    home: Floats  # Start angle of each joint before the random offset [rad], (J,)
     tcp_site: int  # Id of the site at the tool centre point (TCP)
     camera: int  # Id of the policy's camera
-    camera_position: NDArray[np.float64]  # Position of the camera, world [m], (3,)
+    camera_position: Floats  # Position of the camera, world [m], (3,)
     # Rotation from camera (x right, y up, z backward) to world, (3, 3)
-    camera_matrix: NDArray[np.float64]
-    geom_target: NDArray[np.intp]  # Index of the target each geom belongs to, -1 for none, (G,)
-    geom_coloured: NDArray[np.bool_]  # Whether a geom has its target's colour, (G,)
+    camera_matrix: Floats
+    geom_target: Indices  # Index of the target each geom belongs to, -1 for none, (G,)
+    geom_coloured: Mask  # Whether a geom has its target's colour, (G,)
     # RGB by target and colour, (K, C, 3); padded with the first colour
     target_colours: NDArray[np.float32]
     surface_geoms: tuple[int, ...]  # Ids of the floor and, if there is one, the table top
-    distractor_geoms: NDArray[np.intp]  # Ids of the distractors' geoms, (D,)
-    distractor_mocap: NDArray[np.intp]  # Index in the mocap arrays of each distractor, (D,)
-    target_mocap: NDArray[np.intp]  # Index in the mocap arrays of each target, (K,)
+    distractor_geoms: Indices  # Ids of the distractors' geoms, (D,)
+    distractor_mocap: Indices  # Index in the mocap arrays of each distractor, (D,)
+    target_mocap: Indices  # Index in the mocap arrays of each target, (K,)
     # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
-    grasp_position: NDArray[np.float64]
-    grasp_matrix: NDArray[np.float64]  # Rotation from grasp frame to world, (K, 3, 3)
+    grasp_position: Floats
+    grasp_matrix: Floats  # Rotation from grasp frame to world, (K, 3, 3)
 
     @property
     def num_joints(self) -> int:
@@ -66,7 +69,7 @@ class Scene:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
 
-    def at(self, joints: NDArray[np.float64]) -> mujoco.MjData:
+    def at(self, joints: Floats) -> mujoco.MjData:
         """Compute the poses of everything with the arm at joint angles (J,) [rad]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.qpos_index] = joints
@@ -198,7 +201,7 @@ def describe_model(
 
 def _target_geoms(
     model: mujoco.MjModel, targets: Sequence[Target]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
+) -> tuple[Indices, Mask, NDArray[np.float32]]:
     """Return ``geom_target``, ``geom_coloured`` and ``target_colours`` of a `Scene`."""
     geom_target = np.full(model.ngeom, -1, dtype=np.intp)
     geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
@@ -217,26 +220,21 @@ def _target_geoms(
     return geom_target, geom_coloured, colours
 
 
-def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
+def target_places(scene: Scene, position: Floats) -> Floats:
     """Lift positions (..., 2) [m] to the support: (..., 3) [m], world."""
     height = np.full_like(position[..., :1], scene.robot.support_height_m)
     return np.concat([position, height], axis=-1)
 
 
-def project(
-    scene: Scene, points: NDArray[np.float64], view: NDArray[np.floating] | None = None
-) -> NDArray[np.float64]:
+def project(scene: Scene, points: Floats, view: NDArray[np.floating] | None = None) -> Floats:
     """Project world points (n, 3) [m] into the square image, (n, 2).
 
     Right and up from the centre in half image widths; NaN for points behind the camera. ``view``,
     (12,), is the camera's position [m] and rotation to world where it is not the scene's.
     """
-    position = scene.camera_position
-    matrix = scene.camera_matrix
-    if view is not None:
-        position = view[:3]
-        matrix = view[3:].reshape(3, 3)
-    local = (points - position) @ matrix
+    if view is None:
+        view = np.append(scene.camera_position, scene.camera_matrix)
+    local = (points - view[:3]) @ view[3:].reshape(3, 3)
     backward = local[:, 2:]
     depth = np.where(backward < 0, -backward, np.nan)
     half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
