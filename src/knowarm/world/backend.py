@@ -44,15 +44,16 @@ class MujocoSimulator:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.batch = Batch(model, num_envs, num_threads or available_cores())
         self._stage = _POSES
-        self._qpos = self.batch.bind("qpos")
-        self._qvel = self.batch.bind("qvel")
-        self._ctrl = self.batch.bind("ctrl")
-        self._warmstart = self.batch.bind("qacc_warmstart")
-        self._mocap = self.batch.bind("mocap_pos")
-        self._site_position = self.batch.bind("site_xpos")
-        self._site_matrix = self.batch.bind("site_xmat")
-        self.geom_position: Floats = self.batch.bind("geom_xpos")
-        self.geom_matrix: Floats = self.batch.bind("geom_xmat")
+        bind = self.batch.bind
+        self._qpos = bind("qpos")
+        self._qvel = bind("qvel")
+        self._ctrl = bind("ctrl")
+        self._warmstart = bind("qacc_warmstart")
+        self._mocap = bind("mocap_pos")
+        self._site_position = bind("site_xpos")
+        self._site_matrix = bind("site_xmat")
+        self.geom_position: Floats = bind("geom_xpos")
+        self.geom_matrix: Floats = bind("geom_xmat")
 
     @property
     def joint_positions(self) -> Floats:

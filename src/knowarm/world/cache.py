@@ -16,7 +16,7 @@ from knowarm.reading import replacing
 def cache_file(kind: str, *depends_on: object) -> Path:
     """Return the file of a result in a subfolder of ``KNOWARM_CACHE`` or the user's cache folder.
 
-    ``depends_on`` is all that the result follows from: arrays, and values that ``repr`` tells apart.
+    ``depends_on`` is all that it follows from: arrays, and values that ``repr`` tells apart.
     """
     digest = hashlib.sha256()
     for value in depends_on:

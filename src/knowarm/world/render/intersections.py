@@ -40,8 +40,14 @@ from knowarm.world.render.numeric import (
     unit,
 )
 
-PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 0, 2, 3, 4, 5, 6, 7
-"""MuJoCo's geom types as plain numbers for compiled code."""
+# MuJoCo's geom types as plain numbers for compiled code
+PLANE = 0
+SPHERE = 2
+CAPSULE = 3
+ELLIPSOID = 4
+CYLINDER = 5
+BOX = 6
+MESH = 7
 
 SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)  # Geom types that can be drawn
 Interval = tuple[np.float32, np.float32]  # Ray parameters at which a ray enters and leaves a solid
