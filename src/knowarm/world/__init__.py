@@ -5,6 +5,7 @@ draw episodes and judge the result; ``render`` draws the images; ``envs`` holds 
 ``agents`` what plays in them. Importing this package imports no simulator.
 """
 
+import itertools
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import gymnasium
@@ -46,7 +47,8 @@ def register_environments() -> None:
 
 def _ids() -> dict[str, tuple[str, str]]:
     """Return robot and task by Gymnasium id."""
-    return {env_id(robot, task): (robot, task) for robot in ROBOTS for task in task_names()}
+    pairs = itertools.product(ROBOTS, task_names())
+    return {env_id(robot, task): (robot, task) for robot, task in pairs}
 
 
 @overload
@@ -101,18 +103,22 @@ def make(
     """
     from knowarm.world.envs.single_env import ArmEnv, make_vector_env
 
-    ids, robot = _ids(), str(robot)
-    short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
-    name, own = ids.get(short, (robot, task or "reach"))
-    if task not in (None, own):
-        raise UserError(
-            f"The id {robot!r} names the task {own!r}, and task is {task!r}. Leave out task, or "
-            f"give the robot's name, {name!r}."
-        )
-    task = own
-    if name not in {**ROBOTS, **KNOWN_ARMS} and not name.endswith(".toml"):
-        raise unknown_name("robot or environment", robot, [*ROBOTS, *KNOWN_ARMS, *ids])
-    options = {"robot": name, "task": task} | options
+    ids = _ids()
+    robot = str(robot)
+    gym_id = robot if "/" in robot else f"{NAMESPACE}/{robot}"
+    name = robot
+    if gym_id in ids:
+        name, id_task = ids[gym_id]
+        if task not in (None, id_task):
+            raise UserError(
+                f"The id {robot!r} names the task {id_task!r}, and task is {task!r}. Leave out "
+                f"task, or give the robot's name, {name!r}."
+            )
+        task = id_task
+    known = [*ROBOTS, *KNOWN_ARMS]
+    if name not in known and not name.endswith(".toml"):
+        raise unknown_name("robot or environment", robot, [*known, *ids])
+    options = {"robot": name, "task": "reach" if task is None else task, **options}
     if num_envs is None:
         if device is not None:
             raise UserError(

@@ -44,15 +44,16 @@ class MujocoSimulator:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.batch = Batch(model, num_envs, num_threads or available_cores())
         self._stage = _POSES
-        self._qpos = self.batch.bind("qpos")
-        self._qvel = self.batch.bind("qvel")
-        self._ctrl = self.batch.bind("ctrl")
-        self._warmstart = self.batch.bind("qacc_warmstart")
-        self._mocap = self.batch.bind("mocap_pos")
-        self._site_position = self.batch.bind("site_xpos")
-        self._site_matrix = self.batch.bind("site_xmat")
-        self.geom_position: Floats = self.batch.bind("geom_xpos")
-        self.geom_matrix: Floats = self.batch.bind("geom_xmat")
+        bind = self.batch.bind
+        self._qpos = bind("qpos")
+        self._qvel = bind("qvel")
+        self._ctrl = bind("ctrl")
+        self._warmstart = bind("qacc_warmstart")
+        self._mocap = bind("mocap_pos")
+        self._site_position = bind("site_xpos")
+        self._site_matrix = bind("site_xmat")
+        self.geom_position: Floats = bind("geom_xpos")
+        self.geom_matrix: Floats = bind("geom_xmat")
 
     @property
     def joint_positions(self) -> Floats:
@@ -82,16 +83,15 @@ class MujocoSimulator:
         Positions are x and y [m] of the K targets, also of hidden ones, and of the D distractors.
         ``visible`` tells which targets are not hidden, (m, K), where that matters to the physics.
         """
-        ids = env_ids
-        self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
-        self._qvel[ids] = 0.0
-        self._warmstart[ids] = 0.0
-        self._set_servos(ids, joint_targets)
-        self._place_targets(ids, target_position, visible)
+        rows = env_ids[:, None]
+        self._qpos[rows, self.scene.qpos_index] = joint_targets
+        self._qvel[env_ids] = 0.0
+        self._warmstart[env_ids] = 0.0
+        self._set_servos(env_ids, joint_targets)
+        self._place_targets(env_ids, target_position, visible)
         if distractor_position is not None:
-            at = ids[:, None], self.scene.distractor_mocap
-            self._mocap[(*at, slice(2))] = distractor_position
-        self.batch.forward(ids=ids, stage=self._stage)
+            self._mocap[rows, self.scene.distractor_mocap, :2] = distractor_position
+        self.batch.forward(ids=env_ids, stage=self._stage)
 
     def step(self, joint_targets: Floats) -> None:
         """Advance by ``substeps`` to joint targets (n, J) [rad]."""

@@ -13,24 +13,30 @@ from knowarm.errors import UserError
 from knowarm.reading import replacing
 
 
-def cache_file(kind: str, *parts: object) -> Path:
+def cache_file(kind: str, *depends_on: object) -> Path:
     """Return the file of a result in a subfolder of ``KNOWARM_CACHE`` or the user's cache folder.
 
-    ``parts`` is all that the result follows from: arrays, and values that ``repr`` tells apart.
+    ``depends_on`` is all that it follows from: arrays, and values that ``repr`` tells apart.
     """
     digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, np.ndarray):
-            digest.update(f"{part.dtype}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).tobytes())
+    for value in depends_on:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
         else:
-            digest.update(f"{part!r};".encode())
+            digest.update(f"{value!r};".encode())
+    return _cache_folder() / kind / f"{digest.hexdigest()[:32]}.npz"
+
+
+def _cache_folder() -> Path:
     folder = os.environ.get("KNOWARM_CACHE")
-    if not folder:
-        given = (os.environ.get(name, "") for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"))
-        root = next(filter(os.path.isabs, given), Path.home() / ".cache")
-        folder = str(Path(root) / "knowarm")
-    return Path(folder) / kind / f"{digest.hexdigest()[:32]}.npz"
+    if folder:
+        return Path(folder)
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        root = Path(os.environ.get(name, ""))
+        if root.is_absolute():
+            return root / "knowarm"
+    return Path.home() / ".cache" / "knowarm"
 
 
 def read_arrays(file: Path) -> dict[str, NDArray[np.generic]] | None:

@@ -64,13 +64,15 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "task", find_task(self.task))
-        given: Any = self.targets
-        targets = (given,) if isinstance(given, str) else tuple(given)
-        object.__setattr__(self, "targets", targets or self.task.targets)
+        task = self.task
+        targets: Any = self.targets
+        if isinstance(targets, str):
+            targets = (targets,)
+        object.__setattr__(self, "targets", tuple(targets) or task.targets)
         if not self.max_episode_steps:
-            object.__setattr__(self, "max_episode_steps", self.task.max_steps)
-        if self.task.colours is not None:
-            object.__setattr__(self, "colours", self.task.colours)
+            object.__setattr__(self, "max_episode_steps", task.max_steps)
+        if task.colours is not None:
+            object.__setattr__(self, "colours", task.colours)
         check_values(self)
         thresholds = ("success_distance_m", "success_angle_deg", "mpi_rad")
         above_zero(self, *thresholds, where="EnvConfig.")
@@ -97,15 +99,18 @@ class EnvConfig:
                 Argument("env.dynamics", task.dynamics[0]),
                 ".",
             )
-        for name, used in (
-            ("held_out", self.held_out is not None),
-            ("randomization.distractors", self.randomization.distractors > 0),
-        ):
-            if used and not task.holds_out:
-                raise UserError(
-                    f"EnvConfig.{name} cannot be combined with the task {task.name!r}, whose "
-                    "questions decide what stands in the rectangle. Leave one of them out."
-                )
+        if task.holds_out:
+            return
+        unused = None
+        if self.held_out is not None:
+            unused = "held_out"
+        elif self.randomization.distractors > 0:
+            unused = "randomization.distractors"
+        if unused is not None:
+            raise UserError(
+                f"EnvConfig.{unused} cannot be combined with the task {task.name!r}, whose "
+                "questions decide what stands in the rectangle. Leave one of them out."
+            )
 
 
 def robot_of(config: EnvConfig) -> Robot:
@@ -116,8 +121,9 @@ def robot_of(config: EnvConfig) -> Robot:
 
 def scene_of(config: EnvConfig) -> Scene:
     """Load the scene of a config."""
-    distractors, task = config.randomization.distractors, config.task
+    task = config.task
     area = task.area_of(find_robot(config.robot))
+    distractors = config.randomization.distractors
     return load_scene(config.robot, config.targets, distractors, area, task.build_scene)
 
 
@@ -128,9 +134,13 @@ def setting_of(config: EnvConfig) -> Setting:
 
 def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
     """List the (object, colour) pairs that a config shows; objects in config order."""
-    last = None if config.colours == "randomized" else 1
-    targets = find_targets(config.targets)
-    return tuple((target.name, colour) for target in targets for colour in [*target.colours][:last])
+    facets = []
+    for target in find_targets(config.targets):
+        colours = list(target.colours)
+        if config.colours != "randomized":
+            colours = colours[:1]
+        facets += [(target.name, colour) for colour in colours]
+    return tuple(facets)
 
 
 def questions_of(config: EnvConfig) -> QuestionTable | None:

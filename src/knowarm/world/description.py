@@ -29,9 +29,9 @@ T = TypeVar("T")
 
 def trust(values: Any) -> None:
     """Remember on this machine that the user named the descriptions in JSON values."""
-    for name in _named(values):
-        if not (mark := _mark(name)).exists():
-            write_arrays(mark, {})
+    for name in _descriptions(values):
+        if not is_trusted(name):
+            write_arrays(_mark(name), {})
 
 
 def check_trusted(values: Any, where: Path) -> None:
@@ -39,7 +39,7 @@ def check_trusted(values: Any, where: Path) -> None:
 
     MuJoCo compiles the MJCF of a description, which names files at any path.
     """
-    for name in _named(values):
+    for name in _descriptions(values):
         if not is_trusted(name):
             raise UserError(
                 f"{where} names the description {name!r}, which is trusted like code, and you have "
@@ -53,12 +53,15 @@ def is_trusted(name: str) -> bool:
     return _mark(name).exists()
 
 
-def _named(values: Any) -> Iterator[str]:
-    if isinstance(values, str):
-        yield from [values] * values.endswith(SUFFIX)
-    elif isinstance(values, dict | list | tuple):
-        for each in values.values() if isinstance(values, dict) else values:
-            yield from _named(each)
+def _descriptions(values: Any) -> Iterator[str]:
+    """Yield the descriptions that JSON values name."""
+    if isinstance(values, dict):
+        values = list(values.values())
+    if isinstance(values, list | tuple):
+        for value in values:
+            yield from _descriptions(value)
+    elif isinstance(values, str) and values.endswith(SUFFIX):
+        yield values
 
 
 def _mark(name: str) -> Path:
@@ -72,7 +75,8 @@ def read_description(path: Path, kind: type[T]) -> T:
     Python package, and ``"menagerie:folder/file.xml"`` one of a MuJoCo Menagerie checkout.
     """
     values = {"name": path.stem, **read_toml(path)}
-    return from_dict(kind, {**values, "mjcf": _mjcf(values, path)}, where=str(path))
+    values["mjcf"] = _mjcf(values, path)
+    return from_dict(kind, values, where=str(path))
 
 
 def description_files(path: Path) -> dict[str, Path | bytes]:
@@ -84,16 +88,16 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 
     mjcf = _normal(_mjcf(read_toml(path), path))
     try:
-        files = [_normal(Path(each)) for each in mujoco.mju_getXMLDependencies(str(mjcf))]
+        files = [_normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))]
     except (ValueError, mujoco.FatalError) as error:
         raise UserError(f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}.") from error
     root = os.path.commonpath([file.parent for file in files])
-    places = {file: (Path("model") / file.relative_to(root)).as_posix() for file in files}
+    places = {file: f"model/{file.relative_to(root).as_posix()}" for file in files}
     text = read_text(path, remedy="Correct the file.")
     line = f"mjcf = {json.dumps(places[mjcf])}".replace("\\", "\\\\")
     text = re.sub(r"""(?m)^\s*["']?mjcf["']?\s*=.*$""", line, text, count=1)
-    found: dict[str, Path | bytes] = {path.name: text.encode()}
-    return found | {place: file for file, place in places.items()}
+    model_files = {place: file for file, place in places.items()}
+    return {path.name: text.encode(), **model_files}
 
 
 def _normal(path: Path) -> Path:
@@ -101,27 +105,24 @@ def _normal(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
+def menagerie_folder() -> Path:
+    """Return the folder in which the Menagerie is searched: ``KNOWARM_MENAGERIE``, or a cache."""
+    folder = os.environ.get("KNOWARM_MENAGERIE")
+    if folder:
+        return Path(folder)
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE")
+    if cache:
+        return Path(cache) / "mujoco_menagerie"
+    return Path.home() / ".cache" / "robot_descriptions" / "mujoco_menagerie"
+
+
 def _mjcf(values: Mapping[str, Any], path: Path) -> Path:
-    """Return the path of the MJCF file of a description."""
+    """Return the path of the MJCF file of a description: as in ``read_description``."""
     mjcf = values.get("mjcf")
     if not isinstance(mjcf, str):
         raise UserError(
             f"{str(path)!r}: field mjcf must be the path of an MJCF file, got {mjcf!r}."
         )
-    return _resolve(mjcf, path)
-
-
-def menagerie_folder() -> Path:
-    """Return the folder in which the Menagerie is searched: ``KNOWARM_MENAGERIE``, or a cache."""
-    if folder := os.environ.get("KNOWARM_MENAGERIE"):
-        return Path(folder)
-    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE")
-    root = Path(cache) if cache else Path.home() / ".cache" / "robot_descriptions"
-    return root / "mujoco_menagerie"
-
-
-def _resolve(mjcf: str, path: Path) -> Path:
-    """Resolve ``mjcf``: in a package if it names one, else relative to the TOML file."""
     if mjcf.startswith(MENAGERIE):
         return menagerie_folder() / mjcf.removeprefix(MENAGERIE)
     package, colon, inside = mjcf.partition(":")

@@ -32,12 +32,12 @@ from knowarm.world.render.numeric import (
     ZERO,
     Vector,
     dot,
-    nine,
+    matrix_at,
     scalar,
     times,
     to_local,
     to_parent,
-    triple,
+    vector_at,
 )
 from knowarm.world.render.scenery import Meshes, Scenery
 from knowarm.world.render.tiles import TileGrid, sample_point
@@ -96,19 +96,19 @@ def _fill(
     normal: NDArray[np.float32],
 ) -> None:
     """Write the normals (H, W, 3) of the pixels that show a geom."""
-    camera = nine(view, 3)
+    camera = matrix_at(view, 3)
     for j in range(geom.shape[0]):
         for i in range(geom.shape[1]):
             g = geom[j, i]
             if g < 0:
                 continue
             x, y = sample_point(np.int32(i), np.int32(j), grid)
-            p, m = triple(position[g], 0), nine(matrix[g], 0)
+            p, m = vector_at(position[g], 0), matrix_at(matrix[g], 0)
             origin = to_local(m, (view[0] - p[0], view[1] - p[1], view[2] - p[2]))
             direction = to_local(m, to_parent(camera, (x, y, -ONE)))
             if scenery.kind[g] == MESH:
                 n = _mesh_normal(scenery.meshes, g, origin, direction)
             else:
-                size = triple(scenery.size[g], 0)
+                size = vector_at(scenery.size[g], 0)
                 n = _intersect(scenery.kind[g], origin, direction, size)[1]
             normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = to_parent(m, n)

@@ -17,29 +17,32 @@ TARGETS: dict[str, Target] = {
 """Shipped objects by name. To add one, put its MJCF and its TOML file here. The masses are our
 choice, as of an empty household thing of the size."""
 
-PARTS: dict[str, Target] = {
-    f"{whole.name}{PART}{name}": replace(
-        whole, name=f"{whole.name}{PART}{name}", grasp_site=part.site, part_geoms=part.geoms
-    )
-    for whole in TARGETS.values()
-    for name, part in whole.parts.items()
-}
+
+def _parts() -> dict[str, Target]:
+    parts = {}
+    for whole in TARGETS.values():
+        for part_name, part in whole.parts.items():
+            name = f"{whole.name}{PART}{part_name}"
+            parts[name] = replace(whole, name=name, grasp_site=part.site, part_geoms=part.geoms)
+    return parts
+
+
+PARTS = _parts()
 """Parts of these objects by name, ``object.part``, those of an object in sequence."""
 
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
     """Return the targets of names or TOML files, in their order."""
-    targets, shipped = [], TARGETS | PARTS
+    shipped = TARGETS | PARTS
+    targets = []
     for name in names:
         if name.endswith(SUFFIX):
             targets.append(read_description(Path(name), Target))
-        elif name in shipped:
-            targets.append(shipped[name])
-        else:
-            target = made(name)
-            if target is None:
-                raise unknown_name("target", name, shipped)
-            targets.append(target)
+            continue
+        target = shipped.get(name) or made(name)
+        if target is None:
+            raise unknown_name("target", name, shipped)
+        targets.append(target)
     return tuple(targets)
 
 

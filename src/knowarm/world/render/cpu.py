@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
-from knowarm.world.render.numeric import FAR
-from knowarm.world.render.scenery import read_lamps, read_scenery, read_view
+from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
+from knowarm.world.render.scenery import Scenery, read_lamps, read_scenery, read_view
 from knowarm.world.render.tiles import (
     ANTIALIASING,
     BITS,
@@ -30,18 +30,18 @@ NEAREST_M = 0.2  # Least distance of a mesh from the camera for which triangles 
 class Appearance(NamedTuple):
     """What environments look like, as `render_range` takes it."""
 
-    rgba: NDArray[np.float32]  # Colours of the geoms, (n or 1, G, 4)
-    views: NDArray[np.float32]  # Cameras, (n or 1, 12)
-    lamps: NDArray[np.float32]  # Lights, (n or 1, 12)
+    rgba: Floats32  # Colours of the geoms, (n or 1, G, 4)
+    views: Floats32  # Cameras, (n or 1, 12)
+    lamps: Floats32  # Lights, (n or 1, 12)
     is_own: bool  # Whether cameras and lights are those of the model
 
 
 class Trace(NamedTuple):
     """What the centre of each pixel shows."""
 
-    geom: NDArray[np.int32]  # Id of the geom, -1 for none, (n, H, W)
+    geom: Integers32  # Id of the geom, -1 for none, (n, H, W)
     # Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)
-    distance: NDArray[np.float32]
+    distance: Floats32
 
 
 class Raycaster:
@@ -89,7 +89,8 @@ class Raycaster:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         self.view, half_height = read_view(model, data, camera)
         triangle_m = None
         if mesh_triangle_px is not None:
@@ -102,22 +103,11 @@ class Raycaster:
         self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
         self._positions = np.empty((0, 0, 3), dtype=np.float32)
         self._matrices = np.empty((0, 0, 9), dtype=np.float32)
-        span = self.scenery.meshes.span
-        vertices = int((span[:, 1] - span[:, 0]).max(initial=0))
-        self._scratch = [
-            Scratch(
-                field=_make_field(self.grid, 0),
-                record=np.empty((model.ngeom, RECORD), dtype=np.float32),
-                extent=np.empty((model.ngeom, EXTENT), dtype=np.int32),
-                projection=np.empty((PROJECTION, vertices), dtype=np.float32),
-                dirty=np.empty((self.grid.strips, 2), dtype=np.int32),
-            )
-            for _ in range(num_threads)
-        ]
+        self._scratch = [_make_scratch(self.grid, self.scenery) for _ in range(num_threads)]
         self.stored = self._draw_fixed(data, background)
 
     @property
-    def geom_rgba(self) -> NDArray[np.float32]:
+    def geom_rgba(self) -> Floats32:
         """Colours of the model's geoms, (G, 4), a copy to modify and pass to ``draw``."""
         return self.scenery.rgba.copy()
 
@@ -125,12 +115,12 @@ class Raycaster:
         self,
         geom_position: NDArray[Any],
         geom_matrix: NDArray[Any],
-        geom_rgba: NDArray[np.float32] | None = None,
-        views: NDArray[np.float32] | None = None,
-        lamps: NDArray[np.float32] | None = None,
+        geom_rgba: Floats32 | None = None,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
         *,
-        out: NDArray[np.uint8] | None = None,
-    ) -> NDArray[np.uint8]:
+        out: Images | None = None,
+    ) -> Images:
         """Draw n images as a ``Renderer``, into ``out`` if given.
 
         With ``views`` or ``lamps``, geoms that stand still are drawn again in every image. Without
@@ -142,16 +132,17 @@ class Raycaster:
         assert out.shape == (count, self.height, self.width, 3)
         assert out.flags.c_contiguous
         poses = self._poses(geom_position, geom_matrix)
-        seen = self._appearance(count, geom_rgba, views, lamps)
+        appearance = self._appearance(count, geom_rgba, views, lamps)
         if self._pool is None or count == 1:
-            self._draw_range(0, count, poses, seen, 0, out)
+            self._draw_range(0, count, poses, appearance, 0, out)
             return out
         threads = min(len(self._scratch), count)
-        cuts = [count * t // threads for t in range(threads + 1)]
-        tasks = [
-            self._pool.submit(self._draw_range, cuts[t], cuts[t + 1], poses, seen, t, out)
-            for t in range(threads)
-        ]
+        tasks = []
+        for thread in range(threads):
+            start = count * thread // threads
+            stop = count * (thread + 1) // threads
+            arguments = (start, stop, poses, appearance, thread, out)
+            tasks.append(self._pool.submit(self._draw_range, *arguments))
         for task in tasks:
             task.result()
         return out
@@ -160,7 +151,7 @@ class Raycaster:
         self,
         geom_position: NDArray[Any],
         geom_matrix: NDArray[Any],
-        geom_rgba: NDArray[np.float32] | None = None,
+        geom_rgba: Floats32 | None = None,
     ) -> Trace:
         """Find what the centre of each pixel shows, with the kernels that draw."""
         if self.grid.mask:
@@ -168,36 +159,41 @@ class Raycaster:
                 "Raycaster.trace needs antialiasing=False, because the rays of one pixel can hit "
                 "different geoms; construct another Raycaster for it."
             )
-        count, grid = len(geom_position), self.grid
+        count = len(geom_position)
+        grid = self.grid
         poses = self._poses(geom_position, geom_matrix)
-        seen = self._appearance(count, geom_rgba, None, None)
-        columns, rows = np.arange(self.width), np.arange(self.height)[:, None]
+        appearance = self._appearance(count, geom_rgba)
+        columns = np.arange(self.width)
+        rows = np.arange(self.height)[:, None]
         index = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
-        x, y = grid.left + columns * grid.pixel, grid.top - rows * grid.step
+        x = grid.left + columns * grid.pixel
+        y = grid.top - rows * grid.step
         length = np.sqrt(x * x + y * y + 1)
         geom = np.empty((count, self.height, self.width), dtype=np.int32)
         distance = np.empty(geom.shape, dtype=np.float32)
+        depth, ids = self._scratch[0].field
         for e in range(count):
-            self._draw_range(e, e + 1, poses, seen, 0, None)
-            depth, ids = self._scratch[0].field
+            self._draw_range(e, e + 1, poses, appearance, 0, None)
             geom[e] = ids[index]
             distance[e] = np.where(geom[e] < 0, -1, depth[index] * length)
         return Trace(geom, distance)
 
     def _draw_fixed(self, data: mujoco.MjData, background: tuple[float, float, float]) -> Stored:
         """Draw the background and the geoms that stand still."""
-        rgb = [int(min(max(channel, 0.0), 1.0) * 255 + 0.5) for channel in background]
-        empty = _make_field(self.grid, rgb[0] | rgb[1] << 8 | rgb[2] << 16)
-        empty_image = np.tile(np.array(rgb, dtype=np.uint8), self.height * self.width)
+        rgb = (np.clip(background, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
+        red, green, blue = rgb.tolist()
+        empty = _make_field(self.grid, red | green << 8 | blue << 16)
+        empty_image = np.tile(rgb, self.height * self.width)
         image = np.empty((1, self.height, self.width, 3), dtype=np.uint8)
-        scenery, scratch = self.scenery, self._scratch[0]
+        scenery = self.scenery
         self.stored = Stored(empty, empty, empty_image, empty_image)
         self.scenery = scenery._replace(fixed=scenery.fixed[:0], moving=scenery.fixed)
         poses = self._poses(data.geom_xpos[None], data.geom_xmat[None])
-        self._draw_range(0, 1, poses, self._appearance(1, None, None, None), 0, image)
+        self._draw_range(0, 1, poses, self._appearance(1), 0, image)
         self.scenery = scenery
         # Only the tiles that were touched are in the scratch field.
-        backdrop = empty[0].copy(), empty[1].copy()
+        scratch = self._scratch[0]
+        backdrop = (empty[0].copy(), empty[1].copy())
         for strip, dirty in enumerate(scratch.dirty):
             first, last = (strip * self.grid.rows + dirty) * TILE
             for target, source in zip(backdrop, scratch.field, strict=True):
@@ -208,52 +204,73 @@ class Raycaster:
         self,
         start: int,
         stop: int,
-        poses: tuple[NDArray[np.float32], NDArray[np.float32]],
-        seen: Appearance,
+        poses: tuple[Floats32, Floats32],
+        appearance: Appearance,
         thread: int,
-        out: NDArray[np.uint8] | None,
+        out: Images | None,
     ) -> None:
         """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
-        render_range(
-            start, stop, *poses, *seen, self.grid, self.scenery, self.stored,
-            self._scratch[thread], out is None,
-            np.empty((0, 0, 0, 3), dtype=np.uint8) if out is None else out,
-        )  # fmt: skip
+        ids = out is None
+        if out is None:
+            out = np.empty((0, 0, 0, 3), dtype=np.uint8)
+        model = (self.grid, self.scenery, self.stored)
+        render_range(start, stop, *poses, *appearance, *model, self._scratch[thread], ids, out)
 
     def _appearance(
         self,
         count: int,
-        geom_rgba: NDArray[np.float32] | None,
-        views: NDArray[np.float32] | None,
-        lamps: NDArray[np.float32] | None,
+        geom_rgba: Floats32 | None = None,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
     ) -> Appearance:
         """Return colours, cameras and lights: one for all environments, or one per environment."""
-        arrays = []
-        for given, own in (
-            (geom_rgba, self.scenery.rgba), (views, self.view), (lamps, self.lamps)
-        ):  # fmt: skip
-            assert given is None or given.shape == (count, *own.shape), given.shape
-            values = own[None] if given is None else given
-            arrays.append(np.ascontiguousarray(values, dtype=np.float32))
-        is_own = views is None and lamps is None
-        return Appearance(arrays[0], arrays[1], arrays[2].reshape(-1, 12), is_own)
+        return Appearance(
+            _batch(geom_rgba, self.scenery.rgba, count),
+            _batch(views, self.view, count),
+            _batch(lamps, self.lamps, count).reshape(-1, 12),
+            is_own=views is None and lamps is None,
+        )
 
     def _poses(
         self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats32, Floats32]:
         """Copy poses to reused float32 arrays."""
-        count, geoms = len(geom_position), len(self.scenery.kind)
+        count = len(geom_position)
+        geoms = len(self.scenery.kind)
         assert geom_position.shape == (count, geoms, 3), geom_position.shape
         assert geom_matrix.shape == (count, geoms, 9), geom_matrix.shape
         if len(self._positions) < count:
             self._positions = np.empty((count, geoms, 3), dtype=np.float32)
             self._matrices = np.empty((count, geoms, 9), dtype=np.float32)
-        positions, matrices = self._positions[:count], self._matrices[:count]
+        positions = self._positions[:count]
+        matrices = self._matrices[:count]
         np.copyto(positions, geom_position, casting="same_kind")
         np.copyto(matrices, geom_matrix, casting="same_kind")
         return positions, matrices
 
 
+def _batch(values: Floats32 | None, default: Floats32, count: int) -> Floats32:
+    """Return values of each of ``count`` environments, or the default as a batch of one."""
+    if values is None:
+        values = default[None]
+    else:
+        assert values.shape == (count, *default.shape), values.shape
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
 def _make_field(grid: TileGrid, value: int) -> Field:
     count = grid.strips * grid.rows * TILE
     return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
+
+
+def _make_scratch(grid: TileGrid, scenery: Scenery) -> Scratch:
+    geoms = len(scenery.kind)
+    span = scenery.meshes.span
+    vertices = int((span[:, 1] - span[:, 0]).max(initial=0))
+    return Scratch(
+        field=_make_field(grid, 0),
+        record=np.empty((geoms, RECORD), dtype=np.float32),
+        extent=np.empty((geoms, EXTENT), dtype=np.int32),
+        projection=np.empty((vertices, PROJECTION), dtype=np.float32),
+        dirty=np.empty((grid.strips, 2), dtype=np.int32),
+    )

@@ -8,11 +8,9 @@ and are skipped.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from knowarm.world.render import intersections
 from knowarm.world.render.intersections import (
@@ -23,20 +21,24 @@ from knowarm.world.render.intersections import (
     PLANE,
     SPHERE,
     Hit,
+    blend,
     face_planes,
     triangle,
 )
 from knowarm.world.render.numeric import (
     ONE,
     ZERO,
+    Floats32,
+    Integers32,
     Matrix,
+    Paint,
     Vector,
+    matrix_at,
     minus,
-    nine,
     scalar,
     shade,
     to_parent,
-    triple,
+    vector_at,
 )
 from knowarm.world.render.scenery import Meshes
 from knowarm.world.render.tiles import (
@@ -44,194 +46,217 @@ from knowarm.world.render.tiles import (
     NEAR,
     TILE,
     TileGrid,
-    first_sample,
-    last_sample,
+    Window,
+    is_empty,
     sample_direction,
-    sample_point,
+    samples_within,
+    tiles_of,
 )
 
-Field = tuple[NDArray[np.float32], NDArray[np.int32]]
+Field = tuple[Floats32, Integers32]
 """Depth [m] and value (packed colour or geom id) of the samples, (strips * rows * TILE,) each."""
 
 PROJECTION = 3  # Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1
 
 
+@scalar
+def _window(extent: Integers32) -> Window:
+    """Read the window of a projected geom."""
+    return extent[2], extent[3], extent[4], extent[5]
+
+
+@scalar
+def _light(record: Floats32) -> tuple[Vector, Vector, Paint]:
+    """Read the directions towards headlight and directional light, and the paint."""
+    return vector_at(record, 9), vector_at(record, 15), matrix_at(record, 18)
+
+
+@scalar
+def _lane_direction(k: int, strip: int, upper: int, frame: Matrix, grid: TileGrid) -> Vector:
+    """Return the direction of the ray through sample k of the tiles of a strip from a row on.
+
+    The numbers are int32 so that they are as wide as the float32 ones in a vector register.
+    """
+    lane = np.int32(k)
+    column = np.int32(np.int32(strip * TILE) + (lane & np.int32(TILE - 1)))
+    row = np.int32(np.int32(upper) + (lane >> np.int32(BITS)))
+    return sample_direction(column, row, frame, grid)
+
+
+@scalar
+def _keep_nearer(depth: Floats32, value: Integers32, k: int, t: np.float32, new: np.int32) -> None:
+    """Replace sample k by what lies at depth t if that is nearer, without branching."""
+    old_depth = depth[k]
+    old_value = value[k]
+    nearer = t < old_depth
+    depth[k] = t if nearer else old_depth
+    value[k] = new if nearer else old_value
+
+
 @njit(error_model="numpy")
 def _fill(
     hit: Callable[..., Hit],
-    first: tuple[Any, ...],
-    last: tuple[Any, ...],
-    window: tuple[int, int, int, int],
-    record: NDArray[np.float32],
-    geom: np.int32,
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     field: Field,
     ids: bool,
 ) -> None:
-    """Draw ``hit(first, direction, last)`` into columns and rows of samples."""
-    frame, head, sun = nine(record, 3), triple(record, 9), triple(record, 15)
-    paint = triple(record, 18), triple(record, 21), triple(record, 24)
-    upper = window[2] >> BITS << BITS
-    rows = (window[3] >> BITS << BITS) + TILE - upper
-    for strip in range(window[0] >> BITS, (window[1] >> BITS) + 1):
+    """Draw a projected primitive, which ``hit`` intersects with rays."""
+    geom = extent[1]
+    origin = vector_at(record, 0)
+    frame = matrix_at(record, 3)
+    size = vector_at(record, 12)
+    head, sun, paint = _light(record)
+    first, stop, upper, lower = tiles_of(_window(extent))
+    count = (lower - upper) * TILE
+    for strip in range(first, stop):
         start = (strip * grid.rows + upper) * TILE
-        depth = field[0][start : start + rows * TILE]
-        value = field[1][start : start + rows * TILE]
-        left, top = np.int32(strip * TILE), np.int32(upper)
-        for k in range(rows * TILE):
-            lane = np.int32(k)
-            column = np.int32(left + (lane & np.int32(TILE - 1)))
-            x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
-            t, normal = hit(first, sample_direction(x, y, frame), last)
+        depth = field[0][start : start + count]
+        value = field[1][start : start + count]
+        for k in range(count):
+            t, normal = hit(origin, _lane_direction(k, strip, upper, frame, grid), size)
             colour = shade(normal, head, sun, paint)
-            farther, other = depth[k], value[k]
-            closer = t < farther
-            new = geom if ids else colour
-            depth[k] = t if closer else farther
-            value[k] = new if closer else other
+            _keep_nearer(depth, value, k, t, geom if ids else colour)
 
 
 @njit(error_model="numpy")
 def _fill_triangle(
     planes: intersections.Faces,
-    window: tuple[int, int, int, int],
+    window: Window,
     frame: Matrix,
     mark: np.int32,
     grid: TileGrid,
     field: Field,
 ) -> None:
     """Note ``mark`` in the columns and rows of samples where a triangle is nearest."""
-    upper = window[2] >> BITS << BITS
-    rows = (window[3] >> BITS << BITS) + TILE - upper
-    for strip in range(window[0] >> BITS, (window[1] >> BITS) + 1):
+    first, stop, upper, lower = tiles_of(window)
+    count = (lower - upper) * TILE
+    for strip in range(first, stop):
         start = (strip * grid.rows + upper) * TILE
-        depth = field[0][start : start + rows * TILE]
-        value = field[1][start : start + rows * TILE]
-        left, top = np.int32(strip * TILE), np.int32(upper)
-        for k in range(rows * TILE):
-            lane = np.int32(k)
-            column = np.int32(left + (lane & np.int32(TILE - 1)))
-            x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
-            t, _ = triangle(planes, sample_direction(x, y, frame))
-            farther, other = depth[k], value[k]
-            closer = t < farther
-            depth[k] = t if closer else farther
-            value[k] = mark if closer else other
+        depth = field[0][start : start + count]
+        value = field[1][start : start + count]
+        for k in range(count):
+            t, _ = triangle(planes, _lane_direction(k, strip, upper, frame, grid))
+            _keep_nearer(depth, value, k, t, mark)
 
 
 @njit(error_model="numpy")
 def _shade_triangles(
-    record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     meshes: Meshes,
-    value: NDArray[np.int32],
+    value: Integers32,
 ) -> None:
     """Replace the triangles' marks in the samples of a mesh by their colours."""
-    eye, frame = triple(record, 0), nine(record, 3)
-    head, sun = triple(record, 9), triple(record, 15)
-    paint = triple(record, 18), triple(record, 21), triple(record, 24)
-    upper, lower = extent[4] >> BITS << BITS, (extent[5] >> BITS << BITS) + TILE
-    for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
-        for row in range(upper, lower):
-            start = (strip * grid.rows + row) * TILE
-            for lane in range(TILE):
-                mark = value[start + lane]
-                if mark >= 0:
-                    continue
-                f = -1 - mark
-                a, b, c = corners(meshes, f, eye)
-                x, y = sample_point(np.int32(strip * TILE + lane), np.int32(row), grid)
-                _, normal = intersections.smooth_triangle(
-                    face_planes(a, b, c),
-                    sample_direction(x, y, frame),
-                    (
-                        triple(meshes.normal[f], 0),
-                        triple(meshes.normal[f], 3),
-                        triple(meshes.normal[f], 6),
-                    ),
-                )
-                value[start + lane] = shade(normal, head, sun, paint)
+    eye = vector_at(record, 0)
+    frame = matrix_at(record, 3)
+    head, sun, paint = _light(record)
+    first, stop, upper, lower = tiles_of(_window(extent))
+    for strip in range(first, stop):
+        start = (strip * grid.rows + upper) * TILE
+        for k in range((lower - upper) * TILE):
+            mark = value[start + k]
+            if mark >= 0:
+                continue
+            face = -1 - mark
+            a, b, c = corners(meshes, face, eye)
+            direction = _lane_direction(k, strip, upper, frame, grid)
+            _, weights = triangle(face_planes(a, b, c), direction)
+            normal = blend(weights, matrix_at(meshes.normal[face], 0))
+            value[start + k] = shade(normal, head, sun, paint)
 
 
 @njit(error_model="numpy")
 def fill_primitive(
-    record: NDArray[np.float32], extent: NDArray[np.int32], grid: TileGrid, field: Field, ids: bool
+    record: Floats32, extent: Integers32, grid: TileGrid, field: Field, ids: bool
 ) -> None:
     """Draw a projected primitive."""
-    kind, geom = extent[0], extent[1]
-    origin, size = triple(record, 0), triple(record, 12)
-    window = (extent[2], extent[3], extent[4], extent[5])
+    kind = extent[0]
     if kind == BOX:
-        _fill(intersections.box, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.box, record, extent, grid, field, ids)
     elif kind == CYLINDER:
-        _fill(intersections.cylinder, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.cylinder, record, extent, grid, field, ids)
     elif kind == CAPSULE:
-        _fill(intersections.capsule, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.capsule, record, extent, grid, field, ids)
     elif kind == SPHERE:
-        _fill(intersections.sphere, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.sphere, record, extent, grid, field, ids)
     elif kind == ELLIPSOID:
-        _fill(intersections.ellipsoid, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.ellipsoid, record, extent, grid, field, ids)
     elif kind == PLANE:
-        _fill(intersections.plane, origin, size, window, record, geom, grid, field, ids)
+        _fill(intersections.plane, record, extent, grid, field, ids)
+
+
+@scalar
+def _corner(meshes: Meshes, vertex: int, origin: Vector) -> Vector:
+    """Return a vertex relative to an origin in the geom's frame [m]."""
+    return minus(vector_at(meshes.vertex[vertex], 0), origin)
 
 
 @scalar
 def corners(meshes: Meshes, face: int, origin: Vector) -> tuple[Vector, Vector, Vector]:
-    """Corners of a triangle relative to an origin in the geom's frame [m]."""
+    """Return the corners of a triangle relative to an origin in the geom's frame [m]."""
+    vertices = meshes.face[face]
     return (
-        minus(triple(meshes.vertex[meshes.face[face, 0]], 0), origin),
-        minus(triple(meshes.vertex[meshes.face[face, 1]], 0), origin),
-        minus(triple(meshes.vertex[meshes.face[face, 2]], 0), origin),
+        _corner(meshes, vertices[0], origin),
+        _corner(meshes, vertices[1], origin),
+        _corner(meshes, vertices[2], origin),
     )
+
+
+@scalar
+def _visible_winding(meshes: Meshes, geom: int, eye: Vector) -> np.float32:
+    """Return the winding of the triangles that face the eye, 0 if all have to be drawn.
+
+    Seen from outside, the far side of a closed mesh is hidden by its near side.
+    """
+    x, y, z = minus(eye, vector_at(meshes.middle[geom], 0))
+    half_x, half_y, half_z = vector_at(meshes.half[geom], 0)
+    outside = (abs(x) > half_x) | (abs(y) > half_y) | (abs(z) > half_z)
+    return np.float32(meshes.winding[geom]) if outside else ZERO
 
 
 @njit(error_model="numpy")
 def fill_mesh(
-    record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    record: Floats32,
+    extent: Integers32,
     grid: TileGrid,
     meshes: Meshes,
-    projection: NDArray[np.float32],
+    projection: Floats32,
     field: Field,
     ids: bool,
 ) -> None:
     """Draw a projected mesh; ``projection`` is working memory (see ``Scratch``)."""
     geom = extent[1]
+    eye = vector_at(record, 0)
+    frame = matrix_at(record, 3)
+    winding = _visible_winding(meshes, geom, eye)
     span = meshes.span[geom]
-    eye, frame = triple(record, 0), nine(record, 3)
     first = span[0]
-    # Seen from outside, the far side of a closed mesh is hidden by its near side.
-    away = minus(eye, triple(meshes.middle[geom], 0))
-    half = triple(meshes.half[geom], 0)
-    outside = (abs(away[0]) > half[0]) | (abs(away[1]) > half[1]) | (abs(away[2]) > half[2])
-    winding = np.float32(meshes.winding[geom]) if outside else ZERO
     for i in range(span[1] - first):
-        p = to_parent(frame, minus(triple(meshes.vertex[first + i], 0), eye))
-        behind = p[2] > -NEAR
-        inverse = -ONE / (-ONE if behind else p[2])
-        projection[0, i] = p[0] * inverse
-        projection[1, i] = p[1] * inverse
-        projection[2, i] = ONE if behind else -ONE
-    for f in range(span[2], span[3]):
-        i, j, k = meshes.face[f, 0] - first, meshes.face[f, 1] - first, meshes.face[f, 2] - first
-        left, right, upper, lower = extent[2], extent[3], extent[4], extent[5]
-        if max(projection[2, i], projection[2, j], projection[2, k]) < 0:
-            x, y = projection[0], projection[1]
-            turn = (x[j] - x[i]) * (y[k] - y[i]) - (x[k] - x[i]) * (y[j] - y[i])
+        right, up, backward = to_parent(frame, _corner(meshes, first + i, eye))
+        behind = backward > -NEAR
+        inverse = -ONE / (-ONE if behind else backward)
+        projection[i, 0] = right * inverse
+        projection[i, 1] = up * inverse
+        projection[i, 2] = ONE if behind else -ONE
+    for face in range(span[2], span[3]):
+        vertices = meshes.face[face]
+        ax, ay, a_side = vector_at(projection[vertices[0] - first], 0)
+        bx, by, b_side = vector_at(projection[vertices[1] - first], 0)
+        cx, cy, c_side = vector_at(projection[vertices[2] - first], 0)
+        window = _window(extent)
+        if max(a_side, b_side, c_side) < 0:
+            turn = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
             if turn * winding < ZERO:
                 continue
-            x0, x1 = min(x[i], x[j], x[k]) - grid.left, max(x[i], x[j], x[k]) - grid.left
-            y0, y1 = grid.top - max(y[i], y[j], y[k]), grid.top - min(y[i], y[j], y[k])
-            left = max(left, first_sample(x0, grid.pixel, grid.reach))
-            right = min(right, last_sample(x1, grid.pixel, grid.reach))
-            upper = max(upper, first_sample(y0, grid.step, ZERO))
-            lower = min(lower, last_sample(y1, grid.step, ZERO))
-        if (left > right) | (upper > lower):
+            bounds = (min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy))
+            window = samples_within(bounds, window, grid)
+        if is_empty(window):
             continue
-        a, b, c = corners(meshes, f, eye)
-        mark = np.int32(geom if ids else -1 - f)
-        window = (left, right, upper, lower)
+        a, b, c = corners(meshes, face, eye)
+        mark = np.int32(geom if ids else -1 - face)
         _fill_triangle(face_planes(a, b, c), window, frame, mark, grid, field)
     if not ids:
         _shade_triangles(record, extent, grid, meshes, field[1])

@@ -27,19 +27,30 @@ from knowarm.world.render.numeric import (
     ONE,
     TINY,
     ZERO,
+    Matrix,
     Vector,
     cross,
     dot,
     minus,
     point_at,
+    product,
     scalar,
     times,
+    to_local,
+    unit,
 )
 
-PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 0, 2, 3, 4, 5, 6, 7
-"""MuJoCo's geom types as plain numbers for compiled code."""
+# MuJoCo's geom types as plain numbers for compiled code
+PLANE = 0
+SPHERE = 2
+CAPSULE = 3
+ELLIPSOID = 4
+CYLINDER = 5
+BOX = 6
+MESH = 7
 
 SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)  # Geom types that can be drawn
+Interval = tuple[np.float32, np.float32]  # Ray parameters at which a ray enters and leaves a solid
 Hit = tuple[np.float32, Vector]  # Ray parameter and normal
 Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
 """b x c, c x a, a x b, the plane's normal (a - c) x (b - c), and the normal times a."""
@@ -48,16 +59,28 @@ Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
 @scalar
 def plane(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect z = 0 from above; a half-size of 0 is infinite."""
-    down = direction[2] < -TINY
-    t = -origin[2] / (direction[2] if down else -ONE)
-    x = origin[0] + t * direction[0]
-    y = origin[1] + t * direction[1]
-    inside = ((size[0] <= ZERO) | (abs(x) <= size[0])) & ((size[1] <= ZERO) | (abs(y) <= size[1]))
-    return (t if down & inside & (t >= ZERO) else FAR), (ZERO, ZERO, ONE)
+    half_x, half_y, _ = size
+    _, _, height = origin
+    _, _, slope = direction
+    down = slope < -TINY
+    t = -height / (slope if down else -ONE)
+    x, y, _ = point_at(origin, t, direction)
+    in_x = (half_x <= ZERO) | (abs(x) <= half_x)
+    in_y = (half_y <= ZERO) | (abs(y) <= half_y)
+    hit = down & in_x & in_y & (t >= ZERO)
+    return t if hit else FAR, (ZERO, ZERO, ONE)
 
 
 @scalar
-def _unit_sphere(origin: Vector, direction: Vector) -> tuple[np.float32, np.float32]:
+def _first(enter: np.float32, leave: np.float32) -> np.float32:
+    """Return the first t >= 0 at an end of the interval inside a solid, ``FAR`` for none."""
+    t = enter if enter >= ZERO else leave
+    hit = (enter <= leave) & (t >= ZERO)
+    return t if hit else FAR
+
+
+@scalar
+def _unit_sphere(origin: Vector, direction: Vector) -> Interval:
     """Return the interval inside the sphere of radius 1 (enter > leave for none).
 
     The discriminant is d.d - |o x d|^2, which does not cancel when the sphere is far away.
@@ -68,68 +91,93 @@ def _unit_sphere(origin: Vector, direction: Vector) -> tuple[np.float32, np.floa
     root = math.sqrt(max(discriminant, ZERO))
     middle = -dot(origin, direction)
     hit = discriminant >= ZERO
-    return (middle - root) / square if hit else FAR, (middle + root) / square if hit else -FAR
+    enter = (middle - root) / square
+    leave = (middle + root) / square
+    return enter if hit else FAR, leave if hit else -FAR
 
 
 @scalar
 def sphere(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect the sphere of radius size[0]."""
     scale = ONE / size[0]
-    o, d = times(origin, scale), times(direction, scale)
+    o = times(origin, scale)
+    d = times(direction, scale)
     enter, leave = _unit_sphere(o, d)
-    t = enter if enter >= ZERO else leave
-    return (t if (enter <= leave) & (t >= ZERO) else FAR), point_at(o, t, d)
+    t = _first(enter, leave)
+    return t, point_at(o, t, d)
 
 
 @scalar
 def ellipsoid(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect the ellipsoid of half-axes size, which is the unit sphere in scaled space."""
-    sx, sy, sz = ONE / size[0], ONE / size[1], ONE / size[2]
-    o = (origin[0] * sx, origin[1] * sy, origin[2] * sz)
-    d = (direction[0] * sx, direction[1] * sy, direction[2] * sz)
+    half_x, half_y, half_z = size
+    scale = (ONE / half_x, ONE / half_y, ONE / half_z)
+    o = product(origin, scale)
+    d = product(direction, scale)
     enter, leave = _unit_sphere(o, d)
-    t = enter if enter >= ZERO else leave
-    p = point_at(o, t, d)
-    gradient = (p[0] * sx, p[1] * sy, p[2] * sz)
-    normal = times(gradient, ONE / math.sqrt(max(dot(gradient, gradient), TINY)))
-    return (t if (enter <= leave) & (t >= ZERO) else FAR), normal
+    t = _first(enter, leave)
+    gradient = product(point_at(o, t, d), scale)
+    return t, unit(gradient, TINY)
 
 
 @scalar
-def _tube(origin: Vector, direction: Vector, radius: np.float32) -> tuple[np.float32, np.float32]:
+def _tube(origin: Vector, direction: Vector, radius: np.float32) -> Interval:
     """Return the interval inside the infinite cylinder around z (enter > leave for none)."""
-    square = direction[0] * direction[0] + direction[1] * direction[1]
-    moment = origin[0] * direction[1] - origin[1] * direction[0]
+    ox, oy, _ = origin
+    dx, dy, _ = direction
+    square = dx * dx + dy * dy
+    moment = ox * dy - oy * dx
     discriminant = square * radius * radius - moment * moment
     root = math.sqrt(max(discriminant, ZERO))
-    middle = -(origin[0] * direction[0] + origin[1] * direction[1])
+    middle = -(ox * dx + oy * dy)
     parallel = square < TINY
     inverse = ONE / (ONE if parallel else square)
-    within = origin[0] * origin[0] + origin[1] * origin[1] <= radius * radius
-    hit = within if parallel else discriminant >= ZERO
+    inside = ox * ox + oy * oy <= radius * radius
+    hit = inside if parallel else discriminant >= ZERO
     enter = -FAR if parallel else (middle - root) * inverse
     leave = FAR if parallel else (middle + root) * inverse
     return enter if hit else FAR, leave if hit else -FAR
 
 
 @scalar
+def _not_zero(direction: np.float32) -> np.float32:
+    """Return a component of a direction by which one can divide."""
+    return direction if abs(direction) > TINY else TINY
+
+
+@scalar
+def _slab(origin: np.float32, direction: np.float32, half: np.float32) -> Interval:
+    """Return the interval inside -half <= x <= half along one axis."""
+    inverse = ONE / _not_zero(direction)
+    middle = -origin * inverse
+    reach = abs(half * inverse)
+    return middle - reach, middle + reach
+
+
+@scalar
+def _facing(direction: np.float32, from_outside: bool) -> np.float32:
+    """Return the sign of a face's normal along an axis.
+
+    A face hit from outside faces the ray; hit from inside, it faces away from it.
+    """
+    return -ONE if (direction > ZERO) == from_outside else ONE
+
+
+@scalar
 def cylinder(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect the solid cylinder around z of radius size[0] and half-length size[1]."""
-    side_enter, side_leave = _tube(origin, direction, size[0])
-    dz = direction[2] if abs(direction[2]) > TINY else TINY
-    inverse = ONE / dz
-    middle, half = -origin[2] * inverse, abs(size[1] * inverse)
-    enter, leave = max(side_enter, middle - half), min(side_leave, middle + half)
+    radius, half, _ = size
+    slope = _not_zero(direction[2])
+    side_enter, side_leave = _tube(origin, direction, radius)
+    cap_enter, cap_leave = _slab(origin[2], slope, half)
+    enter = max(side_enter, cap_enter)
+    leave = min(side_leave, cap_leave)
     from_outside = enter >= ZERO
-    t = enter if from_outside else leave
     on_cap = (enter > side_enter) if from_outside else (leave < side_leave)
-    # A cap hit from outside faces the ray; hit from inside, it faces away from it.
-    cap = -ONE if (dz > ZERO) == from_outside else ONE
-    scale = ONE / size[0]
-    nx = (origin[0] + t * direction[0]) * scale
-    ny = (origin[1] + t * direction[1]) * scale
-    normal = (ZERO if on_cap else nx, ZERO if on_cap else ny, cap if on_cap else ZERO)
-    return (t if (enter <= leave) & (t >= ZERO) else FAR), normal
+    cap = _facing(slope, from_outside)
+    t = _first(enter, leave)
+    nx, ny, _ = times(point_at(origin, t, direction), ONE / radius)
+    return t, (ZERO if on_cap else nx, ZERO if on_cap else ny, cap if on_cap else ZERO)
 
 
 @scalar
@@ -138,16 +186,17 @@ def _capsule_end(
 ) -> tuple[np.float32, np.float32]:
     """Correct t, an intersection with the infinite cylinder, where the ray hits a cap instead.
 
-    Return t and the z of the cap's centre (of the point itself between the rims).
+    Return t and the z of the cap's centre, of the point itself between the rims.
     """
-    z = origin[2] + t * direction[2]
-    centre = min(max(z, -size[1]), size[1])
-    scale = ONE / size[0]
-    o = (origin[0] * scale, origin[1] * scale, (origin[2] - centre) * scale)
-    enter, leave = _unit_sphere(o, times(direction, scale))
-    on_cap = abs(z) > size[1]
+    radius, half, _ = size
+    _, _, z = point_at(origin, t, direction)
+    centre = min(max(z, -half), half)
+    scale = ONE / radius
+    from_centre = minus(origin, (ZERO, ZERO, centre))
+    enter, leave = _unit_sphere(times(from_centre, scale), times(direction, scale))
+    on_cap = abs(z) > half
     on_sphere = enter if first else leave
-    return on_sphere if on_cap else t, centre if on_cap else z
+    return on_sphere if on_cap else t, centre
 
 
 @scalar
@@ -158,45 +207,33 @@ def capsule(origin: Vector, direction: Vector, size: Vector) -> Hit:
     intersection; above or below, it lies on the cap of that end, because the ray passes through
     that cap before it can reach the rest.
     """
-    side_enter, side_leave = _tube(origin, direction, size[0])
-    enter, enter_z = _capsule_end(origin, direction, size, side_enter, True)
-    leave, leave_z = _capsule_end(origin, direction, size, side_leave, False)
-    from_outside = enter >= ZERO
-    t = enter if from_outside else leave
-    centre = min(max(enter_z if from_outside else leave_z, -size[1]), size[1])
-    p = point_at(origin, t, direction)
-    scale = ONE / size[0]
-    hit = (side_enter <= side_leave) & (enter <= leave) & (t >= ZERO)
-    return (t if hit else FAR), (p[0] * scale, p[1] * scale, (p[2] - centre) * scale)
-
-
-@scalar
-def _slab(
-    origin: np.float32, direction: np.float32, half: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Return the interval inside -half <= x <= half along one axis."""
-    inverse = ONE / (direction if abs(direction) > TINY else TINY)
-    middle, reach = -origin * inverse, abs(half * inverse)
-    return middle - reach, middle + reach
+    radius = size[0]
+    side_enter, side_leave = _tube(origin, direction, radius)
+    enter, enter_centre = _capsule_end(origin, direction, size, side_enter, True)
+    leave, leave_centre = _capsule_end(origin, direction, size, side_leave, False)
+    centre = enter_centre if enter >= ZERO else leave_centre
+    t = _first(enter, leave)
+    from_centre = minus(point_at(origin, t, direction), (ZERO, ZERO, centre))
+    return t if side_enter <= side_leave else FAR, times(from_centre, ONE / radius)
 
 
 @scalar
 def box(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect the box of half-sizes size."""
-    x0, x1 = _slab(origin[0], direction[0], size[0])
-    y0, y1 = _slab(origin[1], direction[1], size[1])
-    z0, z1 = _slab(origin[2], direction[2], size[2])
-    enter, leave = max(max(x0, y0), z0), min(min(x1, y1), z1)
+    dx, dy, dz = direction
+    enter_x, leave_x = _slab(origin[0], dx, size[0])
+    enter_y, leave_y = _slab(origin[1], dy, size[1])
+    enter_z, leave_z = _slab(origin[2], dz, size[2])
+    enter = max(enter_x, enter_y, enter_z)
+    leave = min(leave_x, leave_y, leave_z)
     from_outside = enter >= ZERO
     t = enter if from_outside else leave
-    on_x = (x0 if from_outside else x1) == t
-    on_y = ((y0 if from_outside else y1) == t) & (not on_x)
-    facing = -ONE if from_outside else ONE
-    nx = facing if direction[0] > ZERO else -facing
-    ny = facing if direction[1] > ZERO else -facing
-    nz = facing if direction[2] > ZERO else -facing
-    normal = (nx if on_x else ZERO, ny if on_y else ZERO, ZERO if on_x | on_y else nz)
-    return (t if (enter <= leave) & (t >= ZERO) else FAR), normal
+    on_x = t == (enter_x if from_outside else leave_x)
+    on_y = t == (enter_y if from_outside else leave_y)
+    nx = _facing(dx, from_outside) if on_x else ZERO
+    ny = _facing(dy, from_outside) if on_y & (not on_x) else ZERO
+    nz = ZERO if on_x | on_y else _facing(dz, from_outside)
+    return _first(enter, leave), (nx, ny, nz)
 
 
 @scalar
@@ -209,30 +246,21 @@ def face_planes(a: Vector, b: Vector, c: Vector) -> Faces:
 @scalar
 def triangle(planes: Faces, direction: Vector) -> Hit:
     """Intersect a triangle: the ray parameter and the corners' weights, up to a factor."""
-    u, v, w = dot(direction, planes[0]), dot(direction, planes[1]), dot(direction, planes[2])
-    inside = ((u >= ZERO) & (v >= ZERO) & (w >= ZERO)) | ((u <= ZERO) & (v <= ZERO) & (w <= ZERO))
-    slope = dot(direction, planes[3])
+    facing_a, facing_b, facing_c, normal, distance = planes
+    u = dot(direction, facing_a)
+    v = dot(direction, facing_b)
+    w = dot(direction, facing_c)
+    inside = (min(u, v, w) >= ZERO) | (max(u, v, w) <= ZERO)
+    slope = dot(direction, normal)
     flat = slope == ZERO
-    t = planes[4] / (ONE if flat else slope)
-    return (t if inside & (not flat) & (t >= ZERO) else FAR), (u, v, w)
+    t = distance / (ONE if flat else slope)
+    hit = inside & (not flat) & (t >= ZERO)
+    return t if hit else FAR, (u, v, w)
 
 
 @scalar
-def blend(weights: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+def blend(weights: Vector, normals: Matrix) -> Vector:
     """Interpolate the unit normal between the normals of three corners."""
-    total = weights[0] + weights[1] + weights[2]
-    sign = ONE if total >= ZERO else -ONE
-    u, v, w = weights[0] * sign, weights[1] * sign, weights[2] * sign
-    x = u * a[0] + v * b[0] + w * c[0]
-    y = u * a[1] + v * b[1] + w * c[1]
-    z = u * a[2] + v * b[2] + w * c[2]
-    return times((x, y, z), ONE / math.sqrt(max(x * x + y * y + z * z, TINY * TINY)))
-
-
-@scalar
-def smooth_triangle(
-    planes: Faces, direction: Vector, normals: tuple[Vector, Vector, Vector]
-) -> Hit:
-    """Intersect a triangle, with the unit normal interpolated between its corners' normals."""
-    t, weights = triangle(planes, direction)
-    return t, blend(weights, normals[0], normals[1], normals[2])
+    u, v, w = weights
+    sign = ONE if u + v + w >= ZERO else -ONE
+    return unit(to_local(normals, times(weights, sign)), TINY * TINY)

@@ -13,7 +13,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
+from knowarm.world.render.numeric import Floats32, Integers32
 
 FEWEST = 32  # Meshes are not simplified to fewer triangles
 WELD = 0.25  # Side of the cells whose vertices are merged before the collapses, in triangles
@@ -27,9 +29,9 @@ REVISION = 2  # Part of the cache's key; to be increased with every change of th
 class Mesh(NamedTuple):
     """A triangle mesh with normals."""
 
-    vertex: NDArray[np.float32]  # Vertices [m], (V, 3)
-    face: NDArray[np.int32]  # Vertices of each triangle, (T, 3)
-    normal: NDArray[np.float32]  # Unit normals at each triangle's corners, (T, 3, 3)
+    vertex: Floats32  # Vertices [m], (V, 3)
+    face: Integers32  # Vertices of each triangle, (T, 3)
+    normal: Floats32  # Unit normals at each triangle's corners, (T, 3, 3)
 
 
 def simplified(mesh: Mesh, side_m: float) -> Mesh:
@@ -39,28 +41,42 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
     so that a slightly different camera finds the same file.
     """
     side_m = float(2 ** (np.floor(2 * np.log2(side_m)) / 2))
-    area = np.linalg.norm(_cross(mesh.vertex[mesh.face].astype(np.float64)), axis=1).sum() / 2
+    corners = mesh.vertex[mesh.face].astype(np.float64)
+    area = np.linalg.norm(_cross(corners), axis=1).sum() / 2
     count = max(FEWEST, int(area / side_m**2))
     if count >= len(mesh.face):
         return mesh
     file = cache_file("meshes", REVISION, version("fast-simplification"), side_m, *mesh)
-    found = read_arrays(file)
-    if found is not None:
-        return Mesh(**found)  # type: ignore[arg-type]
+    cached = read_arrays(file)
+    if cached is not None:
+        return Mesh(**cached)  # type: ignore[arg-type]
     result = _simplify(mesh, count, side_m)
     write_arrays(file, result._asdict())
     return result
+
+
+def merge_vertices(
+    vertex: NDArray[Any], face: Integers32
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Merge equal vertices (V, 3): return the new index of each, (V,), and the triangles of these.
+
+    Triangles of which corners have become one are left out.
+    """
+    _, index = np.unique(vertex, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    merged = index[face]
+    is_triangle = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+    return index, merged[is_triangle]
 
 
 def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
     """Collapse edges until a mesh has about so many triangles."""
     # Edges exist where triangles share a vertex; files store close vertices several times.
     cells = np.round(mesh.vertex / (WELD * side_m))
-    place = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-    sums = np.stack([np.bincount(place, mesh.vertex[:, k]) for k in range(3)], axis=1)
-    points: NDArray[np.float64] = sums / np.bincount(place)[:, None]
-    faces = place[mesh.face].astype(np.int32)
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    cell, faces = merge_vertices(cells, mesh.face)
+    faces = faces.astype(np.int32)
+    sums = np.stack([np.bincount(cell, axis) for axis in mesh.vertex.T], axis=1)
+    points: Floats = sums / np.bincount(cell)[:, None]
     if len(faces) > count:
         # The library's first threshold has a fixed size, hence lengths in triangles.
         points, faces = fast_simplification.simplify(points / side_m, faces, target_count=count)[:2]
@@ -72,25 +88,30 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
 
 
 def _cross(corners: NDArray[Any]) -> NDArray[Any]:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """Return the normals of triangles (T, 3, 3), as long as twice their area."""
+    first = corners[:, 0]
+    return np.cross(corners[:, 1] - first, corners[:, 2] - first)
 
 
 def unit_normals(corners: NDArray[Any]) -> NDArray[Any]:
     """Return the unit normals (T, 3) of triangles with corners (T, 3, 3)."""
-    own = _cross(corners)
-    return np.asarray(own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-20))
+    normal = _cross(corners)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal / np.maximum(length, 1e-20))
 
 
-def _normals(full: Mesh, corners: NDArray[np.float64]) -> NDArray[np.float32]:
+def _normals(full: Mesh, corners: Floats) -> Floats32:
     """Average the full mesh's normals near each corner (T, 3, 3), those across an edge left out."""
-    own = unit_normals(corners)
+    face_normal = unit_normals(corners)
     # A corner belongs to several sides of the surface; slightly inside, the triangle's own is near.
     inside = 0.85 * corners + 0.15 * corners.mean(axis=1, keepdims=True)
     points = full.vertex[full.face].reshape(-1, 3)
-    near = scipy.spatial.cKDTree(points).query(inside, k=min(NEIGHBOURS, len(points)))[1]
-    normals = full.normal.reshape(-1, 3)[near].astype(np.float64)
-    weight = np.maximum(np.einsum("tcki,ti->tck", normals, own) - CREASE_COSINE, 0.0)
+    neighbours = min(NEIGHBOURS, len(points))
+    _, nearest = scipy.spatial.cKDTree(points).query(inside, k=neighbours)
+    normals = full.normal.reshape(-1, 3)[nearest].astype(np.float64)
+    cosine = np.einsum("tcki,ti->tck", normals, face_normal)
+    weight = np.maximum(cosine - CREASE_COSINE, 0.0)
     mean = np.einsum("tck,tcki->tci", weight, normals)
     length = np.linalg.norm(mean, axis=2, keepdims=True)
-    blended = np.where(length > 1e-9, mean / np.maximum(length, 1e-9), own[:, None])
+    blended = np.where(length > 1e-9, mean / np.maximum(length, 1e-9), face_normal[:, None])
     return np.asarray(blended, dtype=np.float32)

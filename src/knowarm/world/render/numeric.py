@@ -9,6 +9,7 @@ headlight is directional, along the camera's view, so all lights here are direct
 """
 
 import hashlib
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,14 @@ from numpy.typing import NDArray
 from knowarm.compiling import njit
 from knowarm.private_apis import key_numba_cache
 
+Floats32 = NDArray[np.float32]
+Integers32 = NDArray[np.int32]
+Images = NDArray[np.uint8]
+
 Vector = tuple[np.float32, np.float32, np.float32]
 """Three float32 scalars, which compiled code keeps in registers."""
 
-Matrix = tuple[np.float32, ...]  # Nine float32 scalars: a 3 x 3 matrix, row-major
+Matrix = tuple[Vector, Vector, Vector]  # Rows of a 3 x 3 matrix
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
 ONE = np.float32(1)
@@ -53,76 +58,100 @@ def cached_njit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @scalar
-def triple(values: NDArray[np.float32], start: int) -> Vector:
+def vector_at(values: Floats32, start: int) -> Vector:
     """Read three numbers of an array."""
     return values[start], values[start + 1], values[start + 2]
 
 
 @scalar
-def nine(values: NDArray[np.float32], start: int) -> Matrix:
-    """Read nine numbers of an array."""
-    return (
-        values[start], values[start + 1], values[start + 2],
-        values[start + 3], values[start + 4], values[start + 5],
-        values[start + 6], values[start + 7], values[start + 8],
-    )  # fmt: skip
+def matrix_at(values: Floats32, start: int) -> Matrix:
+    """Read nine numbers of an array, row-major."""
+    return vector_at(values, start), vector_at(values, start + 3), vector_at(values, start + 6)
 
 
 @scalar
 def dot(a: Vector, b: Vector) -> np.float32:
     """Compute the inner product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    ax, ay, az = a
+    bx, by, bz = b
+    return ax * bx + ay * by + az * bz
 
 
 @scalar
 def cross(a: Vector, b: Vector) -> Vector:
     """Compute the cross product of two vectors."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    ax, ay, az = a
+    bx, by, bz = b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@scalar
+def plus(a: Vector, b: Vector) -> Vector:
+    """Add two vectors."""
+    ax, ay, az = a
+    bx, by, bz = b
+    return ax + bx, ay + by, az + bz
 
 
 @scalar
 def minus(a: Vector, b: Vector) -> Vector:
     """Subtract two vectors."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    ax, ay, az = a
+    bx, by, bz = b
+    return ax - bx, ay - by, az - bz
+
+
+@scalar
+def product(a: Vector, b: Vector) -> Vector:
+    """Multiply two vectors component by component."""
+    ax, ay, az = a
+    bx, by, bz = b
+    return ax * bx, ay * by, az * bz
 
 
 @scalar
 def times(a: Vector, factor: np.float32) -> Vector:
     """Multiply a vector by a scalar."""
-    return a[0] * factor, a[1] * factor, a[2] * factor
+    x, y, z = a
+    return x * factor, y * factor, z * factor
+
+
+@scalar
+def unit(a: Vector, least_square: np.float32) -> Vector:
+    """Scale a vector to length 1, or to less if the square of its length is below the least."""
+    return times(a, ONE / math.sqrt(max(dot(a, a), least_square)))
 
 
 @scalar
 def point_at(origin: Vector, t: np.float32, direction: Vector) -> Vector:
     """Return the point at parameter t of a ray."""
-    return (
-        origin[0] + t * direction[0],
-        origin[1] + t * direction[1],
-        origin[2] + t * direction[2],
-    )
+    return plus(origin, times(direction, t))
 
 
 @scalar
 def to_local(matrix: Matrix, v: Vector) -> Vector:
     """Rotate a vector from the parent to the local frame: by the transpose of ``matrix``."""
-    return (
-        matrix[0] * v[0] + matrix[3] * v[1] + matrix[6] * v[2],
-        matrix[1] * v[0] + matrix[4] * v[1] + matrix[7] * v[2],
-        matrix[2] * v[0] + matrix[5] * v[1] + matrix[8] * v[2],
-    )
+    first, second, third = matrix
+    x, y, z = v
+    return plus(plus(times(first, x), times(second, y)), times(third, z))
 
 
 @scalar
 def to_parent(matrix: Matrix, v: Vector) -> Vector:
     """Rotate a vector from the local to the parent frame: by ``matrix``."""
-    return (
-        matrix[0] * v[0] + matrix[1] * v[1] + matrix[2] * v[2],
-        matrix[3] * v[0] + matrix[4] * v[1] + matrix[5] * v[2],
-        matrix[6] * v[0] + matrix[7] * v[1] + matrix[8] * v[2],
-    )
+    first, second, third = matrix
+    return dot(first, v), dot(second, v), dot(third, v)
+
+
+@scalar
+def transposed(matrix: Matrix) -> Matrix:
+    """Return the columns of a matrix as rows."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
+    return (xx, yx, zx), (xy, yy, zy), (xz, yz, zz)
 
 
 FULL = np.float32(255)
+HALVES = (HALF, HALF, HALF)
 
 Paint = tuple[Vector, Vector, Vector]
 """RGB without light, plus a half for rounding, and RGB that headlight and directional light add at
@@ -131,20 +160,18 @@ normal incidence, in 0..255."""
 
 @scalar
 def light_geom(
-    rgb: Vector, emission: np.float32, lamps: tuple[Vector, Vector, Vector, Vector], matrix: Matrix
+    rgb: Vector, emission: np.float32, lamps: Floats32, matrix: Matrix
 ) -> tuple[Vector, Paint]:
-    """Multiply a geom's colour by the light: the rows of ``read_lamps``.
+    """Multiply a geom's colour by the light: the rows of ``read_lamps``, (12,).
 
     Return the unit vector towards the directional light in the geom's frame, and the paint.
     """
-    ambient, head, sun, towards_sun = lamps
-    r, g, b = times(rgb, FULL)
-    dark = (
-        r * (ambient[0] + emission) + HALF,
-        g * (ambient[1] + emission) + HALF,
-        b * (ambient[2] + emission) + HALF,
-    )
-    paint = (dark, (r * head[0], g * head[1], b * head[2]), (r * sun[0], g * sun[1], b * sun[2]))
+    ambient, head, sun = matrix_at(lamps, 0)
+    towards_sun = vector_at(lamps, 9)
+    colour = times(rgb, FULL)
+    everywhere = plus(ambient, (emission, emission, emission))
+    dark = plus(product(colour, everywhere), HALVES)
+    paint = (dark, product(colour, head), product(colour, sun))
     return to_local(matrix, towards_sun), paint
 
 
@@ -161,8 +188,11 @@ def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> np.int32:
     The unit vectors towards headlight and directional light are in the frame of the normal.
     """
     dark, by_head, by_sun = paint
-    a, b = max(dot(normal, head), ZERO), max(dot(normal, sun), ZERO)
-    red = _channel(dark[0] + a * by_head[0] + b * by_sun[0])
-    green = _channel(dark[1] + a * by_head[1] + b * by_sun[1])
-    blue = _channel(dark[2] + a * by_head[2] + b * by_sun[2])
-    return np.int32(red | np.int32(green << np.int32(8)) | np.int32(blue << np.int32(16)))
+    towards_head = max(dot(normal, head), ZERO)
+    towards_sun = max(dot(normal, sun), ZERO)
+    lit = plus(dark, times(by_head, towards_head))
+    red, green, blue = plus(lit, times(by_sun, towards_sun))
+    low = _channel(red)
+    middle = np.int32(_channel(green) << np.int32(8))
+    high = np.int32(_channel(blue) << np.int32(16))
+    return np.int32(low | middle | high)

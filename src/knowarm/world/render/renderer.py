@@ -9,13 +9,13 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.cpu import Raycaster
+from knowarm.world.render.numeric import Floats32, Images
 from knowarm.world.scene.scene import Scene
 
 
@@ -26,10 +26,10 @@ class Renderer(Protocol):
         self,
         geom_position: Floats,
         geom_matrix: Floats,
-        geom_rgba: NDArray[np.float32],
-        views: NDArray[np.float32] | None = None,
-        lamps: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.uint8]:
+        geom_rgba: Floats32,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
+    ) -> Images:
         """Draw n images.
 
         Args:
@@ -71,48 +71,54 @@ class OpenGLRenderer:
     """MuJoCo's renderer without shadows and reflections; slow, because it draws one by one."""
 
     def __init__(self, scene: Scene, size: int) -> None:
-        self._model = copy.copy(scene.model)
-        self._model.vis.global_.offwidth = max(self._model.vis.global_.offwidth, size)
-        self._model.vis.global_.offheight = max(self._model.vis.global_.offheight, size)
+        model = copy.copy(scene.model)
+        buffer = model.vis.global_
+        buffer.offwidth = max(buffer.offwidth, size)
+        buffer.offheight = max(buffer.offheight, size)
         # Materials would hide the colours that are set per environment.
-        self._model.geom_matid[:] = -1
+        model.geom_matid[:] = -1
+        self._model = model
         self._camera = scene.camera
-        self._data = mujoco.MjData(self._model)
+        self._data = mujoco.MjData(model)
         try:
-            self._renderer = mujoco.Renderer(self._model, size, size)
+            self._renderer = mujoco.Renderer(model, size, size)
         except Exception as error:
             raise UserError(
                 f"EnvConfig.renderer 'opengl' found no OpenGL on this machine ({error}). Install "
                 "OSMesa (libosmesa6) and set MUJOCO_GL=osmesa, or use renderer 'raycast', which "
                 "needs none."
             ) from error
-        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        mujoco.mj_forward(self._model, self._data)
+        flags = self._renderer.scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        mujoco.mj_forward(model, self._data)
 
     def draw(
         self,
         geom_position: Floats,
         geom_matrix: Floats,
-        geom_rgba: NDArray[np.float32],
-        views: NDArray[np.float32] | None = None,
-        lamps: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.uint8]:
+        geom_rgba: Floats32,
+        views: Floats32 | None = None,
+        lamps: Floats32 | None = None,
+    ) -> Images:
         """Draw n images; see ``Renderer.draw``."""
+        model = self._model
+        data = self._data
         images = []
         for i in range(len(geom_position)):
-            self._data.geom_xpos[:] = geom_position[i]
-            self._data.geom_xmat[:] = geom_matrix[i]
-            self._model.geom_rgba[:] = geom_rgba[i]
+            data.geom_xpos[:] = geom_position[i]
+            data.geom_xmat[:] = geom_matrix[i]
+            model.geom_rgba[:] = geom_rgba[i]
             if views is not None:
-                self._data.cam_xpos[self._camera] = views[i, :3]
-                self._data.cam_xmat[self._camera] = views[i, 3:]
+                data.cam_xpos[self._camera] = views[i, :3]
+                data.cam_xmat[self._camera] = views[i, 3:]
             if lamps is not None:
-                head = self._model.vis.headlight
-                head.ambient[:], head.diffuse[:] = lamps[i, 0], lamps[i, 1]
-                self._model.light_ambient[:] = 0
-                self._model.light_diffuse[0] = lamps[i, 2]
-                self._data.light_xdir[0] = -lamps[i, 3]
-            self._renderer.update_scene(self._data, camera=self._camera)
+                ambient, head, sun, towards_sun = lamps[i]
+                model.vis.headlight.ambient[:] = ambient
+                model.vis.headlight.diffuse[:] = head
+                model.light_ambient[:] = 0
+                model.light_diffuse[0] = sun
+                data.light_xdir[0] = -towards_sun
+            self._renderer.update_scene(data, camera=self._camera)
             images.append(self._renderer.render())
         return np.stack(images)

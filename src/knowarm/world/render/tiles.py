@@ -50,23 +50,32 @@ from knowarm.world.render.numeric import (
     ZERO,
     Matrix,
     Vector,
+    dot,
     minus,
+    plus,
+    product,
     scalar,
+    times,
     to_local,
     to_parent,
+    transposed,
 )
 
-TILE, BITS = 4, 2  # Side of a tile of samples, a power of two, and its exponent
+BITS = 2
+TILE = 1 << BITS  # Side of a tile of samples
 ANTIALIASING = 4  # Samples per pixel with anti-aliasing
 SLACK = np.float32(0.02)
 """Fraction of a pixel or row by which a rectangle is widened against rounding."""
 
-RECORD, EXTENT = 27, 6  # Numbers stored per projected geom
+RECORD = 27  # Float numbers stored per projected geom
+EXTENT = 6  # Integers stored per projected geom
 NEAR = np.float32(1e-3)  # Points closer to the eye than this have no useful projection [m]
 Rectangle = tuple[np.float32, np.float32, np.float32, np.float32]
+Window = tuple[int, int, int, int]  # First and last column, first and last row of samples
 
 WIDE = np.float32(1e6)
 EVERYWHERE = (-WIDE, WIDE, -WIDE, WIDE)
+NOWHERE = (WIDE, -WIDE, WIDE, -WIDE)
 
 
 class TileGrid(NamedTuple):
@@ -86,21 +95,29 @@ class TileGrid(NamedTuple):
     rows: np.int32  # Number of rows of samples, a multiple of ``TILE``
 
 
+SIDEWAYS = {1: (0, 0, 0, 0), ANTIALIASING: (-0.5, 2, 5, 1.5)}
+"""Shift, advance, back and reach of a `TileGrid` in quarters of a pixel, by samples per pixel.
+
+Sample s of four lies at 2 s - .5, less 5 from sample 2 on.
+"""
+
+
 def make_grid(width: int, height: int, half_height: float, samples: int) -> TileGrid:
     """Lay out 1 or ``ANTIALIASING`` samples per pixel; ``half_height`` is tan(fovy / 2)."""
     pixel = 2 * half_height / height
-    # In quarters of a pixel: sample s of four lies at 2 s - .5, less 5 from sample 2 on.
-    shift, advance, back = {1: (0, 0, 0), ANTIALIASING: (-0.5, 2, 5)}[samples]
+    step = pixel / samples
+    quarter = pixel / 4
+    shift, advance, back, reach = SIDEWAYS[samples]
     return TileGrid(
         left=np.float32((1 - width) / 2 * pixel),
-        top=np.float32(half_height - pixel / samples / 2),
+        top=np.float32(half_height - step / 2),
         pixel=np.float32(pixel),
-        step=np.float32(pixel / samples),
+        step=np.float32(step),
         mask=np.int32(samples - 1),
-        shift=np.float32(shift * pixel / 4),
-        advance=np.float32(advance * pixel / 4),
-        back=np.float32(back * pixel / 4),
-        reach=np.float32({1: 0.0, ANTIALIASING: 0.375}[samples]),
+        shift=np.float32(shift * quarter),
+        advance=np.float32(advance * quarter),
+        back=np.float32(back * quarter),
+        reach=np.float32(reach / 4),
         strips=np.int32(-(-width // TILE)),
         rows=np.int32(-(-height * samples // TILE) * TILE),
     )
@@ -117,13 +134,11 @@ def sample_point(column: np.int32, row: np.int32, grid: TileGrid) -> tuple[np.fl
 
 
 @scalar
-def sample_direction(x: np.float32, y: np.float32, frame: Matrix) -> Vector:
-    """Return the direction of the ray through image coordinates x, y in a geom's frame."""
-    return (
-        x * frame[0] + y * frame[3] - frame[6],
-        x * frame[1] + y * frame[4] - frame[7],
-        x * frame[2] + y * frame[5] - frame[8],
-    )
+def sample_direction(column: np.int32, row: np.int32, frame: Matrix, grid: TileGrid) -> Vector:
+    """Return the direction of the ray through a sample, in a geom's frame."""
+    right, up, backward = frame
+    x, y = sample_point(column, row, grid)
+    return minus(plus(times(right, x), times(up, y)), backward)
 
 
 @scalar
@@ -133,15 +148,47 @@ def _floor(value: np.float32) -> np.int32:
 
 
 @scalar
-def first_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
+def _first_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
     """Return the index of the first sample beyond a distance from sample 0, less ``SLACK``."""
     return _floor(distance / step - SLACK - reach) + 1
 
 
 @scalar
-def last_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
+def _last_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
     """Return the index of the last sample within a distance from sample 0, plus ``SLACK``."""
     return _floor(distance / step + SLACK + reach)
+
+
+@scalar
+def samples_within(bounds: Rectangle, limits: Window, grid: TileGrid) -> Window:
+    """Return the window of the samples within a rectangle and within a window."""
+    x0, x1, y0, y1 = bounds
+    left, right, upper, lower = limits
+    return (
+        max(left, _first_sample(x0 - grid.left, grid.pixel, grid.reach)),
+        min(right, _last_sample(x1 - grid.left, grid.pixel, grid.reach)),
+        max(upper, _first_sample(grid.top - y1, grid.step, ZERO)),
+        min(lower, _last_sample(grid.top - y0, grid.step, ZERO)),
+    )
+
+
+@scalar
+def is_empty(window: Window) -> bool:
+    """Tell whether a window holds no samples."""
+    left, right, upper, lower = window
+    return (left > right) | (upper > lower)
+
+
+@scalar
+def tiles_of(window: Window) -> Window:
+    """Return first strip, one past the last strip, first row and one past the last row of tiles."""
+    left, right, upper, lower = window
+    return (
+        left >> BITS,
+        (right >> BITS) + 1,
+        upper >> BITS << BITS,
+        (lower >> BITS << BITS) + TILE,
+    )
 
 
 @scalar
@@ -159,44 +206,55 @@ def _interval(
 @scalar
 def _round_bounds(p: Vector, m: Matrix, axes: Vector) -> Rectangle:
     """Bound an ellipsoid of half-axes ``axes`` (0 for a disc) at p with rotation m."""
-    x, y, z = axes[0] * axes[0], axes[1] * axes[1], axes[2] * axes[2]
-    a_zz = m[6] * m[6] * x + m[7] * m[7] * y + m[8] * m[8] * z
-    if p[2] + math.sqrt(a_zz) > -NEAR:
+    px, py, pz = p
+    mx, my, mz = m
+    squares = product(axes, axes)
+    a_zz = dot(product(mz, mz), squares)
+    if pz + math.sqrt(a_zz) > -NEAR:
         return EVERYWHERE
-    a_xx = m[0] * m[0] * x + m[1] * m[1] * y + m[2] * m[2] * z
-    a_yy = m[3] * m[3] * x + m[4] * m[4] * y + m[5] * m[5] * z
-    a_xz = m[0] * m[6] * x + m[1] * m[7] * y + m[2] * m[8] * z
-    a_yz = m[3] * m[6] * x + m[4] * m[7] * y + m[5] * m[8] * z
-    x0, x1 = _interval(p[0], p[2], a_xx, a_xz, a_zz)
-    y0, y1 = _interval(p[1], p[2], a_yy, a_yz, a_zz)
+    a_xx = dot(product(mx, mx), squares)
+    a_yy = dot(product(my, my), squares)
+    a_xz = dot(product(mx, mz), squares)
+    a_yz = dot(product(my, mz), squares)
+    x0, x1 = _interval(px, pz, a_xx, a_xz, a_zz)
+    y0, y1 = _interval(py, pz, a_yy, a_yz, a_zz)
     return x0, x1, y0, y1
+
+
+@scalar
+def _union(a: Rectangle, b: Rectangle) -> Rectangle:
+    """Bound two rectangles."""
+    ax0, ax1, ay0, ay1 = a
+    bx0, bx1, by0, by1 = b
+    return min(ax0, bx0), max(ax1, bx1), min(ay0, by0), max(ay1, by1)
 
 
 @scalar
 def _long_bounds(p: Vector, m: Matrix, half: np.float32, end: Vector) -> Rectangle:
     """Bound the convex hull of two equal round ends at +-half along the local z axis."""
-    dx, dy, dz = m[2] * half, m[5] * half, m[8] * half
-    a = _round_bounds((p[0] + dx, p[1] + dy, p[2] + dz), m, end)
-    b = _round_bounds((p[0] - dx, p[1] - dy, p[2] - dz), m, end)
-    return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
+    _, _, z_axis = transposed(m)
+    to_end = times(z_axis, half)
+    return _union(_round_bounds(plus(p, to_end), m, end), _round_bounds(minus(p, to_end), m, end))
 
 
 @scalar
 def _box_bounds(p: Vector, m: Matrix, size: Vector) -> Rectangle:
     """Bound a box of half-sizes ``size`` by its eight corners."""
-    x0, x1, y0, y1 = WIDE, -WIDE, WIDE, -WIDE
+    x_axis, y_axis, z_axis = transposed(m)
+    half_x, half_y, half_z = size
+    bounds = NOWHERE
     for corner in range(8):
-        sx = size[0] if corner & 1 else -size[0]
-        sy = size[1] if corner & 2 else -size[1]
-        sz = size[2] if corner & 4 else -size[2]
-        z = p[2] + m[6] * sx + m[7] * sy + m[8] * sz
+        at = plus(p, times(x_axis, half_x if corner & 1 else -half_x))
+        at = plus(at, times(y_axis, half_y if corner & 2 else -half_y))
+        at = plus(at, times(z_axis, half_z if corner & 4 else -half_z))
+        x, y, z = at
         if z > -NEAR:
             return EVERYWHERE
         inverse = ONE / -z
-        x = (p[0] + m[0] * sx + m[1] * sy + m[2] * sz) * inverse
-        y = (p[1] + m[3] * sx + m[4] * sy + m[5] * sz) * inverse
-        x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-    return x0, x1, y0, y1
+        x *= inverse
+        y *= inverse
+        bounds = _union(bounds, (x, x, y, y))
+    return bounds
 
 
 @scalar
@@ -205,21 +263,21 @@ def _bounds(
 ) -> Rectangle:
     """Bound the projection of a geom of any type."""
     if kind == MESH:
-        off = to_parent(frame, middle)
-        return _box_bounds((p[0] + off[0], p[1] + off[1], p[2] + off[2]), frame, half)
-    radius = size[0]
+        return _box_bounds(plus(p, to_parent(frame, middle)), frame, half)
     if kind == BOX:
         return _box_bounds(p, frame, size)
+    radius, half_length, _ = size
     if kind == CYLINDER:
-        return _long_bounds(p, frame, size[1], (radius, radius, ZERO))
+        return _long_bounds(p, frame, half_length, (radius, radius, ZERO))
     if kind == CAPSULE:
-        return _long_bounds(p, frame, size[1], (radius, radius, radius))
+        return _long_bounds(p, frame, half_length, (radius, radius, radius))
     if kind == SPHERE:
         return _round_bounds(p, frame, (radius, radius, radius))
     if kind == ELLIPSOID:
         return _round_bounds(p, frame, size)
-    if (kind == PLANE) & (size[0] > ZERO) & (size[1] > ZERO):
-        return _box_bounds(p, frame, (size[0], size[1], ZERO))
+    half_x, half_y, _ = size
+    if (kind == PLANE) & (half_x > ZERO) & (half_y > ZERO):
+        return _box_bounds(p, frame, (half_x, half_y, ZERO))
     return EVERYWHERE
 
 
@@ -234,23 +292,18 @@ def project_geom(
     eye: Vector,
     camera: Matrix,
     grid: TileGrid,
-) -> tuple[bool, tuple[int, int, int, int], Vector, Matrix]:
+) -> tuple[Window, Vector, Matrix]:
     """Transform a geom to the camera frame and find the samples that can show it.
 
     ``middle`` and ``half`` are a mesh's bounding box in its frame [m], ``position`` and ``eye``
-    world positions [m]; matrices are from geom and from camera to world. Return whether any of
-    the geom can be in the image; first and last column and first and last row of samples; the eye
-    in the geom's frame [m]; the rotation from geom to camera.
+    world positions [m]; matrices are from geom and from camera to world. Return first and last
+    column and first and last row of samples; the eye in the geom's frame [m]; the rotation from
+    geom to camera.
     """
     p = to_local(camera, minus(position, eye))
-    c0 = to_local(camera, (matrix[0], matrix[3], matrix[6]))
-    c1 = to_local(camera, (matrix[1], matrix[4], matrix[7]))
-    c2 = to_local(camera, (matrix[2], matrix[5], matrix[8]))
-    frame = (c0[0], c1[0], c2[0], c0[1], c1[1], c2[1], c0[2], c1[2], c2[2])
-    x0, x1, y0, y1 = _bounds(kind, p, frame, size, middle, half)
-    first = max(first_sample(x0 - grid.left, grid.pixel, grid.reach), 0)
-    last = min(last_sample(x1 - grid.left, grid.pixel, grid.reach), grid.strips * TILE - 1)
-    upper = max(first_sample(grid.top - y1, grid.step, ZERO), 0)
-    lower = min(last_sample(grid.top - y0, grid.step, ZERO), grid.rows - 1)
-    visible = (first <= last) & (upper <= lower)
-    return visible, (first, last, upper, lower), to_local(frame, (-p[0], -p[1], -p[2])), frame
+    x_axis, y_axis, z_axis = transposed(matrix)
+    axes = (to_local(camera, x_axis), to_local(camera, y_axis), to_local(camera, z_axis))
+    frame = transposed(axes)
+    bounds = _bounds(kind, p, frame, size, middle, half)
+    image = (0, grid.strips * TILE - 1, 0, grid.rows - 1)
+    return samples_within(bounds, image, grid), to_local(frame, times(p, -ONE)), frame

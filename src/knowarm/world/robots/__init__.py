@@ -37,7 +37,7 @@ def find_robot(name: str) -> Robot:
 
 def unknown_robot(name: str) -> UserError:
     """Return the error for a name or file that is no robot."""
-    if not (Path(name).suffix or Path(name).is_file()):
+    if not Path(name).suffix and not Path(name).is_file():
         return unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
     if name.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
         return UserError(

@@ -1,6 +1,6 @@
 """Robot description: model file, joints, gripper, and the scene around the robot."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -45,6 +45,16 @@ class Area:
     """Yaw of the targets [deg]; those of ``target_yaws_deg`` have their own."""
     target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
     """Yaw of single targets by name [deg]."""
+
+
+_AREA_FIELDS = {
+    "rectangle_centre_m": "centre_m",
+    "rectangle_half_size_m": "half_size_m",
+    "home": "home",
+    "mpi_rad": "mpi_rad",
+    "target_yaw_deg": "target_yaw_deg",
+}
+"""Fields of a `Robot` that an `Area` can replace, and the area's names of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,34 +154,8 @@ class Robot:
         check_values(self)
         if not self.title:
             object.__setattr__(self, "title", self.name)
-        count = len(self.joints)
-        start, half = self.start_fraction, self.rectangle_half_size_m
-        real = [joint.name or name for name, joint in self.joint_map.items()]
-        for valid, message in (
-            (count, "joints is empty; name at least one hinge or slide joint"),
-            (len(set(self.joints)) == count, f"joints {self.joints} must be different names"),
-            (len(self.home) == count, f"home has {len(self.home)} values for {count} joints"),
-            (
-                all(0 <= j < count for j in self.start_joints),
-                f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
-            ),
-            (
-                not real or {*self.joints} <= {*self.joint_map},
-                f"joint_map must name every joint of joints; got {', '.join(self.joint_map)}",
-            ),
-            (len(set(real)) == len(real), f"joint_map has a name twice: {', '.join(real)}"),
-            (0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"),
-            (min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"),
-            (
-                0 < self.camera_fovy_deg < 180,
-                f"camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}",
-            ),
-            *(
-                (getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
-                for name in ("mpi_rad", "servo_frequency_hz")
-            ),
-        ):
-            if not valid:
+        for is_valid, message in self._requirements():
+            if not is_valid:
                 raise UserError(f"Robot {self.name!r}: {message}.")
         for name in self.areas:
             try:
@@ -179,23 +163,47 @@ class Robot:
             except UserError as error:
                 raise UserError(f"areas.{name}: {error}") from error
 
+    def _requirements(self) -> Iterator[tuple[bool, str]]:
+        """Yield what the fields must fulfil: whether they do, and the message if not."""
+        joints = self.joints
+        count = len(joints)
+        yield count > 0, "joints is empty; name at least one hinge or slide joint"
+        yield len(set(joints)) == count, f"joints {joints} must be different names"
+        yield len(self.home) == count, f"home has {len(self.home)} values for {count} joints"
+        yield (
+            all(0 <= index < count for index in self.start_joints),
+            f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
+        )
+        if self.joint_map:
+            yield (
+                set(joints) <= set(self.joint_map),
+                f"joint_map must name every joint of joints; got {', '.join(self.joint_map)}",
+            )
+        real = [joint.name or name for name, joint in self.joint_map.items()]
+        yield len(set(real)) == len(real), f"joint_map has a name twice: {', '.join(real)}"
+        start = self.start_fraction
+        yield 0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"
+        half = self.rectangle_half_size_m
+        yield min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"
+        fovy = self.camera_fovy_deg
+        yield 0 < fovy < 180, f"camera_fovy_deg must lie between 0 and 180, got {fovy}"
+        for name in ("mpi_rad", "servo_frequency_hz"):
+            value = getattr(self, name)
+            yield value > 0, f"{name} must be positive, got {value}"
+
     def for_area(self, name: str) -> "Robot":
         """Return the robot as it is in an area; unchanged if it has none of the name."""
         if name not in self.areas:
             return self
         area = self.areas[name]
-        given = {
-            "rectangle_centre_m": area.centre_m,
-            "rectangle_half_size_m": area.half_size_m,
-            "home": area.home,
-            "mpi_rad": area.mpi_rad,
-            "target_yaw_deg": area.target_yaw_deg,
-        }
-        changes: dict[str, Any] = {key: each for key, each in given.items() if each is not None}
+        changes: dict[str, Any] = {}
+        for field_name, area_field in _AREA_FIELDS.items():
+            value = getattr(area, area_field)
+            if value is not None:
+                changes[field_name] = value
         # The area's yaw of all targets also replaces the robot's yaws of single ones.
         yaws = self.target_yaws_deg if area.target_yaw_deg is None else {}
-        changes["target_yaws_deg"] = {**yaws, **area.target_yaws_deg}
-        return replace(self, areas={}, **changes)
+        return replace(self, areas={}, target_yaws_deg={**yaws, **area.target_yaws_deg}, **changes)
 
     @property
     def support_height_m(self) -> float:

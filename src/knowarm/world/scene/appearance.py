@@ -15,13 +15,28 @@ from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
-FIXED_DRAWS, DRAWS_PER_DISTRACTOR = 16, 5
-"""Uniform draws per episode: those always made, and two for the position and three for the colour
-of each distractor."""
+FIXED_DRAWS = 16  # Uniform draws per episode that are always made
+DRAWS_PER_DISTRACTOR = 5  # Two for the position and three for the colour
 
-_LIGHT, _SHIFT, _TURN, _SURFACE = 0, 4, 7, 10  # Index of the first draw of each kind
+# Draws of each kind
+_LIGHT = slice(0, 4)
+_SHIFT = slice(4, 7)
+_TURN = slice(7, 10)
+_SURFACE = slice(10, FIXED_DRAWS)
+
 _CLEARANCE_M = 0.14  # Least distance of a distractor from the target [m]
 _SPREAD = 1.5  # Size of the distractors' rectangle relative to the targets'
+
+
+_LARGEST = {
+    "light": 1.0,
+    "light_angle_deg": 60.0,
+    "camera_shift_m": 0.5,
+    "camera_turn_deg": 30.0,
+    "surface_colour": 1.0,
+    "distractors": MAX_DISTRACTORS,
+}
+"""Largest value of each field of `VisualRandomization`; the least is 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,41 +60,36 @@ class VisualRandomization:
     """Number of objects of other shapes and random colours beside the target, 0 to 4."""
 
     def __post_init__(self) -> None:
-        for name, most in (
-            ("light", 1.0),
-            ("light_angle_deg", 60.0),
-            ("camera_shift_m", 0.5),
-            ("camera_turn_deg", 30.0),
-            ("surface_colour", 1.0),
-            ("distractors", MAX_DISTRACTORS),
-        ):
+        for name, most in _LARGEST.items():
             within(self, 0, most, name, where="VisualRandomization.")
 
     @property
     def draws(self) -> int:
         """Number of uniform draws per episode; 0 when everything is off."""
-        off = self == VisualRandomization()
-        return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
+        if self == VisualRandomization():
+            return 0
+        return FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
 
 
 def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
     colours = model.mat_rgba.astype(np.float32)
-    for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
+    textures = model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
+    for material, texture in enumerate(textures):
         if texture >= 0:
             channels = model.tex_nchannel[texture]
             first = model.tex_adr[texture]
             size = channels * model.tex_width[texture] * model.tex_height[texture]
             texels = model.tex_data[first : first + size].reshape(-1, channels)
-            colours[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
+            colours[material, :3] *= texels[:, :3].mean(axis=0) / 255
     return colours
 
 
 def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
-    default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
-    from_material = (model.geom_matid >= 0) & default
+    is_default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
+    from_material = is_default & (model.geom_matid >= 0)
     colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
     return colours
 
@@ -91,19 +101,17 @@ def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
     return np.repeat(rgba[None], num_envs, axis=0)
 
 
-MARKED_RGB, UNMARKED_RGB = (1.0, 0.0, 1.0), (0.72, 0.72, 0.72)
-"""Colours of the object to reach and of the others in a task that paints its goal."""
+# Colours of the object to reach and of the others in a task that paints its goal
+MARKED_RGB = (1.0, 0.0, 1.0)
+UNMARKED_RGB = (0.72, 0.72, 0.72)
 
 
 class TargetColours:
     """Colours that show some targets, each in one of its colours, and hide the others."""
 
     def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self._resting = resting_colours(scene, 1)[0]
-        self._owner = scene.geom_target
-        self._coloured = scene.geom_coloured
-        self._colours = scene.target_colours
-        self._marks = np.array([MARKED_RGB, UNMARKED_RGB], dtype=np.float32)
 
     def __call__(
         self, target: Integers, colour: Integers, marked: bool = False
@@ -113,14 +121,20 @@ class TargetColours:
         The visible targets and their colours are indices, (k, M), or (k,) for one. ``marked``
         paints the first target in one colour and the others in another.
         """
-        target, colour = (x.reshape(len(target), -1) for x in (target, colour))
-        rgb, alpha = self._resting[:, :3], self._resting[:, 3:]
+        target = target.reshape(len(target), -1)
+        colour = colour.reshape(len(target), -1)
+        scene = self._scene
+        rgb = self._resting[:, :3]
+        alpha = self._resting[:, 3:]
         for j in range(target.shape[1]):
-            visible = self._owner == target[:, j, None]
-            painted = (visible & (self._coloured | marked))[..., None]
-            shade = self._colours[target[:, j], colour[:, j]]
-            shade = self._marks[min(j, 1)] if marked else shade[:, None, :]
-            rgb = np.where(painted, shade, rgb)
+            visible = scene.geom_target == target[:, j, None]
+            if marked:
+                painted = visible
+                paint = np.array(MARKED_RGB if j == 0 else UNMARKED_RGB, dtype=np.float32)
+            else:
+                painted = visible & scene.geom_coloured
+                paint = scene.target_colours[target[:, j], colour[:, j], None]
+            rgb = np.where(painted[..., None], paint, rgb)
             alpha = visible.astype(np.float32)[..., None] + alpha
         return np.concat([rgb, alpha], axis=-1)
 
@@ -141,18 +155,10 @@ class AppearanceSource:
     def __init__(
         self, scene: Scene, randomization: VisualRandomization, marked: bool = False
     ) -> None:
-        model, robot = scene.model, scene.robot
         self._scene = scene
         self._config = randomization
         self._marked = marked
         self._colours = TargetColours(scene)
-        self._ambient = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
-        self._headlight = np.array(model.vis.headlight.diffuse, dtype=np.float64)
-        self._sunlight = model.light_diffuse[0].astype(np.float64)
-        self._sun_direction = model.light_dir[0].astype(np.float64)
-        self._surfaces = list(scene.surface_geoms)
-        self._centre = np.array(robot.rectangle_centre_m)
-        self._half = _SPREAD * np.array(robot.rectangle_half_size_m)
 
     def __call__(self, target: Integers, colour: Integers, position: Floats, look: Floats) -> Shown:
         """Compute the appearance of k episodes.
@@ -161,51 +167,59 @@ class AppearanceSource:
         from which distractors keep a distance, and ``look`` draws in [0, 1), (k, ``config.draws``).
         """
         config = self._config
+        scene = self._scene
         rgba = self._colours(target, colour, self._marked)
         if not config.draws:
             return Shown(rgba, None, None, None)
         signed = 2 * look - 1
         if config.surface_colour > 0:
-            rgba[:, self._surfaces, :3] = self._surface_colours(signed)
-        shape = len(look), config.distractors, DRAWS_PER_DISTRACTOR
-        rest = look[:, FIXED_DRAWS:].reshape(shape)
-        rgba[:, self._scene.distractor_geoms, :3] = rest[..., 2:]
-        moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
-        lit = config.light > 0 or config.light_angle_deg > 0
-        return Shown(
-            rgba,
-            views=self._views(signed) if moved else None,
-            lamps=self._lamps(signed) if lit else None,
-            distractor_position=self._places(2 * rest[..., :2] - 1, position),
-        )
+            rgba[:, scene.surface_geoms, :3] = self._surface_colours(signed)
+        shape = (len(look), config.distractors, DRAWS_PER_DISTRACTOR)
+        draws = look[:, FIXED_DRAWS:].reshape(shape)
+        rgba[:, scene.distractor_geoms, :3] = draws[..., 2:]
+        views = None
+        if config.camera_shift_m > 0 or config.camera_turn_deg > 0:
+            views = self._views(signed)
+        lamps = None
+        if config.light > 0 or config.light_angle_deg > 0:
+            lamps = self._lamps(signed)
+        return Shown(rgba, views, lamps, self._places(2 * draws[..., :2] - 1, position))
 
     def _views(self, signed: Floats) -> NDArray[np.float32]:
-        shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
-        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
-        turned = (self._scene.camera_matrix @ Rotation.from_rotvec(turn).as_matrix()).reshape(-1, 9)
-        views = np.concat([self._scene.camera_position + shift, turned], axis=1)
-        return views.astype(np.float32)
+        scene = self._scene
+        position = scene.camera_position + self._config.camera_shift_m * signed[:, _SHIFT]
+        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN]
+        matrix = scene.camera_matrix @ Rotation.from_rotvec(turn).as_matrix()
+        return np.concat([position, matrix.reshape(-1, 9)], axis=1).astype(np.float32)
 
     def _lamps(self, signed: Floats) -> NDArray[np.float32]:
-        head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
-        sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
-        turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
-        turn = np.concat([turn, np.zeros_like(turn[:, :1])], axis=1)
-        towards = -(Rotation.from_rotvec(turn).as_matrix() @ self._sun_direction)
-        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
+        model = self._scene.model
+        headlight = model.vis.headlight
+        ambient = headlight.ambient + model.light_ambient.sum(axis=0)
+        head, sun, turn_x, turn_y = np.split(signed[:, _LIGHT], 4, axis=1)
+        head = 1 + self._config.light * head
+        sun = 1 + self._config.light * sun
+        turn = np.concat([turn_x, turn_y, np.zeros_like(turn_x)], axis=1)
+        turn *= math.radians(self._config.light_angle_deg)
+        towards = -(Rotation.from_rotvec(turn).as_matrix() @ model.light_dir[0])
+        lamps = [ambient * head, headlight.diffuse * head, model.light_diffuse[0] * sun, towards]
         return np.stack(lamps, axis=1).astype(np.float32)
 
     def _surface_colours(self, signed: Floats) -> Floats:
         """Return RGB of the floor and, if there is one, the table top, (k, S, 3)."""
-        own = self._scene.model.geom_rgba[self._surfaces, :3]
-        draws = signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
-        change = self._config.surface_colour * draws[:, : len(own)]
-        return np.clip(own + change, 0, 1)
+        scene = self._scene
+        resting = scene.model.geom_rgba[scene.surface_geoms, :3]
+        draws = signed[:, _SURFACE].reshape(-1, 2, 3)
+        change = self._config.surface_colour * draws[:, : len(resting)]
+        return np.clip(resting + change, 0, 1)
 
     def _places(self, signed: Floats, position: Floats) -> Floats:
         """Return positions in a rectangle larger than the targets', pushed away from the target."""
-        drawn = self._centre + signed * self._half
-        offset = drawn - position[:, None, :]
+        robot = self._scene.robot
+        position = position[:, None]
+        half = _SPREAD * np.array(robot.rectangle_half_size_m)
+        drawn = robot.rectangle_centre_m + signed * half
+        offset = drawn - position
         distance = np.linalg.norm(offset, axis=-1, keepdims=True)
-        pushed = position[:, None, :] + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
+        pushed = position + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
         return np.where(distance < _CLEARANCE_M, pushed, drawn)

@@ -1,7 +1,6 @@
 """Composition of a scene: one ``MjSpec`` of robot, servos, targets, support, lights and camera."""
 
 from collections.abc import Sequence
-from itertools import count
 from typing import Any
 
 import mujoco
@@ -20,11 +19,13 @@ from knowarm.world.scene.mjcf import (
     strip,
     surroundings,
     take_ranges,
+    turn_about_z,
 )
 
 ROBOT_PREFIX = "robot/"  # Prefix of all names of the robot's own file in the scene
-ROBOT_BIT, SUPPORT_BIT = 1, 2
-"""MuJoCo contact bits: the only contacts are those between robot and support."""
+# MuJoCo contact bits: the only contacts are those between robot and support.
+ROBOT_BIT = 1
+SUPPORT_BIT = 2
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -48,21 +49,20 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         part.delete(element)
     for joint in list(part.joints):
-        if joint.name not in robot.joints:
+        if joint.name in robot.joints:
+            joint.actfrclimited = False  # a limit of its own motor; servos demand more
+        else:
             if joint.name in robot.held_joints:
                 hold(part, joint, robot.held_joints[joint.name], owner)
             part.delete(joint)
-    for joint in part.joints:
-        joint.actfrclimited = False  # a limit of its own motor; servos demand more
     for body in part.bodies:
         body.gravcomp = 1
     for geom in part.geoms:
-        collides = geom.contype != 0 or geom.conaffinity != 0
-        geom.contype = ROBOT_BIT if collides else 0
-        geom.conaffinity = SUPPORT_BIT if collides else 0
+        if geom.contype != 0 or geom.conaffinity != 0:
+            geom.contype = ROBOT_BIT
+            geom.conaffinity = SUPPORT_BIT
     hide_sites(part)
-    half = np.radians(robot.base_yaw_deg) / 2
-    turn = [np.cos(half), 0, 0, np.sin(half)]
+    turn = turn_about_z(robot.base_yaw_deg)
     frame = spec.worldbody.add_frame(pos=robot.base_position_m, quat=turn)
     spec.attach(part, frame=frame, prefix=ROBOT_PREFIX)
 
@@ -87,23 +87,28 @@ def attach_target(
     strip(part, spec)
     for joint in list(part.joints):
         part.delete(joint)
-    free = (name for i in count() if part.geom(name := f"geom_{i}") is None)
+    number = 0
     for geom in part.geoms:
-        geom.contype = geom.conaffinity = 0
-        geom.name = geom.name or next(free)
+        geom.contype = 0
+        geom.conaffinity = 0
+        if not geom.name:
+            while part.geom(f"geom_{number}") is not None:
+                number += 1
+            geom.name = f"geom_{number}"
+            number += 1
     whole = object_of(target.name)
-    parts = [each for each in beside if object_of(each.name) == whole] or [target]
+    siblings = [other for other in beside if object_of(other.name) == whole] or [target]
     for geom in list(part.geoms):
-        if target != next((each for each in parts if geom.name in each.part_geoms), parts[0]):
+        owners = [sibling for sibling in siblings if geom.name in sibling.part_geoms]
+        if target != (owners or siblings)[0]:
             part.delete(geom)
     hide_sites(part)
-    yaw = np.radians(robot.yaw_deg(target.name))
+    x, y = robot.rectangle_centre_m
     body = bodies[0]
     body.name = body.name or "body"
     body.mocap = True
-    x, y = robot.rectangle_centre_m
     body.pos = [x, y, robot.support_height_m]
-    body.quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+    body.quat = turn_about_z(robot.yaw_deg(target.name))
     frame = spec.worldbody.add_frame()
     spec.attach(part, frame=frame, prefix=f"{target.name}/")
 
@@ -112,9 +117,8 @@ CONTROL_PERIOD_S = 0.1
 """Time between actions [s]. The largest MPI of a shipped robot, .10 rad, is then 1 rad/s, which is
 below the limit of all joints."""
 
-STOP_RAD, SLOWER = 0.01, 0.3
-"""Wanted largest distance from its target at which friction stops a joint, and share by which
-damping slows it."""
+STOP_RAD = 0.01  # Wanted largest distance from its target at which friction stops a joint
+SLOWER = 0.3  # Wanted largest share by which damping slows it
 
 SUBSTEPS = 5  # Physics steps per control period
 CAMERA = "policy"  # Name of the camera that shows the observations
@@ -153,22 +157,20 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     """
     model = spec.compile()
     data = mujoco.MjData(model)
-    ids = []
+    dofs = []
     for name, angle in zip(robot.joints, robot.home, strict=True):
         joint = model.joint(ROBOT_PREFIX + name)
         _check_joint(robot, name, joint)
         data.qpos[model.jnt_qposadr[joint.id]] = angle
-        ids.append(model.jnt_dofadr[joint.id])
+        dofs.append(model.jnt_dofadr[joint.id])
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     frequency = 2 * np.pi * robot.servo_frequency_hz
-    for name, dof in zip(robot.joints, ids, strict=True):
-        mass = max(
-            float(inertia[dof, dof]),
-            float(model.dof_frictionloss[dof]) / (STOP_RAD * frequency**2),
-            float(model.dof_damping[dof]) / (2 * SLOWER * frequency),
-        )
+    for name, dof in zip(robot.joints, dofs, strict=True):
+        least_for_friction = model.dof_frictionloss[dof] / (STOP_RAD * frequency**2)
+        least_for_damping = model.dof_damping[dof] / (2 * SLOWER * frequency)
+        mass = float(max(inertia[dof, dof], least_for_friction, least_for_damping))
         actuator = spec.add_actuator(
             name=name, target=ROBOT_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
@@ -177,9 +179,10 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 def _check_joint(robot: Robot, name: str, joint: Any) -> None:
     """Check that a joint has one degree of freedom, and a range if it is a slide."""
-    kind, limited = int(joint.type[0]), bool(joint.limited[0])
-    hinge, slide = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-    if kind not in (hinge, slide) or (kind == slide and not limited):
+    kind = joint.type[0]
+    is_hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
+    is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+    if not is_hinge and not (is_slide and joint.limited[0]):
         raise UserError(
             f"Robot {robot.name!r}: joint {name!r} must be a hinge, or a slide with a range "
             "(actions are clipped to it): give it a range in the MJCF or remove it from joints."
@@ -200,9 +203,10 @@ def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
     if robot.table:
         _add_table(world, robot.table)
     # Light from the camera and from above: edges are visible, and no side of an object is black.
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
-    spec.visual.headlight.specular = [0, 0, 0]
+    headlight = spec.visual.headlight
+    headlight.ambient = [0.35, 0.35, 0.35]
+    headlight.diffuse = [0.35, 0.35, 0.35]
+    headlight.specular = [0, 0, 0]
     world.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -213,8 +217,8 @@ def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
         specular=[0, 0, 0],
         castshadow=False,
     )
-    position, look_at = np.array(robot.camera_position_m), np.array(robot.camera_look_at_m)
-    backward = position - look_at
+    position = np.array(robot.camera_position_m)
+    backward = position - np.array(robot.camera_look_at_m)
     if np.linalg.norm(backward[:2]) < 1e-6:
         raise UserError(
             f"Robot {robot.name!r}: camera_position_m {robot.camera_position_m} must not lie "
@@ -235,50 +239,45 @@ def level_axes(backward: Floats) -> Floats:
 def _add_table(world: mujoco.MjsBody, table: Table) -> None:
     half_x, half_y = table.half_size_m
     x, y = table.centre_m
-    thickness = 0.03
-    box = mujoco.mjtGeom.mjGEOM_BOX
+    half_thickness = 0.015
     world.add_geom(
         name="table",
-        type=box,
-        size=[half_x, half_y, thickness / 2],
-        pos=[x, y, table.height_m - thickness / 2],
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[half_x, half_y, half_thickness],
+        pos=[x, y, table.height_m - half_thickness],
         rgba=TABLE_RGBA,
         contype=SUPPORT_BIT,
         conaffinity=ROBOT_BIT,
     )
-    leg = 0.02
-    height = (table.height_m - thickness) / 2
-    for i, (sx, sy) in enumerate([(-1, -1), (-1, 1), (1, -1), (1, 1)]):
+    half_leg = 0.02
+    half_height = (table.height_m - 2 * half_thickness) / 2
+    to_leg_x = half_x - half_leg
+    to_leg_y = half_y - half_leg
+    for i, (sign_x, sign_y) in enumerate([(-1, -1), (-1, 1), (1, -1), (1, 1)]):
         world.add_geom(
             name=f"table_leg_{i}",
-            type=box,
-            size=[leg, leg, height],
-            pos=[x + sx * (half_x - leg), y + sy * (half_y - leg), height],
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[half_leg, half_leg, half_height],
+            pos=[x + sign_x * to_leg_x, y + sign_y * to_leg_y, half_height],
             rgba=LEG_RGBA,
             contype=0,
             conaffinity=0,
         )
 
 
+# Shape, size [m] and height of the centre [m] of each distractor
+DISTRACTOR_SHAPES = (
+    (mujoco.mjtGeom.mjGEOM_BOX, [0.035, 0.035, 0.05], 0.05),
+    (mujoco.mjtGeom.mjGEOM_SPHERE, [0.045, 0, 0], 0.045),
+    (mujoco.mjtGeom.mjGEOM_CYLINDER, [0.05, 0.03, 0], 0.03),
+    (mujoco.mjtGeom.mjGEOM_CAPSULE, [0.025, 0.05, 0], 0.075),
+)
+
+
 def _add_distractors(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
     """Add objects without physics that are never the target, each of a different shape."""
-    shapes = mujoco.mjtGeom
-    kinds = [
-        (shapes.mjGEOM_BOX, [0.035, 0.035, 0.05], 0.05),
-        (shapes.mjGEOM_SPHERE, [0.045, 0, 0], 0.045),
-        (shapes.mjGEOM_CYLINDER, [0.05, 0.03, 0], 0.03),
-        (shapes.mjGEOM_CAPSULE, [0.025, 0.05, 0], 0.075),
-    ]
     x, y = robot.rectangle_centre_m
-    for i, (kind, size, height) in enumerate(kinds[:count]):
-        body = spec.worldbody.add_body(
-            name=f"{DISTRACTOR}{i}", pos=[x, y, robot.support_height_m], mocap=True
-        )
-        body.add_geom(
-            name=f"{DISTRACTOR}{i}",
-            type=kind,
-            size=size,
-            pos=[0, 0, height],
-            contype=0,
-            conaffinity=0,
-        )
+    for i, (kind, size, height) in enumerate(DISTRACTOR_SHAPES[:count]):
+        name = f"{DISTRACTOR}{i}"
+        body = spec.worldbody.add_body(name=name, pos=[x, y, robot.support_height_m], mocap=True)
+        body.add_geom(name=name, type=kind, size=size, pos=[0, 0, height], contype=0, conaffinity=0)

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.reading import one_line, reading
 from knowarm.world.description import HOW_TO_GET, menagerie_folder
@@ -41,25 +42,27 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         ) from None
 
 
+_DEMO_ELEMENTS = "keys actuators sensors equalities tendons pairs excludes lights cameras"
+
+
 def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
     """Delete what a file contains for its own demo and not for the scene it is attached to."""
     part.option = scene.option  # those that differ would be left out with a warning
-    kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
-    for kind in kinds.split():
+    for kind in _DEMO_ELEMENTS.split():
         for element in list(getattr(part, kind)):
             part.delete(element)
 
 
 def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
     """Give joints without a range that of the positions that their actuator is given."""
-    affine = mujoco.mjtBias.mjBIAS_AFFINE
     for actuator in part.actuators:
-        joint = part.joint(actuator.target) if actuator.target in joints else None
-        if joint is None or joint.range[0] < joint.range[1] or actuator.biastype != affine:
-            continue
+        is_position = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
         low, high = actuator.ctrlrange
-        if low < high:
-            joint.range = np.degrees(actuator.ctrlrange) if part.compiler.degree else (low, high)
+        if actuator.target not in joints or not is_position or low >= high:
+            continue
+        joint = part.joint(actuator.target)
+        if joint is not None and joint.range[0] >= joint.range[1]:
+            joint.range = np.degrees([low, high]) if part.compiler.degree else (low, high)
             joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
@@ -68,40 +71,55 @@ def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
 
     Other geoms of the world belong to the robot: a file made from URDF has its base there.
     """
-    world, names = part.worldbody, set(joints)
+    world = part.worldbody
     floors = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
-    carried = [{joint.name for joint in body.find_all("joint")} for body in world.bodies]
-    loose = [b for b, own in zip(world.bodies, carried, strict=True) if not names & own]
-    return [geom for geom in world.geoms if geom.type in floors] + loose
+    elements: list[Any] = [geom for geom in world.geoms if geom.type in floors]
+    names = set(joints)
+    for body in world.bodies:
+        carried = {joint.name for joint in body.find_all("joint")}
+        if not names & carried:
+            elements.append(body)
+    return elements
+
+
+def turn_about_z(degrees: float) -> list[float]:
+    """Return the quaternion of a rotation about z, wxyz."""
+    half = np.radians(degrees) / 2
+    return [np.cos(half), 0, 0, np.sin(half)]
+
+
+def _rotation(quaternion: Floats) -> Floats:
+    """Return the rotation matrix of a quaternion, (3, 3)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
 
 
 def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
     """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
-    body, in_degrees = joint.parent, part.compiler.degree
+    body = joint.parent
+    in_degrees = part.compiler.degree
     is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
     value -= np.radians(joint.ref) if is_hinge and in_degrees else joint.ref
     if value == 0:
         return
-    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+    quaternion_type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    if body.alt.type != quaternion_type:
         sequence = part.compiler.eulerseq
         body.quat = mujoco.MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
-        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, body.quat)
-    rotation = flat.reshape(3, 3)
+        body.alt.type = quaternion_type
+    rotation = _rotation(body.quat)
     axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
     if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
         body.pos = body.pos + rotation @ axis * value
     elif is_hinge:
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, axis, value)
-        turned = np.zeros(9)
-        mujoco.mju_quat2Mat(turned, turn)
         arm = np.asarray(joint.pos)
-        body.pos = body.pos + rotation @ (arm - turned.reshape(3, 3) @ arm)
-        quaternion = np.zeros(4)
-        mujoco.mju_mulQuat(quaternion, body.quat, turn)
-        body.quat = quaternion
+        body.pos = body.pos + rotation @ (arm - _rotation(turn) @ arm)
+        turned = np.zeros(4)
+        mujoco.mju_mulQuat(turned, body.quat, turn)
+        body.quat = turned
     else:
         raise UserError(
             f"{owner}: held_joints can hold hinges and slides; {joint.name!r} is neither."
@@ -125,9 +143,10 @@ def check_names(
 ) -> None:
     """Check that all names of a field are among the elements of an MJCF file."""
     existing = {element.name for element in elements if element.name}
+    listed = ", ".join(sorted(existing)) or "none"
     for name in names:
         if name not in existing:
             raise UserError(
                 f"{owner}: {field} names {name!r}, which {mjcf.name} does not have. Its {kind}: "
-                f"{', '.join(sorted(existing)) or 'none'}.{remedy}"
+                f"{listed}.{remedy}"
             )

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.reading import one_line
 from knowarm.world.description import SUFFIX
@@ -18,6 +19,9 @@ from knowarm.world.objects.target import Target
 from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
+from knowarm.world.scene.mjcf import turn_about_z
+
+Indices = NDArray[np.intp]
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
 
@@ -34,26 +38,26 @@ class Scene:
     robot: Robot  # Description of the robot
     targets: tuple[Target, ...]  # Descriptions of the targets
     joint_names: tuple[str, ...]  # Names of the joints that the agent moves, (J,)
-    qpos_index: NDArray[np.intp]  # Index in qpos of each joint, (J,)
-    joint_lower: NDArray[np.float64]  # Lower limit of each joint [rad], (J,)
-    joint_upper: NDArray[np.float64]  # Upper limit of each joint [rad], (J,)
-    home: NDArray[np.float64]  # Start angle of each joint before the random offset [rad], (J,)
+    qpos_index: Indices  # Index in qpos of each joint, (J,)
+    joint_lower: Floats  # Lower limit of each joint [rad], (J,)
+    joint_upper: Floats  # Upper limit of each joint [rad], (J,)
+    home: Floats  # Start angle of each joint before the random offset [rad], (J,)
     tcp_site: int  # Id of the site at the tool centre point (TCP)
     camera: int  # Id of the policy's camera
-    camera_position: NDArray[np.float64]  # Position of the camera, world [m], (3,)
+    camera_position: Floats  # Position of the camera, world [m], (3,)
     # Rotation from camera (x right, y up, z backward) to world, (3, 3)
-    camera_matrix: NDArray[np.float64]
-    geom_target: NDArray[np.intp]  # Index of the target each geom belongs to, -1 for none, (G,)
-    geom_coloured: NDArray[np.bool_]  # Whether a geom has its target's colour, (G,)
+    camera_matrix: Floats
+    geom_target: Indices  # Index of the target each geom belongs to, -1 for none, (G,)
+    geom_coloured: Mask  # Whether a geom has its target's colour, (G,)
     # RGB by target and colour, (K, C, 3); padded with the first colour
     target_colours: NDArray[np.float32]
     surface_geoms: tuple[int, ...]  # Ids of the floor and, if there is one, the table top
-    distractor_geoms: NDArray[np.intp]  # Ids of the distractors' geoms, (D,)
-    distractor_mocap: NDArray[np.intp]  # Index in the mocap arrays of each distractor, (D,)
-    target_mocap: NDArray[np.intp]  # Index in the mocap arrays of each target, (K,)
+    distractor_geoms: Indices  # Ids of the distractors' geoms, (D,)
+    distractor_mocap: Indices  # Index in the mocap arrays of each distractor, (D,)
+    target_mocap: Indices  # Index in the mocap arrays of each target, (K,)
     # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
-    grasp_position: NDArray[np.float64]
-    grasp_matrix: NDArray[np.float64]  # Rotation from grasp frame to world, (K, 3, 3)
+    grasp_position: Floats
+    grasp_matrix: Floats  # Rotation from grasp frame to world, (K, 3, 3)
 
     @property
     def num_joints(self) -> int:
@@ -65,7 +69,7 @@ class Scene:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
 
-    def at(self, joints: NDArray[np.float64]) -> mujoco.MjData:
+    def at(self, joints: Floats) -> mujoco.MjData:
         """Compute the poses of everything with the arm at joint angles (J,) [rad]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.qpos_index] = joints
@@ -96,9 +100,12 @@ def load_scene(
     Both may be TOML files, which are read again when they or the MJCF files beside them change.
     ``area`` is the robot's area in which the targets stand.
     """
-    own = [Path(name).resolve() for name in (robot, *targets) if name.endswith(SUFFIX)]
-    files = [each for file in own for each in (file, *file.parent.glob("*.xml")) if each.is_file()]
-    written = tuple((str(file), file.stat().st_mtime_ns) for file in files)
+    files: list[Path] = []
+    for name in (robot, *targets):
+        if name.endswith(SUFFIX):
+            description = Path(name).resolve()
+            files += [description, *description.parent.glob("*.xml")]
+    written = tuple((str(file), file.stat().st_mtime_ns) for file in files if file.is_file())
     return _load_scene(robot, tuple(targets), distractors, area, build, written)
 
 
@@ -153,13 +160,18 @@ def describe_model(
             f"{lower[j]:g} to {upper[j]:g}."
         )
     geom_target, geom_coloured, colours = _target_geoms(model, targets)
-    surfaces = ["floor", "table"] if robot.table else ["floor"]
-    others = [f"{DISTRACTOR}{i}" for i in range(distractors)]
+    surfaces = ["floor"]
+    if robot.table:
+        surfaces.append("table")
+    shapes = [f"{DISTRACTOR}{i}" for i in range(distractors)]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
     camera = model.camera(CAMERA).id
-    grasp_position, grasp_matrix = _grasp_frames(data, targets)
+    grasp_sites = [_grasp_site(model, target) for target in targets]
+    bodies = model.site_bodyid[grasp_sites]
+    # A robot's file can add mocap bodies too.
+    target_mocap = model.body_mocapid[model.body_rootid[bodies]]
     scene = Scene(
         model=model,
         robot=robot,
@@ -177,11 +189,11 @@ def describe_model(
         geom_coloured=geom_coloured,
         target_colours=colours,
         surface_geoms=tuple(model.geom(name).id for name in surfaces),
-        distractor_geoms=np.array([model.geom(name).id for name in others], dtype=np.intp),
-        distractor_mocap=np.array([model.body(name).mocapid[0] for name in others], dtype=np.intp),
-        target_mocap=_target_mocap(model, targets),
-        grasp_position=grasp_position,
-        grasp_matrix=grasp_matrix,
+        distractor_geoms=np.array([model.geom(name).id for name in shapes], dtype=np.intp),
+        distractor_mocap=np.array([model.body(name).mocapid[0] for name in shapes], dtype=np.intp),
+        target_mocap=target_mocap.astype(np.intp),
+        grasp_position=data.site_xpos[grasp_sites] - data.xpos[bodies],
+        grasp_matrix=data.site_xmat[grasp_sites].reshape(-1, 3, 3),
     )
     _check_in_image(scene)
     return scene
@@ -189,52 +201,59 @@ def describe_model(
 
 def _target_geoms(
     model: mujoco.MjModel, targets: Sequence[Target]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
+) -> tuple[Indices, Mask, NDArray[np.float32]]:
     """Return ``geom_target``, ``geom_coloured`` and ``target_colours`` of a `Scene`."""
     geom_target = np.full(model.ngeom, -1, dtype=np.intp)
     geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
     width = max(len(target.colours) for target in targets)
     colours = np.zeros((len(targets), width, 3), dtype=np.float32)
+    names = [model.geom(g).name for g in range(model.ngeom)]
     for k, target in enumerate(targets):
         rgb = list(target.colours.values())
-        colours[k] = rgb + [rgb[0]] * (width - len(rgb))
-        for g in range(model.ngeom):
-            name = model.geom(g).name
-            if name.startswith(f"{target.name}/"):
+        colours[k] = rgb[0]
+        colours[k, : len(rgb)] = rgb
+        prefix = f"{target.name}/"
+        for g, name in enumerate(names):
+            if name.startswith(prefix):
                 geom_target[g] = k
-                geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
+                geom_coloured[g] = name.removeprefix(prefix) in target.coloured_geoms
     return geom_target, geom_coloured, colours
 
 
-def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
+def target_places(scene: Scene, position: Floats) -> Floats:
     """Lift positions (..., 2) [m] to the support: (..., 3) [m], world."""
     height = np.full_like(position[..., :1], scene.robot.support_height_m)
     return np.concat([position, height], axis=-1)
 
 
-def project(
-    scene: Scene, points: NDArray[np.float64], view: NDArray[np.floating] | None = None
-) -> NDArray[np.float64]:
+def project(scene: Scene, points: Floats, view: NDArray[np.floating] | None = None) -> Floats:
     """Project world points (n, 3) [m] into the square image, (n, 2).
 
     Right and up from the centre in half image widths; NaN for points behind the camera. ``view``,
     (12,), is the camera's position [m] and rotation to world where it is not the scene's.
     """
-    scene_view = np.append(scene.camera_position, scene.camera_matrix)
-    position, matrix = np.split(scene_view if view is None else view, [3])
-    local = (points - position) @ matrix.reshape(3, 3)
-    depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
+    if view is None:
+        view = np.append(scene.camera_position, scene.camera_matrix)
+    local = (points - view[:3]) @ view[3:].reshape(3, 3)
+    backward = local[:, 2:]
+    depth = np.where(backward < 0, -backward, np.nan)
     half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
     return np.asarray(local[:, :2] / (depth * half_height))
+
+
+def _grasp_site(model: mujoco.MjModel, target: Target) -> int:
+    """Return the id of the site of a target's grasp frame."""
+    return int(model.site(f"{target.name}/{target.grasp_site}").id)
 
 
 def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]) -> None:
     """Turn grasp frames about their z axis by the robot's ``grasp_turns_deg``."""
     for target in targets:
         name = "round" if target.round_grasp else target.name
-        if half := np.radians(robot.grasp_turns_deg.get(name, 0.0)) / 2:
-            site = model.site(f"{target.name}/{target.grasp_site}").id
-            turn = np.round([np.cos(half), 0.0, 0.0, np.sin(half)], 8)  # exact for half a turn
+        degrees = robot.grasp_turns_deg.get(name, 0.0)
+        if degrees:
+            site = _grasp_site(model, target)
+            turn = np.round(turn_about_z(degrees), 8)  # exact for half a turn
             turned = np.zeros(4)
             mujoco.mju_mulQuat(turned, model.site_quat[site], turn)
             mujoco.mju_normalize4(turned)
@@ -242,33 +261,15 @@ def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target])
             model.site_sameframe[site] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
 
-def _grasp_frames(
-    data: mujoco.MjData, targets: Sequence[Target]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the grasp frames of the targets, at their yaw, relative to their positions."""
-    model = data.model
-    ids = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
-    bodies = model.site_bodyid[ids]
-    position = data.site_xpos[ids] - data.xpos[bodies]
-    return position, data.site_xmat[ids].reshape(-1, 3, 3).copy()
-
-
-def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[np.intp]:
-    """Return each target's index in the mocap arrays; a robot's file can add mocap bodies too."""
-    sites = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
-    bodies = model.site_bodyid[sites]
-    return model.body_mocapid[model.body_rootid[bodies]].astype(np.intp)
-
-
 def _check_in_image(scene: Scene) -> None:
     """Check that all grasp points are inside the image at the corners of the rectangle."""
     robot = scene.robot
-    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
-    corners = target_places(scene, centre + signs * half)
-    for k, target in enumerate(scene.targets):
-        seen = project(scene, corners + scene.grasp_position[k])
-        inside = (np.abs(seen) <= 1).all(axis=1)
+    offsets = signs * np.array(robot.rectangle_half_size_m)
+    corners = target_places(scene, np.array(robot.rectangle_centre_m) + offsets)
+    for target, grasp_position in zip(scene.targets, scene.grasp_position, strict=True):
+        image_point = project(scene, corners + grasp_position)
+        inside = (np.abs(image_point) <= 1).all(axis=1)
         if not inside.all():
             x, y, _ = corners[int(np.argmin(inside))]
             raise UserError(
