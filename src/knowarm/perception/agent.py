@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from knowarm.errors import UserError
 from knowarm.perception.config import FRAME
-from knowarm.perception.grounding import BATCH, GroundingNetwork
+from knowarm.perception.grounding import GroundingNetwork, in_batches
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -76,8 +76,7 @@ class FrameRecognition(nn.Module):
     @torch.inference_mode()
     def forward(self, images: Tensor, rows: Tensor) -> Tensor:
         """Find the frames of episodes of some rows, in batches; see `locate`."""
-        batches = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
-        return torch.cat([self.locate(*batch) for batch in batches])
+        return in_batches(self.locate, images, self.of_rows(rows))
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """Make an agent that acts on these frames; options as `PolicyAgent`."""

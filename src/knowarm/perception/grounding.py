@@ -7,6 +7,7 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 
 import json
 import struct
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self, cast
@@ -96,10 +97,14 @@ class GroundingNetwork(nn.Module):
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        for layer in (*self.key, *self.query):
-            orthogonal(layer, RELU_GAIN, generator)
-        for layer in self.frame:
-            orthogonal(layer, RELU_GAIN if first_stage else DEEP_HEAD_GAIN, generator)
+        gain = RELU_GAIN if first_stage else DEEP_HEAD_GAIN
+        for layers, own_gain in (
+            (self.key, RELU_GAIN),
+            (self.query, RELU_GAIN),
+            (self.frame, gain),
+        ):
+            for layer in layers:
+                orthogonal(layer, own_gain, generator)
         if not first_stage:  # features differ in scale, and many are zero
             self.frame.insert(0, Standardize(inputs))
 
@@ -146,14 +151,13 @@ class GroundingNetwork(nn.Module):
                 raise ValueError("its table of knowledge does not fit its slots")
             network = cls(spec, table, slots)
             state = network.state_dict()
-            expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
-            shapes = {name: value.shape for name, value in tensors.items()}
-            if shapes != expected:
-                raise ValueError("its arrays do not fit the facets that it names")
-            for value in tensors.values():
+            stored = {name: tensors.pop(name.removeprefix(ENCODER), None) for name in state}
+            for name, value in stored.items():
+                if tensors or value is None or value.shape != state[name].shape:
+                    raise ValueError("its arrays do not fit the facets that it names")
                 if not value.is_floating_point() or not value.isfinite().all():
                     raise ValueError("it contains non-finite values")
-            network.load_state_dict({name: tensors[name.removeprefix(ENCODER)] for name in state})
+            network.load_state_dict(stored)
         return network.eval().requires_grad_(False)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -300,6 +304,12 @@ class Standardize(nn.Module):
     def forward(self, values: Tensor) -> Tensor:
         """Standardize values (..., D)."""
         return (values - self.mean) / self.deviation
+
+
+def in_batches(compute: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    """Compute something of at most `BATCH` rows of tensors at once; return all of it."""
+    batches = zip(*[tensor.split(BATCH) for tensor in tensors], strict=True)
+    return torch.cat([compute(*batch) for batch in batches])
 
 
 def _metadata(data: bytes) -> dict[str, Any]:
