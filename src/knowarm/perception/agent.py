@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from knowarm.errors import UserError
 from knowarm.perception.config import FRAME
 from knowarm.perception.grounding import GroundingNetwork, in_batches
+from knowarm.perception.images import axes_of
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -47,8 +48,7 @@ class FrameRecognition(nn.Module):
 
     def true_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
         """Return the frames that the simulator knows of episodes (n,)."""
-        matrix = episodes.goal_matrix[ids].reshape(-1, 3, 3)
-        axes = matrix[..., [0, 2]].swapaxes(-1, -2).reshape(-1, 6)
+        axes = axes_of(episodes.goal_matrix[ids].reshape(-1, 3, 3))
         like = self.network.knowledge
         position = torch.from_numpy(episodes.goal_position[ids]).to(like)
         return self.network.standardized(position, torch.from_numpy(axes).to(like))
@@ -126,14 +126,12 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         ids = self._tensor(np.flatnonzero(self.running.steps == 0))
         if not len(ids):
             return images
-        knowledge = self._perceived.clone()
         if self.has_teacher:
-            knowledge[ids] = self._recognition.true_frames(self.running, ids.cpu().numpy())
-        elif self._recognition.depends_on_rows:
-            knowledge[ids] = self._recognition(images[ids], self.knowledge_input[ids])
+            frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
-            knowledge[ids] = self._recognition(images[ids], ids)
-        self._perceived = knowledge
+            rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
+            frames = self._recognition(images[ids], rows)
+        self._perceived = self._perceived.index_copy(0, ids, frames)
         return images
 
 

@@ -59,7 +59,8 @@ class AnswerGrounding(FrameRecognition):
         """Find the answers to queries, as `locate`."""
         frames, scores, by_place = self._find(images, knowledge)
         named, places = self._name(by_place)
-        at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
+        of_facets = places[:, None].expand(-1, by_place.shape[1], -1)
+        at_place = by_place.gather(2, of_facets)  # (n, F, m)
         part = self.network.part_of
         is_same = part[:, None] == part[named][:, None]  # facet is of the named part, (n, F, m)
         likelihoods = at_place.masked_fill(~is_same, -torch.inf).softmax(1)

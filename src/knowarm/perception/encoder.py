@@ -75,8 +75,9 @@ class PlaceEncoder(nn.Module):
         if self.code is None:
             return objects, colours
         # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
-        names = self.code[:, : self.attributes] @ objects[:, : self.attributes] / 2
-        place = objects[:, self.attributes, None].log_softmax(2)
+        count = self.attributes
+        names = self.code[:, :count] @ objects[:, :count] / 2
+        place = objects[:, count, None].log_softmax(2)
         return names.log_softmax(1) + place, colours.log_softmax(1)
 
     def facet_scores(self, features: Tensor) -> Tensor:

@@ -24,8 +24,10 @@ class KgeModel(nn.Module, ABC):
     def __init__(self, entities: int, relations: int, dim: int, generator: torch.Generator) -> None:
         super().__init__()
         self.relations = relations
-        self.entity = nn.Parameter(torch.randn(entities, dim, generator=generator) * 0.1)
-        self.relation = nn.Parameter(torch.randn(2 * relations, dim, generator=generator) * 0.1)
+        entity = torch.randn(entities, dim, generator=generator)
+        relation = torch.randn(2 * relations, dim, generator=generator)
+        self.entity = nn.Parameter(entity * 0.1)
+        self.relation = nn.Parameter(relation * 0.1)
 
     @abstractmethod
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
@@ -69,12 +71,16 @@ class Analogy(KgeModel):
         """Return h r, whose dot product with (t_s, Re t_c, Im t_c) is the score."""
         head_scalars, a, b = self._split(head)
         relation_scalars, c, d = self._split(relation)
-        return torch.cat([head_scalars * relation_scalars, a * c - b * d, a * d + b * c], dim=-1)
+        scalars = head_scalars * relation_scalars
+        real = a * c - b * d
+        imaginary = a * d + b * c
+        return torch.cat([scalars, real, imaginary], dim=-1)
 
     def moduli(self, vectors: Tensor) -> Tensor:
         """Return the absolute scalars and the moduli of the complex pairs, smooth at 0."""
         scalars, a, b = self._split(vectors)
-        return torch.cat([scalars.abs(), (a * a + b * b + 1e-12).sqrt()], dim=-1)
+        squares = a * a + b * b + 1e-12
+        return torch.cat([scalars.abs(), squares.sqrt()], dim=-1)
 
     def _split(self, vectors: Tensor) -> tuple[Tensor, ...]:
         """Split (..., D) into scalars, real parts and imaginary parts."""

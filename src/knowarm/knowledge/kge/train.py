@@ -1,7 +1,6 @@
 """Training of graph embeddings, stopped early by filtered ranks of held-out triples; their file."""
 
 import json
-from collections import defaultdict
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
@@ -51,38 +50,40 @@ def filtered_ranks(
         The ranks of the tails of all triples, then of the heads, (2 n,) float64.
     """
     model.eval()
-    tails = _tail_ranks(model, triples, known, batch_size)
     inverse = reciprocal(triples, model.relations)
-    heads = _tail_ranks(model, inverse, reciprocal(known, model.relations), batch_size)
+    known_inverse = reciprocal(known, model.relations)
+    tails = _tail_ranks(model, triples, known, batch_size)
+    heads = _tail_ranks(model, inverse, known_inverse, batch_size)
     return np.concatenate([tails, heads])
 
 
 def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
     """Return (t, r + R, h) for each (h, r, t), (n, 3) int64."""
-    return np.stack([triples[:, 2], triples[:, 1] + relations, triples[:, 0]], axis=1)
+    head, relation, tail = triples.T
+    return np.stack([tail, relation + relations, head], axis=1)
 
 
 def _tail_ranks(
     model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int
 ) -> np.ndarray:
-    answers: dict[tuple[int, int], list[int]] = defaultdict(list)
-    asked = {(h, r) for h, r, _ in triples.tolist()}
+    answers: dict[tuple[int, int], list[int]] = {(h, r): [] for h, r, _ in triples.tolist()}
     for h, r, t in known.tolist():
-        if (h, r) in asked:
+        if (h, r) in answers:
             answers[h, r].append(t)
     ranks = []
     for start in range(0, len(triples), batch_size):
         batch = torch.from_numpy(triples[start : start + batch_size])
-        scores = model(batch[:, 0], batch[:, 1])
+        head, relation, tail = batch.T
+        scores = model(head, relation)
         if not torch.isfinite(scores).all():
             raise UserError(_DIVERGED.format("the model gives a non-finite score"))
-        true = scores.gather(1, batch[:, 2:])
+        true = scores.gather(1, tail[:, None])
         for row, (h, r, _) in enumerate(batch.tolist()):
             scores[row, answers[h, r]] = -torch.inf
         higher = (scores > true).sum(dim=1)
         equal = (scores == true).sum(dim=1)  # the true one itself was filtered too
         ranks.append((1.0 + higher + equal / 2.0).double().numpy())
-    return np.concatenate(ranks) if ranks else np.empty(0)
+    return np.concatenate([np.empty(0), *ranks])
 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
@@ -195,8 +196,9 @@ def _loss(
     counts = queries.counts[rows]
     ends = queries.counts.cumsum(0)[rows]
     row = torch.repeat_interleave(torch.arange(len(rows)), counts)
-    # Answers of a row end at its end: count from there.
-    tail = queries.answers[torch.arange(len(row)) + (ends - counts.cumsum(0))[row]]
+    # From the position of a row's answers among those of the batch to that among all.
+    shift = ends - counts.cumsum(0)
+    tail = queries.answers[torch.arange(len(row)) + shift[row]]
     head, relation = queries.pairs[rows].T
     compared = None
     column = tail

@@ -131,7 +131,9 @@ class WorkerGradients:
         result: tuple[Tensor, State],
     ) -> None:
         x, (h, _), episode_start = args
-        before = torch.cat((h[None], result[0].detach()[:-1])) * ~episode_start[:, :, None]
+        hidden = result[0].detach()
+        before = torch.cat((h[None], hidden[:-1]))
+        before *= ~episode_start[:, :, None]
 
         def add(gradient: Tensor) -> None:
             of_gates = self._by_worker(gradient)
@@ -147,7 +149,8 @@ class WorkerGradients:
 
     def _by_worker(self, x: Tensor) -> Tensor:
         """Sort the rows of steps and workers by worker: (t * W * r, n) -> (W, t * r, n)."""
-        rows = x.detach().reshape(self._count, len(self._patches), -1, x.shape[-1])
+        workers = len(self._patches)
+        rows = x.detach().reshape(self._count, workers, -1, x.shape[-1])
         return rows.transpose(0, 1).flatten(1, 2)
 
 
