@@ -115,11 +115,11 @@ def within(config: Any, least: float, most: float, *names: str, where: str = "")
     _check(config, names, where, allowed, lambda value: least <= value <= most)
 
 
-def file_name(config: Any, *names: str, where: str = "") -> None:
+def file_name(config: Any, *names: str) -> None:
     """Check that fields of a config, where they are not None, name a file and no path."""
     pattern = re.compile(r"\w[\w.+-]*", re.ASCII)
     allowed = "a name of letters, digits, '-', '_', '+' and '.'"
-    _check(config, names, where, allowed, pattern.fullmatch)
+    _check(config, names, "", allowed, pattern.fullmatch)
 
 
 def _check(

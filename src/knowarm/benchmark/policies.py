@@ -105,11 +105,11 @@ def _run(spec: str) -> Entrant:
     folder = trained.folder
 
     def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
-        own = config.env
+        learned = config.env
         played = cell.env
-        if (own.robot, own.task.name) != (played.robot, played.task.name):
-            raise UserError(f"{spec} was trained for {own.robot} and {own.task.name}.")
-        if facets_of(own) != facets_of(played):
+        if (learned.robot, learned.task.name) != (played.robot, played.task.name):
+            raise UserError(f"{spec} was trained for {learned.robot} and {learned.task.name}.")
+        if facets_of(learned) != facets_of(played):
             raise UserError(f"{spec} was trained with other objects or colours.")
         graph = cell.graph or played.task.edited_graph(facets_of(played))
         if graph is not None:

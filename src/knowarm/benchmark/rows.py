@@ -233,8 +233,12 @@ def _share(seeds: Sequence[Mask], episodes: int) -> dict[str, Any]:
     else:
         interval = wilson(round(shares[0] * episodes), episodes)
         interval = replace(interval, estimate=shares[0])
-    ends = {"low": interval.low, "high": interval.high}
-    return {"mean": interval.estimate, **ends, "seeds": shares}
+    return {
+        "mean": interval.estimate,
+        "low": interval.low,
+        "high": interval.high,
+        "seeds": shares,
+    }
 
 
 def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
@@ -349,8 +353,8 @@ def verify(
     may_differ = ["specs", "digests"] if tolerance else ["specs"]
     for name in may_differ:
         declared[name] = row["policy"][name]
-    for name, (stored, given) in differences(row["policy"], declared).items():
-        raise UserError(f"policy.{name}: the row says {stored}, the given policy has {given}.")
+    for name, (stored, played) in differences(row["policy"], declared).items():
+        raise UserError(f"policy.{name}: the row says {stored}, the given policy has {played}.")
     cells = list(row["cells"])
     again = run_suite(suite, entrants, name=row["name"], cells=cells, report=report)
     for name, cell in row["cells"].items():

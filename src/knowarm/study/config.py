@@ -230,7 +230,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
             studied = read_study(source_of)
             if str(source_of) != controlled:
                 values["name"] = f"{studied.name}-{values['name']}"
-            values = to_dict(controls(studied, "controls")) | values
+            values = to_dict(controls(studied)) | values
         elif of is not None:
             raise UserError(f"{source} is no study of controls: leave out 'of'.")
         return from_dict(StudyConfig, values)
@@ -245,7 +245,7 @@ def write_study(study: StudyConfig, out: Path) -> None:
     write_json(out / STUDY_FILE, {"format": FORMAT, **to_dict(study)})
 
 
-def controls(study: StudyConfig, name: str) -> StudyConfig:
+def controls(study: StudyConfig) -> StudyConfig:
     """Return the study of the registered controls of a study's agents with knowledge.
 
     They are trained on the same tasks, with the same seeds, overrides and evaluations.
@@ -265,7 +265,7 @@ def controls(study: StudyConfig, name: str) -> StudyConfig:
     rules = [rule for rule in study.overrides_for if fnmatch.filter(names, rule.experiments)]
     return dataclasses.replace(
         study,
-        name=name,
+        name="controls",
         about="",
         experiments=tuple(names),
         grid=None,

@@ -20,6 +20,9 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.reading import reading, replacing
 
+RANKED_AT_ONCE = 256
+"""Triples whose scores are in memory at once."""
+
 _DIVERGED = (
     "The graph embedding diverged: {}. Lower learning_rate or n3, or leave them out, and train "
     "again."
@@ -38,9 +41,7 @@ class Trained(NamedTuple):
 
 
 @torch.no_grad()
-def filtered_ranks(
-    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int = 256
-) -> np.ndarray:
+def filtered_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
 
     Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
@@ -52,8 +53,8 @@ def filtered_ranks(
     model.eval()
     inverse = reciprocal(triples, model.relations)
     known_inverse = reciprocal(known, model.relations)
-    tails = _tail_ranks(model, triples, known, batch_size)
-    heads = _tail_ranks(model, inverse, known_inverse, batch_size)
+    tails = _tail_ranks(model, triples, known)
+    heads = _tail_ranks(model, inverse, known_inverse)
     return np.concatenate([tails, heads])
 
 
@@ -63,16 +64,13 @@ def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
     return np.stack([tail, relation + relations, head], axis=1)
 
 
-def _tail_ranks(
-    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int
-) -> np.ndarray:
+def _tail_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
     answers: dict[tuple[int, int], list[int]] = {(h, r): [] for h, r, _ in triples.tolist()}
     for h, r, t in known.tolist():
         if (h, r) in answers:
             answers[h, r].append(t)
     ranks = []
-    for start in range(0, len(triples), batch_size):
-        batch = torch.from_numpy(triples[start : start + batch_size])
+    for batch in torch.from_numpy(triples).split(RANKED_AT_ONCE):
         head, relation, tail = batch.T
         scores = model(head, relation)
         if not torch.isfinite(scores).all():
