@@ -46,9 +46,9 @@ Studies
 World
     make                make an environment: single or vector, NumPy or torch
     EnvConfig           robot, task, objects, colours, dynamics and thresholds
-    ArmEnv            single environment (Gymnasium)
-    ArmVectorEnv      vector environment on NumPy arrays (Gymnasium)
-    TorchArmVectorEnv vector environment on torch tensors
+    ArmEnv              single environment (Gymnasium)
+    ArmVectorEnv        vector environment on NumPy arrays (Gymnasium)
+    TorchArmVectorEnv   vector environment on torch tensors
     Robot               the fields of a robot's TOML description
     VisualRandomization, HeldOut    what varies in the image; colours and places held out
     evaluation_episodes draw a fixed list of episodes

@@ -75,9 +75,11 @@ def _fields(cls: Any) -> dict[str, _Field]:
         if field.init:
             hint = hints[field.name]
             is_required = field.default is field.default_factory is dataclasses.MISSING
-            read = field.metadata.get(_READER) or _reader(hint)
-            if _READER in field.metadata and get_origin(hint) is tuple:
-                read = partial(_registered_tuple, read)
+            read = field.metadata.get(_READER)
+            if read is None:
+                read = _reader(hint)
+            elif get_origin(hint) is tuple:
+                read = partial(_tuple, [read], True)
             fields[field.name] = _Field(is_required, _is_plain(hint), read)
     return fields
 
@@ -113,11 +115,11 @@ def within(config: Any, least: float, most: float, *names: str, where: str = "")
     _check(config, names, where, allowed, lambda value: least <= value <= most)
 
 
-def file_name(config: Any, *names: str, where: str = "") -> None:
+def file_name(config: Any, *names: str) -> None:
     """Check that fields of a config, where they are not None, name a file and no path."""
     pattern = re.compile(r"\w[\w.+-]*", re.ASCII)
     allowed = "a name of letters, digits, '-', '_', '+' and '.'"
-    _check(config, names, where, allowed, pattern.fullmatch)
+    _check(config, names, "", allowed, pattern.fullmatch)
 
 
 def _check(
@@ -163,8 +165,12 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str
     """Return both values of each field in which nested mappings differ, by dotted name."""
     one = flatten(first)
     other = flatten(second)
-    pairs = {name: (one.get(name), other.get(name)) for name in one | other}
-    return {name: (a, b) for name, (a, b) in pairs.items() if a != b}
+    different = {}
+    for name in one | other:
+        pair = (one.get(name), other.get(name))
+        if pair[0] != pair[1]:
+            different[name] = pair
+    return different
 
 
 def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
@@ -180,7 +186,7 @@ def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     for name, new in overrides.items():
         current = getattr(config, name, None)
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
-            tags = [field for field, _ in _tags(typing.cast(Any, type(current)))]
+            tags = dict(_tags(typing.cast(Any, type(current))))
             if all(new.get(tag) in (None, getattr(current, tag)) for tag in tags):
                 new = override(current, new, where=_path(where, name))
         values[name] = _plain(new)
@@ -217,12 +223,6 @@ def _path(where: str, name: str) -> str:
     return f"{where}.{name}" if where else name
 
 
-def _registered_tuple(read: _Reader, value: Any, path: str) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple):
-        raise UserError(f"{path} must be a list, got {value!r}.")
-    return tuple(read(item, f"{path}[{i}]") for i, item in enumerate(value))
-
-
 @cache
 def _reader(hint: Any) -> _Reader:
     """Return what converts a JSON value to an annotated type."""
@@ -235,7 +235,8 @@ def _reader(hint: Any) -> _Reader:
     if dataclasses.is_dataclass(hint):
         return lambda value, path: from_dict(typing.cast(Any, hint), value, where=path)
     if origin is tuple:
-        return partial(_tuple, args)
+        items = [_reader(kind) for kind in args if kind is not Ellipsis]
+        return partial(_tuple, items, Ellipsis in args)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return partial(_mapping, _reader(args[1]))
     if hint is float:
@@ -251,14 +252,15 @@ def _choice(allowed: tuple[Any, ...], value: Any, path: str) -> Any:
     return value
 
 
-def _tuple(kinds: tuple[Any, ...], value: Any, path: str) -> tuple[Any, ...]:
+def _tuple(items: list[_Reader], repeats: bool, value: Any, path: str) -> tuple[Any, ...]:
+    """Convert a list to a tuple of some items, or of any number of one that repeats."""
     if not isinstance(value, list | tuple):
         raise UserError(f"{path} must be a list, got {value!r}.")
-    if kinds[-1] is Ellipsis:  # any number of one type
-        kinds = kinds[:1] * len(value)
-    if len(kinds) != len(value):
-        raise UserError(f"{path} must hold {len(kinds)} values, got {len(value)}: {value!r}.")
-    return tuple(_reader(kinds[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
+    if repeats:
+        items = items * len(value)
+    if len(items) != len(value):
+        raise UserError(f"{path} must hold {len(items)} values, got {len(value)}: {value!r}.")
+    return tuple(read(value[i], f"{path}[{i}]") for i, read in enumerate(items))
 
 
 def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:

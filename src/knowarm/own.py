@@ -20,7 +20,7 @@ def installed(group: str) -> dict[str, str]:
 
 def named_by(variable: str) -> list[str]:
     """Return the import paths in an environment variable, separated by commas."""
-    return [path for path in os.environ.get(variable, "").split(",") if path]
+    return list(filter(None, os.environ.get(variable, "").split(",")))
 
 
 def share(variable: str, import_path: str) -> None:
@@ -38,8 +38,9 @@ def load(import_path: str, what: str, fits: Callable[[Any], bool], needed: str) 
     module, _, name = import_path.partition(":")
     if not module or module.startswith(".") or not name:
         raise UserError(f"Your own {what} is given as package.module:Name, got {import_path!r}.")
-    if str(Path.cwd()) not in sys.path:  # the program's own start leaves it out
-        sys.path.append(str(Path.cwd()))
+    folder = str(Path.cwd())
+    if folder not in sys.path:  # the program's own start leaves it out
+        sys.path.append(folder)
     try:
         value = getattr(import_module(module), name, None)
     except ImportError as error:

@@ -15,16 +15,18 @@ from knowarm.errors import UserError
 
 def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) -> bytes:
     """Return a file of an image; ``kind`` and ``options`` as of Pillow's ``save``."""
-    picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
+    if not isinstance(image, Image.Image):
+        image = Image.fromarray(image)
     stream = io.BytesIO()
-    picture.save(stream, kind, **options)
+    image.save(stream, kind, **options)
     return stream.getvalue()
 
 
 def animation(images: Sequence[NDArray[np.uint8]], frame_ms: int, last_ms: int) -> bytes:
     """Return a WebP file that repeats images; ``last_ms`` is the display time of the last one."""
     frames = [Image.fromarray(image) for image in images]
-    durations = [frame_ms] * (len(frames) - 1) + [last_ms]
+    durations = [frame_ms] * len(frames)
+    durations[-1] = last_ms
     return encode(
         frames[0],
         "WEBP",
@@ -50,6 +52,8 @@ def check_suffix(path: Path, what: str) -> None:
 
 def central_square(image: Image.Image, size: int) -> Image.Image:
     """Average the central square of an image to ``size`` pixels."""
-    side = min(image.size)
-    left, top = ((length - side) / 2 for length in image.size)
+    width, height = image.size
+    side = min(width, height)
+    left = (width - side) / 2
+    top = (height - side) / 2
     return image.resize((size, size), Image.Resampling.BOX, (left, top, left + side, top + side))

@@ -81,9 +81,13 @@ def xacro_packages(find: Callable[[str], str]) -> Iterator[None]:
     """
     from xacro import substitution_args as module
 
+    def replace(function: Callable[[str], str]) -> None:
+        module._eval_find = function
+        module._eval_dict["find"] = function
+
     before = module._eval_find
-    module._eval_find = module._eval_dict["find"] = find
+    replace(find)
     try:
         yield
     finally:
-        module._eval_find = module._eval_dict["find"] = before
+        replace(before)

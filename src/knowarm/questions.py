@@ -226,16 +226,19 @@ def kind_of(name: str) -> str:
 def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
     """Return the facets of the parts of each facet's object in its colour; see ``parts``."""
     groups: dict[ObjectColour, list[int]] = {}
+    of_facets = []
     for number, (name, colour) in enumerate(facets):
-        groups.setdefault((object_of(name), colour), []).append(number)
-    counts = {name: len(group) for (name, _), group in groups.items()}
-    if len({*map(len, groups.values())}) > 1:
+        group = groups.setdefault((object_of(name), colour), [])
+        group.append(number)
+        of_facets.append(group)
+    if len(set(map(len, groups.values()))) > 1:
+        counts = {name: len(group) for (name, _), group in groups.items()}
         listed = ", ".join(f"{count} of {name}" for name, count in counts.items())
         raise UserError(
             f"All objects of a task need the same number of parts, got {listed}. Add or remove "
             "parts among EnvConfig.targets."
         )
-    return np.array([groups[object_of(name), colour] for name, colour in facets], dtype=np.int64)
+    return np.array(of_facets, dtype=np.int64)
 
 
 def with_distractors(

@@ -69,10 +69,12 @@ def curve(
     ``bend`` is how far the curve swings out to the right of ``start`` [px], for points above each
     other; None draws an S through the middle.
     """
+    turn = (start[0] + end[0]) / 2
+    if bend is not None:
+        turn = start[0] + bend
+    middle = number(turn)
     x0, y0 = map(number, start)
     x1, y1 = map(number, end)
-    turn = (start[0] + end[0]) / 2 if bend is None else start[0] + bend
-    middle = number(turn)
     data = f"M{x0} {y0}C{middle} {y0} {middle} {y1} {x1} {y1}"
     return element("path", *children, d=data, **attributes)
 

@@ -126,7 +126,7 @@ def test_the_study_of_choosing_holds_controls_of_its_subject_and_every_split():
 
 def test_controls_match_the_agents_of_a_study():
     study = read_study("paper")
-    control = controls(study, "controls")
+    control = controls(study)
     assert {run.role for run in control.runs()} == {"capacity_control", "content_control"}
     assert control.seeds == study.seeds
     assert {run.env for run in control.runs()} == {run.env for run in study.runs()}

@@ -4,7 +4,7 @@ import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -19,6 +19,9 @@ from knowarm.reading import write_json
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")]
 
+REFERENCES = ("oracle", "open-loop", "chance")
+"""Scores of a suite that stand beside its cells."""
+
 _report = partial(print, file=sys.stderr, flush=True)
 
 
@@ -28,17 +31,14 @@ class ShowSuites:
 
     def run(self) -> None:
         """Print a table per suite."""
+        titles = ["cell", "episodes", "success within", "oracle %", "open-loop %", "chance %"]
         for suite in map(read_suite, suite_names()):
-            rows = [
-                [
-                    cell.name,
-                    f"{len(cell.episodes):,}",
-                    f"{100 * cell.env.success_distance_m:g} cm, {cell.env.success_angle_deg:g} deg",
-                    *(_percent(cell.reference[name]) for name in ("oracle", "open-loop", "chance")),
-                ]
-                for cell in suite.cells.values()
-            ]
-            titles = ["cell", "episodes", "success within", "oracle %", "open-loop %", "chance %"]
+            rows = []
+            for cell in suite.cells.values():
+                env = cell.env
+                within = f"{100 * env.success_distance_m:g} cm, {env.success_angle_deg:g} deg"
+                scores = [_percent(cell.reference[name]) for name in REFERENCES]
+                rows.append([cell.name, f"{len(cell.episodes):,}", within, *scores])
             print_table(f"{suite.name}: {suite.about}", titles, rows)
             print(f"Digest {suite.digest[:16]}; {suite.training_seeds} training seeds per row.\n")
 
@@ -66,28 +66,26 @@ class RunSuite:
         """Play, print and write."""
         if not self.policy:
             raise UserError("--policy needs a policy: a run folder, an ONNX file, module:Name.")
-        name, suite = self.name or self.policy[0], read_suite(self.suite)
+        name = self.name or self.policy[0]
+        suite = read_suite(self.suite)
         if self.trial is None:
             check_output(self.out, "--out")  # before minutes of playing
         else:
             at_least(self, 1, "trial")
-            few = {k: replace(c, episodes=c.episodes[: self.trial]) for k, c in suite.cells.items()}
-            suite = replace(suite, cells=few)
+            cells = {}
+            for key, cell in suite.cells.items():
+                cells[key] = replace(cell, episodes=cell.episodes[: self.trial])
+            suite = replace(suite, cells=cells)
         entrants = list(map(entrant, self.policy))
         row = run_suite(suite, entrants, name=name, cells=self.cells, report=_report)
         for table, summary in row["summary"].items():
-            names = summary["cells"]
-            rows = []
-            for cell in names:
-                figures = row["cells"][cell]
-                right = figures.get("right")
-                controls = [f"{k} {100 * v:.1f}" for k, v in figures["controls"].items()]
-                shown = [_interval(figures["success"]), _interval(right) if right else "-"]
-                rows.append([cell, ", ".join(controls), *shown])
+            rows = [[cell, *_figures(row["cells"][cell])] for cell in summary["cells"]]
             print_table(f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows)
-        if self.trial is None:
-            write_json(self.out, row)
-        print(f"Wrote {self.out}" if self.trial is None else "A trial: no row was written.")
+        if self.trial is not None:
+            print("A trial: no row was written.")
+            return
+        write_json(self.out, row)
+        print(f"Wrote {self.out}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +110,13 @@ class VerifyRow:
             raise UserError("--no-play compares no episodes: leave out --tolerance.")
         if self.play:
             specs = self.policy or tuple(row["policy"]["specs"])
-            if code := [spec for spec in specs if not (self.policy or is_safe(spec))]:
-                raise UserError(
-                    f"{self.row} names code, a server or a model ({code[0]}), which a row of "
-                    f"somebody else must not choose: give it yourself, --policy {code[0]}, or use "
-                    "--no-play."
-                )
+            for spec in specs:
+                if not self.policy and not is_safe(spec):
+                    raise UserError(
+                        f"{self.row} names code, a server or a model ({spec}), which a row of "
+                        f"somebody else must not choose: give it yourself, --policy {spec}, or "
+                        "use --no-play."
+                    )
             entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)
         how = "played again with the same outcomes" if self.play else "consistent; not played again"
@@ -138,17 +137,25 @@ class WriteTable:
         rows = read_rows(self.rows)
         for path in write_leaderboard(rows, self.out):
             print(f"Wrote {path}")
-        for each in left_out(rows):
-            print(f"Left out: {each}.")
+        for reason in left_out(rows):
+            print(f"Left out: {reason}.")
 
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f}"
 
 
+def _figures(cell: dict[str, Any]) -> list[str]:
+    controls = [f"{name} {_percent(share)}" for name, share in cell["controls"].items()]
+    right = "-"
+    if "right" in cell:
+        right = _interval(cell["right"])
+    return [", ".join(controls), _interval(cell["success"]), right]
+
+
 def _interval(figures: dict[str, float]) -> str:
-    mean, low, high = (100 * figures[end] for end in ("mean", "low", "high"))
-    return f"{mean:.1f} [{low:.1f}, {high:.1f}]"
+    mean = _percent(figures["mean"])
+    return f"{mean} [{_percent(figures['low'])}, {_percent(figures['high'])}]"
 
 
 COMMANDS = {"show": ShowSuites, "run": RunSuite, "verify": VerifyRow, "table": WriteTable}

@@ -1,6 +1,5 @@
 """Policies of other libraries: ONNX files and models of Stable-Baselines3."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
-from knowarm.reading import one_line, reading
+from knowarm.reading import digest, one_line, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
@@ -28,48 +27,56 @@ class OnnxPolicy:
         options.intra_op_num_threads = 1  # sums in the same order on every machine
         with reading(path, "Give the ONNX file of a policy."):
             self._session = session = onnxruntime.InferenceSession(path, options)
-        sizes = {each.name: each.shape[1:] for each in session.get_inputs()}
-        self._seen = sizes.keys() & {"image", "joint_targets"}
-        self._sizes = {name: size for name, size in sizes.items() if name not in self._seen}
-        if len(session.get_outputs()) != 1 + len(self._sizes):
+        sizes = {tensor.name: tensor.shape[1:] for tensor in session.get_inputs()}
+        self._observed = sizes.keys() & {"image", "joint_targets"}
+        self._state_sizes = {name: sizes[name] for name in sizes if name not in self._observed}
+        if len(session.get_outputs()) != 1 + len(self._state_sizes):
             raise UserError(
                 f"{path} must have an output for the actions and one per state (all inputs but "
-                f"image and joint_targets; here {', '.join(self._sizes) or 'none'})."
+                f"image and joint_targets; here {', '.join(self._state_sizes) or 'none'})."
             )
-        self._path, self.inputs = path, tuple(self._seen & {"image"})
+        self._path = path
+        self.inputs = tuple(self._observed & {"image"})
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
-        self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self.digest = digest(path.read_bytes())
 
     def reset(self, batch: Batch) -> None:
         """Start with states of zeros."""
-        with reading(self._path, f"All sizes of states but the first are numbers: {self._sizes}."):
-            shapes = {name: (batch.size, *size) for name, size in self._sizes.items()}
-            self._state = {name: np.zeros(each, np.float32) for name, each in shapes.items()}
+        remedy = f"All sizes of states but the first are numbers: {self._state_sizes}."
+        self._state = {}
+        with reading(self._path, remedy):
+            for name, size in self._state_sizes.items():
+                self._state[name] = np.zeros((batch.size, *size), np.float32)
 
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Run the model."""
-        given = {name: observations[name] for name in self._seen} | self._state
+        inputs = {name: observations[name] for name in self._observed}
+        inputs |= self._state
         try:
-            first, *states = self._session.run(None, given)
+            actions, *states = self._session.run(None, inputs)
         except Exception as error:  # ONNX Runtime's errors have no common class
-            shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in given.items())
+            shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in inputs.items())
             raise UserError(f"{self._path} does not take {shapes}: {one_line(error)}.") from None
         self._state = dict(zip(self._state, states, strict=True))
-        if first.ndim != 3:
-            return first
-        if first.shape[2] != len(ACTION_LEVELS) or not np.isfinite(first).all():
+        if actions.ndim != 3:
+            return actions
+        levels = len(ACTION_LEVELS)
+        is_finite = np.isfinite(actions).all()
+        if actions.shape[2] != levels or not is_finite:
+            others = "" if is_finite else " with others"
             raise UserError(
-                f"{self._path}: scores must be finite, (n, J, {len(ACTION_LEVELS)}), got "
-                f"{first.shape}{'' if np.isfinite(first).all() else ' with others'}."
+                f"{self._path}: scores must be finite, (n, J, {levels}), got "
+                f"{actions.shape}{others}."
             )
-        return first.argmax(-1)
+        return actions.argmax(-1)
 
 
 class ExportedPolicy:
     """Plays the runner of an exported folder; what fails is an error of the folder."""
 
     def __init__(self, runner: Runner, folder: Path) -> None:
-        self._runner, self._folder = runner, folder
+        self._runner = runner
+        self._folder = folder
 
     def reset(self, batch: Batch) -> None:
         """Start the episodes."""
@@ -90,7 +97,8 @@ class PredictingPolicy:
     """
 
     def __init__(self, model: Any) -> None:
-        self._model, self._names = model, getattr(model.observation_space, "spaces", ("image",))
+        self._model = model
+        self._names = getattr(model.observation_space, "spaces", ("image",))
         if unknown := set(self._names) - {"image", "joint_targets"}:
             raise UserError(
                 f"The {type(model).__name__} observes {', '.join(sorted(unknown))}; the benchmark "
@@ -102,14 +110,15 @@ class PredictingPolicy:
 
     def reset(self, batch: Batch) -> None:
         """Forget the recurrent state."""
-        self._state, self._start = None, np.ones(batch.size, np.bool_)
+        self._state = None
+        self._start = np.ones(batch.size, np.bool_)
 
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Predict."""
-        seen: Any = observations["image"]
+        inputs: Any = observations["image"]
         if isinstance(self._names, dict):
-            seen = {name: observations[name] for name in self._names}
-        actions, self._state = self._model.predict(seen, self._state, self._start, True)
+            inputs = {name: observations[name] for name in self._names}
+        actions, self._state = self._model.predict(inputs, self._state, self._start, True)
         self._start = np.zeros_like(self._start)
         if np.issubdtype(actions.dtype, np.integer):
             return actions

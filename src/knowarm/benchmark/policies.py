@@ -20,12 +20,14 @@ from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
-from knowarm.reading import reading
+from knowarm.reading import digest, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
+
+MakeAgent = Callable[[Cell, ArmVectorEnv], AgentProtocol]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +36,7 @@ class Entrant:
 
     spec: str
     """What was given: a run folder, an exported folder, ``module:Name`` or a scripted agent."""
-    make: Callable[[Cell, ArmVectorEnv], AgentProtocol]
+    make: MakeAgent
     """Return an agent for a cell and its environment; a `UserError` says why it cannot play."""
     inputs: tuple[str, ...] = ("image",)
     """What it uses, of `INPUTS`."""
@@ -42,7 +44,7 @@ class Entrant:
     """How it was trained, in a few words."""
     digest: str = ""
     """SHA-256 of all files that decide what it does and declares, where it has any."""
-    controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = field(default_factory=dict)
+    controls: dict[str, MakeAgent] = field(default_factory=dict)
     """Controls that only this kind of policy has."""
     seed: int | None = None
     """Training seed."""
@@ -80,16 +82,19 @@ def entrant(spec: str) -> Entrant:
 
 def is_safe(spec: str) -> bool:
     """Return whether what plays is a scripted agent or a run folder, which strangers may give."""
-    remote = ":" in spec or spec.startswith(("//", "\\\\"))
-    return spec in SCRIPTED_AGENTS or (not remote and (Path(spec) / "config.json").is_file())
+    if spec in SCRIPTED_AGENTS:
+        return True
+    is_remote = ":" in spec or spec.startswith(("//", "\\\\"))
+    return not is_remote and (Path(spec) / "config.json").is_file()
 
 
 def _scripted(name: str) -> Entrant:
     agent = SCRIPTED_AGENTS[name]
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        stored = agent.kind is OpenLoopAgent
-        return OpenLoopAgent(cell.open_loop) if stored else agent.make(env, 0)
+        if agent.kind is OpenLoopAgent:
+            return OpenLoopAgent(cell.open_loop)
+        return agent.make(env, 0)
 
     return Entrant(spec=name, make=make, inputs=agent.kind.inputs, training="scripted")
 
@@ -97,43 +102,46 @@ def _scripted(name: str) -> Entrant:
 def _run(spec: str) -> Entrant:
     trained = load_agent(spec)
     config = trained.config
+    folder = trained.folder
 
     def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
-        own, other = config.env, cell.env
-        if (own.robot, own.task.name) != (other.robot, other.task.name):
-            raise UserError(f"{spec} was trained for {own.robot} and {own.task.name}.")
-        if facets_of(own) != facets_of(other):
+        learned = config.env
+        played = cell.env
+        if (learned.robot, learned.task.name) != (played.robot, played.task.name):
+            raise UserError(f"{spec} was trained for {learned.robot} and {learned.task.name}.")
+        if facets_of(learned) != facets_of(played):
             raise UserError(f"{spec} was trained with other objects or colours.")
-        graph = cell.graph or other.task.edited_graph(facets_of(other))
+        graph = cell.graph or played.task.edited_graph(facets_of(played))
         if graph is not None:
-            check_graph(config, other)
-        subject = Subject(env=other, config=config, graph=graph, reasoning=reasoning)
+            check_graph(config, played)
+        subject = Subject(env=played, config=config, graph=graph, reasoning=reasoning)
         return known_in_test(trained, subject)
 
-    asks = questions_of(config.env) is not None and trained.network is not None
     uses = {
         "image": True,
-        "words": asks,
+        "words": questions_of(config.env) is not None and trained.network is not None,
         "graph": not isinstance(config.knows, NoKnowledge),
         "simulator": config.role == "privileged",
     }
+    training = f"{config.name}, {folder.steps_trained:,} steps"
     privileged = privileged_uses(to_dict(config.algorithm))
-    training = f"{config.name}, {trained.folder.steps_trained:,} steps"
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
-    controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = {}
+    controls: dict[str, MakeAgent] = {}
     if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
-    files = sorted((trained.folder.checkpoints / "best").glob("*.safetensors"))
-    deciding = ("config.json", "provenance.json", "knowledge.safetensors", PERCEPTION_FILE)
-    files += [trained.folder.path / name for name in deciding]
-    parts = [hashlib.sha256(file.read_bytes()).digest() for file in files if file.is_file()]
+    files = sorted((folder.checkpoints / "best").glob("*.safetensors"))
+    for name in ("config.json", "provenance.json", "knowledge.safetensors", PERCEPTION_FILE):
+        file = folder.path / name
+        if file.is_file():
+            files.append(file)
+    digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
     return Entrant(
         spec=spec,
         make=make,
         inputs=tuple(name for name in INPUTS if uses[name]),
         training=training,
-        digest=hashlib.sha256(b"".join(parts)).hexdigest(),
+        digest=digest(b"".join(digests)),
         controls=controls,
         seed=config.seed,
     )
@@ -141,34 +149,44 @@ def _run(spec: str) -> Entrant:
 
 def _exported(spec: str, folder: Path) -> Entrant:
     with reading(folder, "Export the policy again."), packages_of("onnx", "An exported folder"):
-        digest = hashlib.sha256((folder / "contract.json").read_bytes()).hexdigest()
-        policy = Runner.load(folder)
-        rows = policy.contract["knowledge"]["rows"]
+        contract_digest = digest((folder / "contract.json").read_bytes())
+        runner = Runner.load(folder)
+        rows = runner.contract["knowledge"]["rows"]
+    policy = ExportedPolicy(runner, folder)
+    has_words = len(rows) > 1
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        if len(rows) > 1 and not set(env.config.task.knowledge_rows(env.facets)) <= set(rows):
+        if has_words and not set(env.config.task.knowledge_rows(env.facets)) <= set(rows):
             raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
-        if policy.joint_names != tuple(env.scene.joint_names):
-            joints = ", ".join(policy.joint_names)
+        if runner.joint_names != tuple(env.scene.joint_names):
+            joints = ", ".join(runner.joint_names)
             raise UserError(f"{spec} moves the joints {joints}, and {cell.name} has others.")
-        return played
+        return policy
 
-    uses = ("image", "words") if len(rows) > 1 else ("image",)
-    played = ExportedPolicy(policy, folder)
-    found = _entrant(spec, played)
-    return replace(found, make=make, inputs=uses, training="exported", digest=digest)
+    return Entrant(
+        spec=spec,
+        make=make,
+        inputs=("image", "words") if has_words else ("image",),
+        training="exported",
+        digest=contract_digest,
+    )
 
 
 def _user_policy(spec: str) -> Any:
     """Make what ``module:Name`` names, or load a file with its ``load``: ``module:Name:FILE``."""
     module, name, *file = spec.split(":", 2)
     needed = "a class with the methods reset and act"
-    made = load(f"{module}:{name}", "policy", lambda each: each is not None, needed)
+    policy = load(f"{module}:{name}", "policy", lambda value: value is not None, needed)
     try:
-        policy = made.load(file[0]) if file else made() if callable(made) else made
+        if file:
+            policy = policy.load(file[0])
+        elif callable(policy):
+            policy = policy()
     except (AttributeError, OSError, TypeError, ValueError) as error:
         raise UserError(f"Cannot make the policy {spec!r}: {error}.") from None
-    return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
+    if hasattr(policy, "predict"):
+        return PredictingPolicy(policy)
+    return policy
 
 
 def _entrant(spec: str, policy: Any) -> Entrant:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import knowarm
+from knowarm.arrays import Floats, Mask
 from knowarm.benchmark.policies import Entrant
-from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
+from knowarm.benchmark.suites import CONTROLS, Cell, Suite, by_table, read_suite
 from knowarm.config import differences
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
@@ -28,8 +28,11 @@ MOST_TEXT = 300
 """Longest text of a row: a name, a spec, or how a policy was trained."""
 MOST_TOLERANCE = 0.1
 FIELDS = {"format", "suite", "digest", "name", "policy", "version", "cells", "summary"}
-OWN_CONTROL = "shuffled graph"  # of agents that answer by a graph, and of no others
-Bits = NDArray[np.bool_]
+OPTIONAL_CONTROL = "shuffled graph"  # of agents that answer by a graph, and of no others
+
+Row = dict[str, Any]
+Outcome = dict[str, dict[str, str]]
+"""What one seed did in one cell: for the policy and each control the measures' bits as hex."""
 
 
 def run_suite(
@@ -39,7 +42,7 @@ def run_suite(
     name: str,
     cells: Sequence[str] = (),
     report: Callable[[str], None] = lambda line: None,
-) -> dict[str, Any]:
+) -> Row:
     """Play a suite with the training seeds of a policy; return a row.
 
     Args:
@@ -52,40 +55,43 @@ def run_suite(
     Raises:
         UserError: an unknown cell, or a policy that cannot play one.
     """
-    for wanted in cells:
-        if not any(each.startswith(wanted) for each in suite.cells):
-            raise unknown_name("cell", wanted, suite.cells)
-    chosen = [
-        cell
-        for cell in suite.cells.values()
-        if not cells or any(cell.name.startswith(each) for each in cells)
-    ]
+    chosen = _chosen_cells(suite, cells)
     _check_seeds(entrants)
     _check_cells(entrants, chosen)
-    played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
+    outcomes: dict[str, list[Outcome]] = {cell.name: [] for cell in chosen}
     for entrant in entrants:
         for cell in chosen:
             outcome = _play_cell(suite, cell, entrant)
-            played[cell.name].append(outcome)
-            solved = _outcomes(outcome["policy"]["success"]).sum()
+            outcomes[cell.name].append(outcome)
+            solved = _bits(outcome["policy"]["success"]).sum()
             report(f"{cell.name}: {entrant.spec} succeeds in {solved:,} episodes")
     row = {
         "format": FORMAT,
         "suite": suite.name,
         "digest": suite.digest,
         "name": name,
-        "policy": {"specs": [each.spec for each in entrants], **_declared(entrants)},
+        "policy": _declared(entrants),
         "version": knowarm.__version__,
-        "cells": {name: {"outcomes": outcomes} for name, outcomes in played.items()},
+        "cells": {cell: {"outcomes": seeds} for cell, seeds in outcomes.items()},
     }
     return row | _figures(suite, row)
 
 
+def _chosen_cells(suite: Suite, beginnings: Sequence[str]) -> list[Cell]:
+    for beginning in beginnings:
+        if not any(name.startswith(beginning) for name in suite.cells):
+            raise unknown_name("cell", beginning, suite.cells)
+    everything = ("",)
+    accepted = tuple(beginnings) or everything
+    return [cell for name, cell in suite.cells.items() if name.startswith(accepted)]
+
+
 def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
-    """Return what a row says about a policy, besides where it is."""
+    """Return what a row says about a policy."""
     return {
-        "digests": [each.digest for each in entrants],
-        "seeds": [each.seed for each in entrants],
+        "specs": [entrant.spec for entrant in entrants],
+        "digests": [entrant.digest for entrant in entrants],
+        "seeds": [entrant.seed for entrant in entrants],
         "inputs": list(entrants[0].inputs),
         "training": entrants[0].training,
     }
@@ -94,12 +100,14 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
 def _check_seeds(entrants: Sequence[Entrant]) -> None:
     """Check that the policies of a row are different training seeds of one policy."""
     for name in ("inputs", "training"):
-        if len(found := dict.fromkeys(getattr(each, name) for each in entrants)) > 1:
-            given = " | ".join(map(str, found))
-            raise UserError(f"The seeds of one policy must have equal {name}, got {given}.")
-    different = {each.digest or f"{each.spec}/{each.seed}" for each in entrants}
+        values = dict.fromkeys(getattr(entrant, name) for entrant in entrants)
+        if len(values) > 1:
+            listed = " | ".join(map(str, values))
+            raise UserError(f"The seeds of one policy must have equal {name}, got {listed}.")
+    different = {entrant.digest or f"{entrant.spec}/{entrant.seed}" for entrant in entrants}
     if len(different) < len(entrants):
-        raise UserError(f"Give each seed once, got {', '.join(each.spec for each in entrants)}.")
+        specs = ", ".join(entrant.spec for entrant in entrants)
+        raise UserError(f"Give each seed once, got {specs}.")
 
 
 def _check_cells(entrants: Sequence[Entrant], cells: Sequence[Cell]) -> None:
@@ -113,24 +121,29 @@ def _check_cells(entrants: Sequence[Entrant], cells: Sequence[Cell]) -> None:
             env.close()
 
 
-def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
-    """Play one cell with one seed of a policy and with its controls; return outcomes as hex."""
+def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> Outcome:
+    """Play one cell with one seed of a policy and with its controls."""
     env = ArmVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
     try:
-        outcome = {"policy": _bits(entrant.make(cell, env), env, cell.episodes)}
-        few = cell.episodes[: suite.control_episodes]
+        outcome = {"policy": _play(entrant.make(cell, env), env, cell.episodes)}
+        first_episodes = cell.episodes[: suite.control_episodes]
         for name, agent in _controls(cell, entrant, env).items():
-            outcome[name] = _bits(agent, env, few)
+            outcome[name] = _play(agent, env, first_episodes)
     finally:
         env.close()
     return outcome
 
 
-def _required(cell: Cell, inputs: Sequence[str]) -> list[str]:
+def _required_controls(cell: Cell, inputs: Sequence[str]) -> list[str]:
     """Name the controls of every policy that has these inputs."""
-    asks = questions_of(cell.env) is not None and not {"words", "graph"}.isdisjoint(inputs)
-    found = ["open-loop", *["black", "frozen"] * ("image" in inputs), *["shuffled query"] * asks]
-    return found + ["intact graph"] * (cell.graph is not None and "graph" in inputs)
+    controls = ["open-loop"]
+    if "image" in inputs:
+        controls += ["black", "frozen"]
+    if questions_of(cell.env) is not None and ("words" in inputs or "graph" in inputs):
+        controls.append("shuffled query")
+    if cell.graph is not None and "graph" in inputs:
+        controls.append("intact graph")
+    return controls
 
 
 def _controls(cell: Cell, entrant: Entrant, env: ArmVectorEnv) -> dict[str, AgentProtocol]:
@@ -142,68 +155,69 @@ def _controls(cell: Cell, entrant: Entrant, env: ArmVectorEnv) -> dict[str, Agen
         "shuffled query": lambda: InformedAgent(make(cell, env), shuffled),
         "intact graph": lambda: make(replace(cell, graph=None), env),
     }
-    agents = {name: makers[name]() for name in _required(cell, entrant.inputs)}
-    return agents | {name: make(cell, env) for name, make in entrant.controls.items()}
+    agents = {name: makers[name]() for name in _required_controls(cell, entrant.inputs)}
+    for name, make_control in entrant.controls.items():
+        agents[name] = make_control(cell, env)
+    return agents
 
 
 def shuffled(batch: Batch) -> Batch:
     """Return a batch with the queries of other episodes."""
-    return replace(batch, names=batch.names[np.random.default_rng(0).permutation(batch.size)])
+    order = np.random.default_rng(0).permutation(batch.size)
+    return replace(batch, names=batch.names[order])
 
 
-def _bits(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> dict[str, str]:
+def _play(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> dict[str, str]:
     """Play episodes; return success, and where the task has queries right choices, as hex."""
     result = play(agent, env, episodes)
-    found = {"success": result.success}
+    measures = {"success": result.success}
     if "is_right_object" in result.infos:
-        found["right"] = result.infos["is_right_object"].astype(bool)
-    return {name: np.packbits(bits).tobytes().hex() for name, bits in found.items()}
+        measures["right"] = result.infos["is_right_object"].astype(bool)
+    return {name: np.packbits(bits).tobytes().hex() for name, bits in measures.items()}
 
 
-def _outcomes(text: str, count: int | None = None) -> Bits:
+def _bits(text: str, count: int | None = None) -> Mask:
     data = np.frombuffer(bytes.fromhex(text), np.uint8)
     if count is not None and len(data) != -(-count // 8):
         raise ValueError(f"outcomes of {8 * len(data)} instead of {count} episodes")
     return np.unpackbits(data)[:count].astype(bool)
 
 
-def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
+def _figures(suite: Suite, row: Row) -> dict[str, Any]:
     """Compute the figures of every cell, and their means by table, from the episodes' outcomes."""
     cells: dict[str, Any] = {}
-    successes: dict[str, list[Bits]] = {}
+    successes: dict[str, list[Mask]] = {}
     for name, cell in row["cells"].items():
+        outcomes = cell["outcomes"]
         count = len(suite.cells[name].episodes)
         measures: dict[str, Any] = {}
-        for measure in cell["outcomes"][0]["policy"]:
-            shares = [_outcomes(o["policy"][measure], count) for o in cell["outcomes"]]
-            measures[measure] = _share(shares, count)
+        for measure in outcomes[0]["policy"]:
+            seeds = [_bits(outcome["policy"][measure], count) for outcome in outcomes]
+            measures[measure] = _share(seeds, count)
             if measure == "success":
-                successes[name] = shares
-        few = min(suite.control_episodes, count)
-        controls = {
-            control: float(
-                np.mean([_outcomes(o[control]["success"], few).mean() for o in cell["outcomes"]])
-            )
-            for control in CONTROLS
-            if control in cell["outcomes"][0]
-        }
-        cells[name] = {**measures, "controls": controls, "outcomes": cell["outcomes"]}
+                successes[name] = seeds
+        count = suite.episodes_of_controls(name)
+        controls = {}
+        for control in CONTROLS:
+            if control in outcomes[0]:
+                seeds = [_bits(outcome[control]["success"], count) for outcome in outcomes]
+                controls[control] = float(np.mean([bits.mean() for bits in seeds]))
+        cells[name] = {**measures, "controls": controls, "outcomes": outcomes}
     summary = {}
-    for table in dict.fromkeys(suite.cells[name].table for name in cells):
-        names = [name for name in cells if suite.cells[name].table == table]
-        by_seed = zip(row["policy"]["specs"], *(successes[n] for n in names), strict=True)
-        controls = {
-            control: float(np.mean([cells[name]["controls"][control] for name in names]))
-            for control in CONTROLS
-            if all(control in cells[name]["controls"] for name in names)
-        }
-        few = min(len(suite.cells[name].episodes) for name in names)
-        success = _share([np.concatenate(each) for _, *each in by_seed], few)
+    for table, names in by_table(suite.cells[name] for name in cells).items():
+        of_cells = [cells[name]["controls"] for name in names]
+        controls = {}
+        for control in CONTROLS:
+            if all(control in shares for shares in of_cells):
+                controls[control] = float(np.mean([shares[control] for shares in of_cells]))
+        by_seed = zip(*[successes[name] for name in names], strict=True)
+        count = min(len(suite.cells[name].episodes) for name in names)
+        success = _share([np.concatenate(bits) for bits in by_seed], count)
         summary[table] = {"cells": names, "success": success, "controls": controls}
     return {"cells": cells, "summary": summary}
 
 
-def _share(seeds: Sequence[Bits], episodes: int) -> dict[str, Any]:
+def _share(seeds: Sequence[Mask], episodes: int) -> dict[str, Any]:
     """Return a share with its interval, over training seeds if they differ, else over episodes.
 
     Args:
@@ -212,40 +226,46 @@ def _share(seeds: Sequence[Bits], episodes: int) -> dict[str, Any]:
         episodes: how many of a seed's outcomes are independent. Cells of a table share starts, and
             so do training seeds.
     """
-    shares = [float(each.mean()) for each in seeds]
-    different = list({each.tobytes(): each for each in seeds}.values())
-    if len({each.mean() for each in different}) > 1:
-        found = bootstrap(np.array([each.mean() for each in different]))
+    shares = [float(bits.mean()) for bits in seeds]
+    different = {bits.tobytes(): share for bits, share in zip(seeds, shares, strict=True)}
+    if len(set(different.values())) > 1:
+        interval = bootstrap(np.array(list(different.values())))
     else:
-        found = replace(wilson(round(shares[0] * episodes), episodes), estimate=shares[0])
-    return {"mean": found.estimate, "low": found.low, "high": found.high, "seeds": shares}
+        interval = wilson(round(shares[0] * episodes), episodes)
+        interval = replace(interval, estimate=shares[0])
+    return {
+        "mean": interval.estimate,
+        "low": interval.low,
+        "high": interval.high,
+        "seeds": shares,
+    }
 
 
-def binding(suite: Suite, row: dict[str, Any], names: Sequence[str]) -> Interval | None:
+def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
     """Return how many more choices in cells are right with the own query than with another's.
 
     The interval is over training seeds if they differ, else over episodes; None without queries.
     """
-
-    def gain(outcome: dict[str, Any], name: str) -> NDArray[np.float64]:
-        few = min(suite.control_episodes, len(suite.cells[name].episodes))
-        own, other = (
-            _outcomes(outcome[who]["right"], None)[:few] for who in ("policy", "shuffled query")
-        )
-        return own.astype(float) - other
-
-    outcomes = [row["cells"][name]["outcomes"] for name in names]
-    if not all("right" in each.get("shuffled query", {}) for each in outcomes[0]):
-        return None
-    seeds = [
-        np.concatenate([gain(outcome, name) for outcome, name in zip(each, names, strict=True)])
-        for each in zip(*outcomes, strict=True)
-    ]
-    means = np.array([each.mean() for each in seeds])
-    return bootstrap(means if len({*means}) > 1 else seeds[0], repetitions=2_000)
+    by_cell = []
+    for name in names:
+        outcomes = row["cells"][name]["outcomes"]
+        if not all("right" in outcome.get("shuffled query", {}) for outcome in outcomes):
+            return None
+        count = suite.episodes_of_controls(name)
+        by_cell.append([_gain(outcome)[:count] for outcome in outcomes])
+    seeds = [np.concatenate(gains) for gains in zip(*by_cell, strict=True)]
+    means = np.array([gains.mean() for gains in seeds])
+    differ = len(set(means)) > 1
+    return bootstrap(means if differ else seeds[0], repetitions=2_000)
 
 
-def read_row(path: Path) -> dict[str, Any]:
+def _gain(outcome: Outcome) -> Floats:
+    """Return by how much each choice is better with the own query: -1, 0 or 1."""
+    other = _bits(outcome["shuffled query"]["right"])
+    return _bits(outcome["policy"]["right"])[: len(other)].astype(float) - other
+
+
+def read_row(path: Path) -> Row:
     """Read a row, and compare every figure with the outcomes that it follows from.
 
     Raises:
@@ -266,41 +286,48 @@ def read_row(path: Path) -> dict[str, Any]:
         computed = row | _figures(suite, row)
     except (AttributeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
-    for where, (stored, follows) in differences(row, json.loads(json.dumps(computed))).items():
+    as_stored = json.loads(json.dumps(computed))
+    for where, (stored, follows) in differences(row, as_stored).items():
         raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")
     return row
 
 
-def _check_declared(suite: Suite, row: dict[str, Any]) -> None:
+def _check_declared(suite: Suite, row: Row) -> None:
     """Check the declarations of a row, and that every seed has every control.
 
     Raises:
         ValueError, TypeError, KeyError: what is wrong.
     """
-    said = row["policy"]
-    for text in (row["name"], said["training"], *said["inputs"], *said["specs"], *said["digests"]):
+    policy = row["policy"]
+    specs = policy["specs"]
+    digests = policy["digests"]
+    for text in [row["name"], policy["training"], *policy["inputs"], *specs, *digests]:
         if not text.isprintable() or len(text) > MOST_TEXT:
             raise ValueError(f"{text!r:.40} is not one line of at most {MOST_TEXT} characters")
-    if not row["name"] or not row["cells"] or not said["specs"]:
+    if not row["name"] or not row["cells"] or not specs:
         raise ValueError("it has no name, no cells or no policy")
-    if other := row.keys() ^ FIELDS:
-        raise ValueError(f"it lacks, or has, {', '.join(sorted(other))}")
-    if unknown := set(said["inputs"]) - set(INPUTS):
+    _check_names("it", row.keys(), FIELDS)
+    if unknown := set(policy["inputs"]) - set(INPUTS):
         raise ValueError(f"policy.inputs names {', '.join(unknown)}")
     for name in ("seeds", "digests"):
-        if len(said[name]) != len(said["specs"]):
+        if len(policy[name]) != len(specs):
             raise ValueError(f"policy.{name} and policy.specs differ in length")
-    if len(stated := [each for each in said["digests"] if each]) > len({*stated}):
+    stated = [digest for digest in digests if digest]
+    if len(stated) > len(set(stated)):
         raise ValueError("policy.digests names one policy twice")
     for name, cell in row["cells"].items():
-        needed = {"policy", *_required(suite.cells[name], said["inputs"])}
-        for seed in zip(said["specs"], cell["outcomes"], strict=True):
-            if wrong := needed ^ (seed[1].keys() - {OWN_CONTROL}):
-                raise ValueError(f"cells.{name}.outcomes lacks, or has, {', '.join(sorted(wrong))}")
+        needed = {"policy", *_required_controls(suite.cells[name], policy["inputs"])}
+        for _, outcome in zip(specs, cell["outcomes"], strict=True):
+            _check_names(f"cells.{name}.outcomes", outcome.keys() - {OPTIONAL_CONTROL}, needed)
+
+
+def _check_names(where: str, names: Any, needed: set[str]) -> None:
+    if wrong := names ^ needed:
+        raise ValueError(f"{where} lacks, or has, {', '.join(sorted(wrong))}")
 
 
 def verify(
-    row: dict[str, Any],
+    row: Row,
     entrants: Sequence[Entrant],
     *,
     tolerance: float = 0.0,
@@ -322,29 +349,34 @@ def verify(
     if not 0 <= tolerance < MOST_TOLERANCE:  # also for NaN
         raise UserError(f"tolerance must lie from 0 to below {MOST_TOLERANCE}, got {tolerance}.")
     suite = read_suite(row["suite"])
-    stored, given = row["policy"] | {"specs": []}, {"specs": [], **_declared(entrants)}
-    stored |= {"digests": given["digests"]} if tolerance else {}
-    for name, (said, found) in differences(stored, given).items():
-        raise UserError(f"policy.{name}: the row says {said}, the given policy has {found}.")
-    options: dict[str, Any] = {"name": row["name"], "cells": list(row["cells"]), "report": report}
-    again = run_suite(suite, entrants, **options)
+    declared = _declared(entrants)
+    may_differ = ["specs", "digests"] if tolerance else ["specs"]
+    for name in may_differ:
+        declared[name] = row["policy"][name]
+    for name, (stored, played) in differences(row["policy"], declared).items():
+        raise UserError(f"policy.{name}: the row says {stored}, the given policy has {played}.")
+    cells = list(row["cells"])
+    again = run_suite(suite, entrants, name=row["name"], cells=cells, report=report)
     for name, cell in row["cells"].items():
-        count = len(suite.cells[name].episodes)
-        for seed, pair in enumerate(
-            zip(cell["outcomes"], again["cells"][name]["outcomes"], strict=True)
-        ):
-            if other := pair[0].keys() ^ pair[1].keys():
+        pairs = zip(cell["outcomes"], again["cells"][name]["outcomes"], strict=True)
+        for seed, (stored, played) in enumerate(pairs):
+            where = f"cells.{name}.outcomes[{seed}]"
+            if other := stored.keys() ^ played.keys():
                 raise UserError(
-                    f"cells.{name}.outcomes[{seed}]: the row and this policy do not have the same "
-                    f"controls ({', '.join(sorted(other))})."
+                    f"{where}: the row and this policy do not have the same controls "
+                    f"({', '.join(sorted(other))})."
                 )
-            for who in pair[0]:
-                few = count if who == "policy" else min(count, suite.control_episodes)
-                for measure in pair[0][who]:
-                    old, new = (_outcomes(each[who][measure], few) for each in pair)
-                    if (old != new).mean() > tolerance:
+            for who in stored:
+                count = suite.episodes_of_controls(name)
+                if who == "policy":
+                    count = len(suite.cells[name].episodes)
+                for measure in stored[who]:
+                    old = _bits(stored[who][measure], count)
+                    new = _bits(played[who][measure], count)
+                    different = old != new
+                    if different.mean() > tolerance:
                         raise UserError(
-                            f"cells.{name}.outcomes[{seed}].{who}.{measure}: the row says "
-                            f"{old.sum()} of {few} episodes, playing gives {new.sum()}; "
-                            f"{(old != new).sum()} episodes end otherwise."
+                            f"{where}.{who}.{measure}: the row says {old.sum()} of {count} "
+                            f"episodes, playing gives {new.sum()}; {different.sum()} episodes end "
+                            "otherwise."
                         )

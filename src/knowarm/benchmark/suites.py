@@ -4,11 +4,12 @@ A suite is a JSON file and a safetensors file of the same name. Their digest nam
 changes a score makes a new version, ``choose-v2``, beside the old one.
 """
 
-import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.queries.splits import Split
+from knowarm.reading import digest
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks.sampling import Episodes
 
@@ -81,7 +83,19 @@ class Suite:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of both files."""
-        return hashlib.sha256(b"".join(self.data)).hexdigest()
+        return digest(b"".join(self.data))
+
+    def episodes_of_controls(self, name: str) -> int:
+        """Return how many episodes of a cell the controls play."""
+        return min(self.control_episodes, len(self.cells[name].episodes))
+
+
+def by_table(cells: Iterable[Cell]) -> dict[str, list[str]]:
+    """Return the names of the cells of each table."""
+    names: dict[str, list[str]] = {}
+    for cell in cells:
+        names.setdefault(cell.table, []).append(cell.name)
+    return names
 
 
 def suite_names() -> list[str]:
@@ -103,19 +117,29 @@ def read_suite(name: str) -> Suite:
 
 def parse_suite(text: bytes, arrays: bytes) -> Suite:
     """Make a suite of the content of its files."""
-    values, columns = json.loads(text), load(arrays)
+    values = json.loads(text)
+    del values["format"]
+    columns = load(arrays)
     queries = np.array(values.pop("queries"))
     cells = {}
     for name, cell in values.pop("cells").items():
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
-        stored = [field.name for field in fields(Episodes) if field.name != "names"]
-        episodes = {each: columns[f"{name}/{each}"] for each in stored}
+        episodes: dict[str, NDArray[Any]] = {}
+        for field in fields(Episodes):
+            if field.name != "names":  # the config of the cell has them
+                episodes[field.name] = columns[f"{name}/{field.name}"]
         episodes["question"] = queries[episodes["question"]]
         episodes["names"] = np.array(env.targets)[episodes["objects"]]
-        if (graph := cell.pop("graph", None)) is not None:
-            triples = [tuple(text.split("\t")) for text in graph["triples"]]
-            cell["graph"] = graph_of(triples, nodes=graph["entities"])
-        listed = columns[f"{name}/open_loop"].astype(np.int64)
-        cells[name] = Cell(name, env, episodes=Episodes(**episodes), open_loop=listed, **cell)
-    del values["format"]
+        graph = cell.pop("graph", None)
+        if graph is not None:
+            triples = [tuple(line.split("\t")) for line in graph["triples"]]
+            graph = graph_of(triples, nodes=graph["entities"])
+        cells[name] = Cell(
+            name=name,
+            env=env,
+            episodes=Episodes(**episodes),
+            open_loop=columns[f"{name}/open_loop"].astype(np.int64),
+            graph=graph,
+            **cell,
+        )
     return Suite(**values, cells=cells, data=(text, arrays))

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from knowarm.errors import UserError
 from knowarm.perception.config import FRAME
-from knowarm.perception.grounding import BATCH, GroundingNetwork
+from knowarm.perception.grounding import GroundingNetwork, in_batches
+from knowarm.perception.images import axes_of
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -47,8 +48,7 @@ class FrameRecognition(nn.Module):
 
     def true_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
         """Return the frames that the simulator knows of episodes (n,)."""
-        matrix = episodes.goal_matrix[ids].reshape(-1, 3, 3)
-        axes = matrix[..., [0, 2]].swapaxes(-1, -2).reshape(-1, 6)
+        axes = axes_of(episodes.goal_matrix[ids].reshape(-1, 3, 3))
         like = self.network.knowledge
         position = torch.from_numpy(episodes.goal_position[ids]).to(like)
         return self.network.standardized(position, torch.from_numpy(axes).to(like))
@@ -76,8 +76,7 @@ class FrameRecognition(nn.Module):
     @torch.inference_mode()
     def forward(self, images: Tensor, rows: Tensor) -> Tensor:
         """Find the frames of episodes of some rows, in batches; see `locate`."""
-        batches = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
-        return torch.cat([self.locate(*batch) for batch in batches])
+        return in_batches(self.locate, images, self.of_rows(rows))
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """Make an agent that acts on these frames; options as `PolicyAgent`."""
@@ -127,14 +126,12 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         ids = self._tensor(np.flatnonzero(self.running.steps == 0))
         if not len(ids):
             return images
-        knowledge = self._perceived.clone()
         if self.has_teacher:
-            knowledge[ids] = self._recognition.true_frames(self.running, ids.cpu().numpy())
-        elif self._recognition.depends_on_rows:
-            knowledge[ids] = self._recognition(images[ids], self.knowledge_input[ids])
+            frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
-            knowledge[ids] = self._recognition(images[ids], ids)
-        self._perceived = knowledge
+            rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
+            frames = self._recognition(images[ids], rows)
+        self._perceived = self._perceived.index_copy(0, ids, frames)
         return images
 
 

@@ -43,7 +43,9 @@ class SeenAnswers(NamedTuple):
 
     def candidates(self, threshold: float | None) -> Tensor:
         """Return which objects may answer: by a likelihood, or without one by name, (n, m)."""
-        return self.answering if threshold is None else self.likelihood >= threshold
+        if threshold is None:
+            return self.answering
+        return self.likelihood >= threshold
 
 
 class AnswerGrounding(FrameRecognition):
@@ -57,7 +59,8 @@ class AnswerGrounding(FrameRecognition):
         """Find the answers to queries, as `locate`."""
         frames, scores, by_place = self._find(images, knowledge)
         named, places = self._name(by_place)
-        at_place = by_place.gather(2, places[:, None].expand(-1, by_place.shape[1], -1))
+        of_facets = places[:, None].expand(-1, by_place.shape[1], -1)
+        at_place = by_place.gather(2, of_facets)  # (n, F, m)
         part = self.network.part_of
         is_same = part[:, None] == part[named][:, None]  # facet is of the named part, (n, F, m)
         likelihoods = at_place.masked_fill(~is_same, -torch.inf).softmax(1)
@@ -79,9 +82,10 @@ class AnswerGrounding(FrameRecognition):
 
     def _find(self, images: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
-        features = self.network.encoder.features(images)
-        objects, colours = self.network.encoder.logits(features)
-        object_of, colour_of = self.network.encoder.facet_parts
+        encoder = self.network.encoder
+        features = encoder.features(images)
+        objects, colours = encoder.logits(features)
+        object_of, colour_of = encoder.facet_parts
         by_place = objects[:, object_of] + colours[:, colour_of]
         # Where nothing answers, every facet counts, so that there is a place to guess.
         counted = torch.where((knowledge > 0).any(1, keepdim=True), knowledge, 1.0)
@@ -100,13 +104,14 @@ class AnswerGrounding(FrameRecognition):
         With this network it is right more often than the m best facets of the image as a whole. All
         parts of an object are named at the best place of any.
         """
+        spec = self.network.spec
+        parts = torch.from_numpy(number_parts(spec.facets))
+        objects = torch.from_numpy(number_objects(spec.facets, whole=True))
         rows = torch.arange(len(by_place))
         scores = by_place.clone()
-        parts = torch.from_numpy(number_parts(self.network.spec.facets))
-        objects = torch.from_numpy(number_objects(self.network.spec.facets, whole=True))
         facets = []
         places = []
-        for _ in range(self.network.spec.objects // self.network.parts):
+        for _ in range(spec.objects // self.network.parts):
             best = scores.flatten(1).argmax(1)
             facet = best // scores.shape[2]
             place = best % scores.shape[2]
@@ -152,12 +157,19 @@ class AnsweringAgent(PolicyAgent):
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`; notes which objects may answer."""
         answers = self.recognition.of_rows(self.rows)
-        batches = zip(images.split(BATCH), answers.split(BATCH), strict=True)
-        seen = [self.recognition.see(*batch) for batch in batches]
-        places = torch.cat([batch.places for batch in seen])
-        candidates = torch.cat([batch.candidates(self.threshold) for batch in seen])
-        self.notes = {"places": places.numpy(), "candidates": candidates.numpy()}
-        return torch.cat([batch.frames for batch in seen])
+        frames = []
+        places = []
+        candidates = []
+        for batch in zip(images.split(BATCH), answers.split(BATCH), strict=True):
+            seen = self.recognition.see(*batch)
+            frames.append(seen.frames)
+            places.append(seen.places)
+            candidates.append(seen.candidates(self.threshold))
+        self.notes = {
+            "places": torch.cat(places).numpy(),
+            "candidates": torch.cat(candidates).numpy(),
+        }
+        return torch.cat(frames)
 
     @property
     def visible_answers(self) -> np.ndarray:
@@ -176,6 +188,8 @@ class AnsweringAgent(PolicyAgent):
     def moves(self) -> np.ndarray:
         """Whether the arm moves in each environment, (n,) bool."""
         count = self.visible_answers
-        if self.unclear in ("guess", "seen"):
-            return np.asarray(count >= (self.unclear == "seen"))
+        if self.unclear == "guess":
+            return np.ones(len(count), np.bool_)
+        if self.unclear == "seen":
+            return np.asarray(count >= 1)
         return np.asarray(count == 1)

@@ -15,15 +15,17 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.perception.answering import AnswerGrounding
-from knowarm.perception.grounding import BATCH, GroundingNetwork, centres
+from knowarm.perception.grounding import GroundingNetwork, centres, in_batches
 from knowarm.perception.images import pixels_of, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.scene import Scene
 
-IMAGES, STREAM = 1_000, 3
-"""Held-out images, and the number of their random stream."""
+IMAGES = 1_000
+"""Held-out images."""
+STREAM = 3
+"""Number of their random stream."""
 
 
 def calibrated_threshold(
@@ -42,30 +44,34 @@ def calibrated_threshold(
     if not 0 < level < 1:
         raise UserError(f"level is {level}; it must be above 0 and below 1, such as 0.9.")
     file = cache_file("calibration", IMAGES, version("torch"), env, seed, network.to_bytes())
-    if (kept := read_arrays(file)) is None:
-        kept = {"likelihood": own_likelihoods(network, env, seed)}
-        write_arrays(file, kept)
-    return quantile(kept["likelihood"], level)
+    arrays = read_arrays(file)
+    if arrays is None:
+        arrays = {"likelihood": own_likelihoods(network, env, seed)}
+        write_arrays(file, arrays)
+    return quantile(arrays["likelihood"], level)
 
 
 @torch.inference_mode()
 def own_likelihoods(network: GroundingNetwork, env: EnvConfig, seed: int) -> np.ndarray:
     """Return the likelihood of the name of the right object in held-out images, (IMAGES,)."""
     labels = sample_images(env, network.spec, IMAGES, derive_seed(seed, "perception", STREAM))
-    own = torch.nn.functional.one_hot(labels.facets[:, 0], len(network.spec.facets))
-    grounding, found = AnswerGrounding(network, own), []
-    parts = (labels.images, own, labels.pixels[:, 0])
-    for images, answers, pixels in zip(*(each.split(BATCH) for each in parts), strict=True):
+    answers = torch.nn.functional.one_hot(labels.facets[:, 0], len(network.spec.facets))
+    grounding = AnswerGrounding(network, answers)
+
+    def own(images: Tensor, answers: Tensor, pixels: Tensor) -> Tensor:
         seen = grounding.see(images, answers)
         nearest = nearest_place(seen.places, pixels, network.spec.image_size)
-        found.append(seen.likelihood.gather(1, nearest[:, None])[:, 0])
-    return torch.cat(found).numpy()
+        return seen.likelihood.gather(1, nearest[:, None])[:, 0]
+
+    return in_batches(own, labels.images, answers, labels.pixels[:, 0]).numpy()
 
 
 def quantile(scores: np.ndarray, level: float) -> float:
     """Return the score (n,) that a further one reaches with at least the probability ``level``."""
     rank = math.floor((len(scores) + 1) * (1 - level) + 1e-9)  # 1 - .8 is below .2
-    return float(np.sort(scores)[rank - 1]) if rank else 0.0
+    if rank == 0:
+        return 0.0
+    return float(np.sort(scores)[rank - 1])
 
 
 def nearest_place(places: Tensor, pixels: Tensor, image_size: int) -> Tensor:

@@ -38,8 +38,7 @@ class PlaceEncoder(nn.Module):
         self.channels = convolutions[-1][1]
         self.register_buffer("facet_parts", number_facets(facets), persistent=False)
         objects, colours = (self.facet_parts.amax(1) + 1).tolist()
-        names = dict.fromkeys(name for name, _ in facets)
-        codes = attribute_codes(list(names))
+        codes = attribute_codes(list(dict(facets)))  # of each name once
         code = None
         if codes is not None:
             code = torch.from_numpy(code_matrix(codes))
@@ -76,8 +75,9 @@ class PlaceEncoder(nn.Module):
         if self.code is None:
             return objects, colours
         # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
-        names = self.code[:, : self.attributes] @ objects[:, : self.attributes] / 2
-        place = objects[:, self.attributes, None].log_softmax(2)
+        count = self.attributes
+        names = self.code[:, :count] @ objects[:, :count] / 2
+        place = objects[:, count, None].log_softmax(2)
         return names.log_softmax(1) + place, colours.log_softmax(1)
 
     def facet_scores(self, features: Tensor) -> Tensor:
@@ -107,11 +107,10 @@ class PlaceEncoder(nn.Module):
             return self._attribute_likelihood(features, facets, places)
         scores = self.facet_scores(features)
         rows = torch.arange(len(places), device=places.device)[:, None]
-        at_place = sum(
-            logits[rows, part[facets], places]
-            for logits, part in zip(self.logits(features), self.facet_parts, strict=True)
-        )
-        return cast(Tensor, at_place) - scores.logsumexp(1, keepdim=True)
+        objects, colours = self.logits(features)
+        name, colour = self.facet_parts[:, facets]
+        at_place = objects[rows, name, places] + colours[rows, colour, places]
+        return at_place - scores.logsumexp(1, keepdim=True)
 
     def _attribute_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
         """Return the log-probability of place, attributes, kind and colour of facets, (n, m).
@@ -122,17 +121,16 @@ class PlaceEncoder(nn.Module):
         name, colour = self.facet_parts[:, facets]
         rows = torch.arange(len(places))[:, None]
         objects = self.objects(features).flatten(2)
-        colours = self.colours(features).flatten(2)
-        code = self.code[name]  # (n, m, outputs)
-        score = objects[rows, :, places]
-        shape = slice(0, self.exclusive)
-        parts = slice(self.exclusive, self.attributes)
-        kind = slice(self.attributes + 1, None)
+        colours = self.colours(features).flatten(2).log_softmax(1)
+        kinds = self.code.shape[1] - self.attributes - 1
+        widths = [self.exclusive, self.attributes - self.exclusive, 1, kinds]
+        shape_score, part_score, _, kind_score = objects[rows, :, places].split(widths, 2)
+        shape, parts, _, kind = self.code[name].split(widths, 2)
         of_place = objects[:, self.attributes].log_softmax(1).gather(1, places)
-        of_shape = (score[..., shape].log_softmax(2) * (code[..., shape] > 0)).sum(2)
-        of_parts = nn.functional.logsigmoid(code[..., parts] * score[..., parts]).sum(2)
-        of_kind = (score[..., kind].log_softmax(2) * code[..., kind]).sum(2)
-        of_colour = colours.log_softmax(1)[rows, colour, places]
+        of_shape = (shape_score.log_softmax(2) * (shape > 0)).sum(2)
+        of_parts = nn.functional.logsigmoid(parts * part_score).sum(2)
+        of_kind = (kind_score.log_softmax(2) * kind).sum(2)
+        of_colour = colours[rows, colour, places]
         return cast(Tensor, of_place + of_shape + of_parts + of_kind + of_colour)
 
 

@@ -7,6 +7,7 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 
 import json
 import struct
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self, cast
@@ -96,10 +97,14 @@ class GroundingNetwork(nn.Module):
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        for layer in (*self.key, *self.query):
-            orthogonal(layer, RELU_GAIN, generator)
-        for layer in self.frame:
-            orthogonal(layer, RELU_GAIN if first_stage else DEEP_HEAD_GAIN, generator)
+        gain = RELU_GAIN if first_stage else DEEP_HEAD_GAIN
+        for layers, own_gain in (
+            (self.key, RELU_GAIN),
+            (self.query, RELU_GAIN),
+            (self.frame, gain),
+        ):
+            for layer in layers:
+                orthogonal(layer, own_gain, generator)
         if not first_stage:  # features differ in scale, and many are zero
             self.frame.insert(0, Standardize(inputs))
 
@@ -142,18 +147,18 @@ class GroundingNetwork(nn.Module):
                 raise ValueError("it names no facets, or one twice")
             table = tensors["knowledge"]
             slots = about["slots"]
-            if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
+            is_number = isinstance(slots, int) and slots > 0
+            if not is_number or table.ndim != 2 or table.shape[1] % slots:
                 raise ValueError("its table of knowledge does not fit its slots")
             network = cls(spec, table, slots)
             state = network.state_dict()
-            expected = {name.removeprefix(ENCODER): value.shape for name, value in state.items()}
-            shapes = {name: value.shape for name, value in tensors.items()}
-            if shapes != expected:
-                raise ValueError("its arrays do not fit the facets that it names")
-            for value in tensors.values():
+            stored = {name: tensors.pop(name.removeprefix(ENCODER), None) for name in state}
+            for name, value in stored.items():
+                if tensors or value is None or value.shape != state[name].shape:
+                    raise ValueError("its arrays do not fit the facets that it names")
                 if not value.is_floating_point() or not value.isfinite().all():
                     raise ValueError("it contains non-finite values")
-            network.load_state_dict({name: tensors[name.removeprefix(ENCODER)] for name in state})
+            network.load_state_dict(stored)
         return network.eval().requires_grad_(False)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -165,6 +170,10 @@ class GroundingNetwork(nn.Module):
         keys = self.key(features.flatten(2).transpose(1, 2))  # (n, places, P D)
         return cast(Tensor, keys.unflatten(2, (self.parts, WIDTH)).flatten(1, 2))
 
+    def places(self, labels: LabelledImages, rows: Tensor) -> Tensor:
+        """Return the places of the objects in some images (n,) int64, (n, m) int64."""
+        return place_of(labels.pixels[rows], self.spec.image_size)
+
     def cells(self, places: Tensor, facets: Tensor) -> Tensor:
         """Return the cells of facets (...) int64 at places (...) int64."""
         return places * self.parts + self.part_of[facets]
@@ -174,7 +183,8 @@ class GroundingNetwork(nn.Module):
         slots = knowledge.unflatten(1, (self.slots, -1))
         used = (slots != 0).any(2, keepdim=True)  # a slot of zeros is no condition
         used[:, 0] |= ~used.any(1)  # of a query without conditions, the first slot counts
-        return (self.query(slots) * used).sum(1) / WIDTH**0.5
+        of_slots = self.query(slots) * used
+        return of_slots.sum(1) / WIDTH**0.5
 
     def frames(self, features: Tensor, cells: Tensor) -> Tensor:
         """Predict the grasp frames of the objects or parts in cells (n, m) int64, row by row.
@@ -205,11 +215,12 @@ class GroundingNetwork(nn.Module):
         neighbours = (line[:, None] * width + line).flatten()  # from the first one, (k,)
         first = places // side * width + places % side
         index = first[..., None] + neighbours  # (n, m, k)
-        gathered = padded.gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
-        gathered = gathered.unflatten(2, index.shape[1:]).transpose(1, 2).flatten(2)  # (n, m, C k)
+        of_channels = index.flatten(1)[:, None].expand(-1, channels, -1)
+        gathered = padded.gather(2, of_channels).unflatten(2, index.shape[1:])  # (n, C, m, k)
+        inputs = gathered.transpose(1, 2).flatten(2)  # (n, m, C k)
         half = self.spec.image_size / 2
-        where = centres(self.spec.image_size).to(gathered) / half - 1
-        return torch.cat((gathered, where[places]), 2)
+        where = centres(self.spec.image_size).to(inputs) / half - 1
+        return torch.cat((inputs, where[places]), 2)
 
     def standardized(self, position: Tensor, axes: Tensor) -> Tensor:
         """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
@@ -254,8 +265,7 @@ class GroundingNetwork(nn.Module):
             bfloat16: for the keys.
         """
         facets = labels.facets[rows]
-        places = place_of(labels.pixels[rows], self.spec.image_size)
-        cells = self.cells(places, facets)
+        cells = self.cells(self.places(labels, rows), facets)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             keys = self.keys(features)
         scores = keys.float() @ self.project_queries(knowledge).T  # (n, cells, q)
@@ -273,11 +283,12 @@ class GroundingNetwork(nn.Module):
         self, features: Tensor, labels: LabelledImages, rows: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Compute the cross-entropy of the visible names and the squared error of their frames."""
-        places = place_of(labels.pixels[rows], self.spec.image_size)
-        named = self.encoder.facet_likelihood(features, labels.facets[rows], places)
+        facets = labels.facets[rows]
+        places = self.places(labels, rows)
+        likelihood = self.encoder.facet_likelihood(features, facets, places)
         truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
-        frames = self.frames(features, self.cells(places, labels.facets[rows]))
-        return -named.mean(), (frames - truth).square().mean()
+        frames = self.frames(features, self.cells(places, facets))
+        return -likelihood.mean(), (frames - truth).square().mean()
 
 
 class Standardize(nn.Module):
@@ -300,6 +311,12 @@ class Standardize(nn.Module):
     def forward(self, values: Tensor) -> Tensor:
         """Standardize values (..., D)."""
         return (values - self.mean) / self.deviation
+
+
+def in_batches(compute: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    """Compute something of at most `BATCH` rows of tensors at once; return all of it."""
+    batches = zip(*[tensor.split(BATCH) for tensor in tensors], strict=True)
+    return torch.cat([compute(*batch) for batch in batches])
 
 
 def _metadata(data: bytes) -> dict[str, Any]:
@@ -334,7 +351,8 @@ def _layers(*widths: int) -> nn.Sequential:
 def place_of(pixel: Tensor, image_size: int) -> Tensor:
     """Return the place (...) int64 of image points (..., 2), column and row [px]."""
     side = -(-image_size // STRIDE)
-    column, row = (pixel / STRIDE).long().clamp(0, side - 1).unbind(-1)
+    place = (pixel / STRIDE).long().clamp(0, side - 1)
+    column, row = place.unbind(-1)
     return row * side + column
 
 

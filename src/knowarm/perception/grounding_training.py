@@ -1,6 +1,6 @@
 """Training of grounding networks on images of the simulator, with a cache of the results."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -14,11 +14,10 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
-from knowarm.perception.grounding import BATCH, GroundingNetwork, Standardize, place_of
+from knowarm.perception.grounding import GroundingNetwork, Standardize, in_batches, place_of
 from knowarm.perception.images import (
     ImageSampler,
     LabelledImages,
-    QueryAnswers,
     query_answers,
     sample_images,
 )
@@ -49,8 +48,10 @@ HEAD_RATE = 2.0
 KEYED_IMAGES = 64
 """First images of the training, whose pixels and labels are part of the cache's key."""
 
-Losses = Callable[[LabelledImages, Tensor], tuple[Tensor, Tensor]]
-"""Computes, for some rows of images, the loss that is minimized and the one that is reported."""
+RECOGNIZING = ("encoder.", "frame.", "position_")
+"""How the names of parameters begin that recognize names and grasp frames."""
+COMPARING = ("key.", "query.")
+"""How those begin that compare queries with places."""
 
 
 class _Stage(NamedTuple):
@@ -58,11 +59,15 @@ class _Stage(NamedTuple):
 
     name: str
     rounds: int
-    losses: Losses
-    parts: tuple[str, ...]
-    """How the names of what it trains begin."""
-    follows_from: Sequence[object]
-    """What its result depends on beside images, settings and seed."""
+    recognizes: bool  # Whether it trains names and grasp frames
+    asks: bool  # Whether it trains how queries are compared with places
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """How the names of what it trains begin."""
+        if not self.asks:
+            return RECOGNIZING
+        return RECOGNIZING + COMPARING if self.recognizes else COMPARING
 
 
 def train_grounding(
@@ -100,37 +105,28 @@ def train_grounding(
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
-    def ask() -> tuple[Tensor, QueryAnswers]:
-        rows = torch.randperm(len(vectors), generator=generator)[:QUERIES]
-        return vectors[rows], answers.of(rows)
-
-    def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+    def losses(stage: _Stage, labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute for some images the loss that is minimized and the one that is reported."""
         features = network.features(labels.images[rows], bfloat16)
-        place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
-        naming, frame = network.recognition_losses(features.float(), labels, rows)
-        return place + config.naming_coef * naming + FRAME_COEF * frame, place
+        weighted = []
+        if stage.asks:
+            queries = torch.randperm(len(vectors), generator=generator)[:QUERIES]
+            asked = vectors[queries], answers.of(queries)
+            place = network.place_loss(features, labels, rows, *asked, bfloat16=bfloat16)
+            weighted.append((1.0, place))
+        if stage.recognizes:
+            naming, frame = network.recognition_losses(features.float(), labels, rows)
+            weighted += [(config.naming_coef, naming), (FRAME_COEF, frame)]
+        total = sum(weight * loss for weight, loss in weighted)
+        return cast(Tensor, total), weighted[0][1]
 
-    def recognition(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
-        features = network.features(labels.images[rows], bfloat16).float()
-        naming, frame = network.recognition_losses(features, labels, rows)
-        return config.naming_coef * naming + FRAME_COEF * frame, naming
-
-    def comparison(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
-        features = network.features(labels.images[rows], bfloat16)
-        place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
-        return place, place
-
-    asked = ("key.", "query.")
-    seen = ("encoder.", "frame.", "position_")
-    by_queries = [knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()]
-    if config.shared_rounds == 0:
-        images_alone = config
-        stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
-    else:
+    images_alone = config
+    stages = [_Stage("everything", config.rounds, recognizes=True, asks=True)]
+    if config.shared_rounds > 0:
         images_alone = replace(config, rounds=0)  # so that other rounds share the first stage
         stages = [
-            _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
-            _Stage("queries", config.rounds, comparison, asked, by_queries),
+            _Stage("names and frames", config.shared_rounds, recognizes=True, asks=False),
+            _Stage("queries", config.rounds, recognizes=False, asks=True),
         ]
     depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
     for number, stage in enumerate(stages):
@@ -139,15 +135,16 @@ def train_grounding(
         path = (number,) if number > 0 else ()
         stream = derive_seed(seed, "perception", GROUNDING_IMAGES, *path)
         first = sample_images(env, spec, KEYED_IMAGES, stream)
-        keyed = [tensor.numpy() for tensor in first]
-        depends_on += [stage.rounds, *keyed, *stage.follows_from]
+        depends_on += [stage.rounds, *[tensor.numpy() for tensor in first]]
+        if stage.asks:
+            depends_on += [knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()]
         file = cache_file("grounding", *depends_on)
-        parameters = _parameters(network, stage.parts)
+        parameters = _parameters(network, stage.trained)
         if _copy(read_arrays(file), parameters):
             report(f"grounding network ({stage.name}): read from {file}")
             continue
         for name, parameter in network.named_parameters():
-            parameter.requires_grad_(name.startswith(stage.parts))
+            parameter.requires_grad_(name.startswith(stage.trained))
         report(
             f"training the grounding network ({stage.name}) on {stage.rounds} x "
             f"{config.images:,} images"
@@ -158,7 +155,7 @@ def train_grounding(
             is_finished = minimize(
                 network,
                 config,
-                partial(_steps, network, sampler, stage, config),
+                partial(_steps, network, sampler, stage, config, partial(losses, stage)),
                 stage.rounds,
                 "grounding, round",
                 report,
@@ -206,10 +203,11 @@ def train_frame_head(
     with torch_threads(1):
         labels = sample_images(env, network.spec, config.images, stream)
         places = place_of(labels.pixels, network.spec.image_size)
-        batches = []
-        for images, at in zip(labels.images.split(BATCH), places.split(BATCH), strict=True):
-            batches.append(network.frame_inputs(network.encoder.features(images), at))
-        flat = torch.cat(batches).flatten(0, 1)
+
+        def inputs(images: Tensor, places: Tensor) -> Tensor:
+            return network.frame_inputs(network.encoder.features(images), places)
+
+        flat = in_batches(inputs, labels.images, places).flatten(0, 1)
         part = network.part_of[labels.facets].flatten()
         frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(0, 1)
         cast(Standardize, network.frame[0]).fit(flat)
@@ -234,16 +232,17 @@ def _steps(
     sampler: ImageSampler,
     stage: _Stage,
     config: GroundingConfig,
+    losses: Callable[[LabelledImages, Tensor], tuple[Tensor, Tensor]],
     number: int,
 ) -> Iterator[Step]:
     """Draw the images of a round and yield the losses of its gradient steps."""
     labels = sampler.sample(config.images)
-    if number == 1 and "position_" in stage.parts:
+    if number == 1 and stage.recognizes:
         positions = labels.grasp_position.flatten(0, -2)
         network.position_mean.copy_(positions.mean(0))
         network.position_std.copy_(positions.std(0).clamp(min=1e-3))
     for rows in torch.arange(config.images).split(config.batch):
-        yield len(rows), *stage.losses(labels, rows)
+        yield len(rows), *losses(labels, rows)
 
 
 def _progress(file: Path, sampler: ImageSampler, generator: torch.Generator) -> PassProgress:

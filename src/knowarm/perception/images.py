@@ -58,8 +58,9 @@ def _columns_of(
 ) -> Tensor:
     """Return the columns of some facets from a table (Q, F) bool with names; False without one."""
     columns = {name: column for column, name in enumerate(names)}
+    chosen = [columns.get(facet, -1) for facet in facets]
     padded = np.pad(table, ((0, 0), (0, 1)))
-    return torch.from_numpy(padded[:, [columns.get(facet, -1) for facet in facets]])
+    return torch.from_numpy(padded[:, chosen])
 
 
 class ImageSampler:
@@ -92,16 +93,20 @@ class ImageSampler:
         episodes = self._world.running
         objects = episodes.objects
         ground = target_places(scene, episodes.positions)
-        matrix = scene.grasp_matrix.reshape(-1, 3, 3)[objects]
-        axes = matrix[..., [0, 2]].swapaxes(-1, -2)
         return LabelledImages(
-            torch.from_numpy(images),
-            torch.from_numpy(self._first_facets[objects] + episodes.colours),
-            torch.from_numpy(episodes.question),
-            pixels_of(scene, episodes.positions, images.shape[1]),
-            _float(ground + scene.grasp_position[objects]),
-            _float(axes.reshape(*objects.shape, 6)),
+            images=torch.from_numpy(images),
+            facets=torch.from_numpy(self._first_facets[objects] + episodes.colours),
+            queries=torch.from_numpy(episodes.question),
+            pixels=pixels_of(scene, episodes.positions, images.shape[1]),
+            grasp_position=_float(ground + scene.grasp_position[objects]),
+            grasp_axes=_float(axes_of(scene.grasp_matrix[objects])),
         )
+
+
+def axes_of(matrices: np.ndarray) -> np.ndarray:
+    """Return x and z axis of the grasp frames of rotation matrices (..., 3, 3), (..., 6)."""
+    axes = matrices[..., [0, 2]].swapaxes(-1, -2)
+    return axes.reshape(*matrices.shape[:-2], 6)
 
 
 def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:

@@ -81,12 +81,12 @@ def minimize(
     trained = [parameter for parameter in module.parameters() if parameter.requires_grad]
     optimizer = Adam(trained, config.learning_rate)
     schedule = OneCycleLR(optimizer, config.learning_rate, total_steps=max(2, count))
-    done = 0
+    passes_done = 0
     if progress is not None:
-        done = progress.restore(module, optimizer, schedule)
-    if done:
-        report(f"{name} {done} of {passes}: done before")
-    for number in range(done + 1, passes + 1):
+        passes_done = progress.restore(module, optimizer, schedule)
+    if passes_done:
+        report(f"{name} {passes_done} of {passes}: done before")
+    for number in range(passes_done + 1, passes + 1):
         total = 0.0
         for images, loss, reported in steps(number):
             if should_stop():

@@ -90,9 +90,10 @@ class ImageEncoder(nn.Module):
         self.conv2 = nn.Conv2d(16, self.channels, 5, stride=2)
         self.pixel_shift = pixel_shift
         self.pixel_scale = pixel_scale
-        side = ((image_size - SIDE) // STRIDE + 1 - 5) // 2 + 1
-        self.width = side * side * self.channels
-        self._blocks = side + 2
+        patches = (image_size - SIDE) // STRIDE + 1  # in a row
+        self._side = (patches - 5) // 2 + 1  # positions in a row
+        self.width = self._side**2 * self.channels
+        self._blocks = self._side + 2
         self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
         self._pixels: Tensor
         self.register_buffer("_pixels", patch_pixels(image_size, self._blocks), persistent=False)
@@ -128,10 +129,11 @@ class ImageEncoder(nn.Module):
         if self.pixel_shift:
             first_bias = bias - self.pixel_shift * 255 * first.sum(1)
         # The second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3).
-        second = F.pad(second_weight, (0, 1, 0, 1))
-        second = second.unflatten(3, (3, 2)).unflatten(2, (3, 2)).permute(0, 3, 5, 1, 2, 4)
+        padded = F.pad(second_weight, (0, 1, 0, 1))
+        blocks = padded.unflatten(3, (3, 2)).unflatten(2, (3, 2))
+        second = blocks.permute(0, 3, 5, 1, 2, 4).flatten(1, 3)
         # Channels last is the layout of the product, and the fastest one for convolutions.
-        second = second.flatten(1, 3).contiguous(memory_format=torch.channels_last)
+        second = second.contiguous(memory_format=torch.channels_last)
         return ProductWeights(first, first_bias, second, second_bias)
 
     def first(self, patches: Tensor, weights: "ProductWeights") -> Tensor:
@@ -144,12 +146,12 @@ class ImageEncoder(nn.Module):
             dtype = torch.get_autocast_dtype(device)
         pixels = patches.reshape(-1, weight.shape[1]).to(dtype)
         x = torch.relu(F.linear(pixels, weight, weights.first_bias))
-        return x.view(patches.shape[0], self._blocks, self._blocks, 4 * self.conv1.out_channels)
+        return x.view(-1, self._blocks, self._blocks, 4 * self.conv1.out_channels)
 
     def second(self, x: Tensor, weights: "ProductWeights") -> Tensor:
         """Compute the second convolution from the result of `first`: (N, width)."""
-        x = torch.relu(F.conv2d(x.permute(0, 3, 1, 2), weights.second, weights.second_bias))
-        return x.permute(0, 2, 3, 1).reshape(x.shape[0], self.width)
+        x = F.conv2d(x.permute(0, 3, 1, 2), weights.second, weights.second_bias)
+        return torch.relu(x).permute(0, 2, 3, 1).reshape(-1, self.width)
 
     @torch.no_grad()
     def gradients(
@@ -167,20 +169,20 @@ class ImageEncoder(nn.Module):
         dtype = hidden.dtype
         weight = self.product_weights().second.to(dtype)
         # The derivative of a ReLU is the sign of its result.
-        side = self._blocks - 2
-        d_second = (gradient * features.sign()).view(-1, side, side, self.channels)
+        d_second = (gradient * features.sign()).view(-1, self._side, self._side, self.channels)
         d_second_bias = d_second.sum((0, 1, 2))
         x = hidden.permute(0, 3, 1, 2)
         d_x = d_second.to(dtype).permute(0, 3, 1, 2)
-        d_block = conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
-        d_kernel = d_block.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)
+        d_blocks = conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
+        d_kernel = d_blocks.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)
         d_first = conv2d_input(x.shape, weight, d_x).mul_(x.sign())
         d_first = d_first.permute(0, 2, 3, 1).reshape(-1, depth)
         pixels = patches.reshape(len(d_first), -1).to(dtype)
         d_weight = (d_first.t() @ pixels).float()
         d_bias = d_first.float().sum(0)
         # The weights of `first` are scaled, and its bias is shifted by their sum.
-        d_weight = (d_weight - self.pixel_shift * 255 * d_bias[:, None]) * (self.pixel_scale / 255)
+        d_weight -= self.pixel_shift * 255 * d_bias[:, None]
+        d_weight *= self.pixel_scale / 255
         return {
             "conv1.weight": d_weight.view(depth, SIDE, SIDE, 3).permute(0, 3, 1, 2),
             "conv1.bias": d_bias,

@@ -58,7 +58,9 @@ class Concatenation(Fusion):
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """As `Fusion.forward`."""
-        return torch.cat((x, knowledge), 1) if layer in self.layers else x
+        if layer not in self.layers:
+            return x
+        return torch.cat((x, knowledge), 1)
 
 
 class FiLM(Fusion):
@@ -79,8 +81,7 @@ class FiLM(Fusion):
         if layer != "fc":
             return x
         gamma, beta = self.modulation(knowledge)[:, None].chunk(2, 2)
-        maps = x.view(x.shape[0], -1, ImageEncoder.channels)
-        return torch.addcmul(beta, 1 + gamma, maps).flatten(1)
+        return torch.addcmul(beta, 1 + gamma, _positions(x)).flatten(1)
 
 
 class Attention(Fusion):
@@ -108,7 +109,7 @@ class Attention(Fusion):
         """Attend to the slots before the LSTM: (N, F), (N, K) -> (N, F + K / slots)."""
         if layer != "lstm":
             return x
-        slots = knowledge.view(knowledge.shape[0], self.slots, -1)
+        slots = knowledge.unflatten(1, (self.slots, -1))
         products = self.query(x)[:, None] * self.key(slots)
         scores = products.sum(2) / math.sqrt(slots.shape[2])
         weights = torch.softmax(scores, 1)[:, :, None]
@@ -145,12 +146,17 @@ class Similarity(Fusion):
         """Weight the convolution features: (N, positions * channels), (N, K) -> the same."""
         if layer != "fc":
             return x
-        maps = x.view(x.shape[0], -1, ImageEncoder.channels)
+        maps = _positions(x)
         weights = torch.softmax(self.scores(maps, knowledge), 1) * maps.shape[1]
         return (maps * (0.5 + 0.5 * weights[:, :, None])).flatten(1)
 
     def scores(self, maps: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
-        slots = knowledge.view(knowledge.shape[0], self.slots, -1)
+        slots = knowledge.unflatten(1, (self.slots, -1))
         query = self.query(slots).sum(1)
         return (self.key(maps) * query[:, None]).sum(2) / math.sqrt(self.width)
+
+
+def _positions(x: Tensor) -> Tensor:
+    """Return convolution features (N, P C) by position, (N, P, C)."""
+    return x.unflatten(1, (-1, ImageEncoder.channels))

@@ -3,9 +3,11 @@
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -54,13 +56,13 @@ class ExperimentGrid:
 
     def experiments(self) -> list[str]:
         """Return the names of the experiments."""
-        return [
-            str(ExperimentName(robot, self.task, agent, colours, algorithm))
-            for robot in self.robots
-            for colours in self.colours or colours_of(self.task)[:1]
-            for agent in self.agents
-            for algorithm in self.algorithms
-        ]
+        colours = self.colours or colours_of(self.task)[:1]
+        names = []
+        for robot, colour, agent, algorithm in product(
+            self.robots, colours, self.agents, self.algorithms
+        ):
+            names.append(str(ExperimentName(robot, self.task, agent, colour, algorithm)))
+        return names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,25 +108,25 @@ class StudyConfig:
 
     def __post_init__(self) -> None:
         file_name(self, "name")
-        if (count := len(self.cells()) * len(self.seeds)) > MAX_RUNS:
+        cells = self.cells()
+        count = len(cells) * len(self.seeds)
+        if count > MAX_RUNS:
             raise UserError(f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}.")
-        names = [name for name, seeds in self._listed() if seeds is self.seeds]
-        runs = [f"{name}/{seed}" for name, seeds in self._listed() for seed in set(seeds)]
-        for what, given in (
-            ("experiments", names or runs),
-            ("seeds", self.seeds),
-            ("experiments", runs),
-        ):
-            if not given:
-                raise UserError(f"{what}: a study needs at least one; got none.")
-            if twice := sorted({str(each) for each in given if list(given).count(each) > 1}):
-                raise UserError(f"{what}: {', '.join(map(repr, twice))} is given twice.")
+        names = []
+        runs = []
+        for name, seeds in self._listed():
+            runs += [f"{name}/{seed}" for seed in set(seeds)]
+            if seeds is self.seeds:
+                names.append(name)
+        _check_once("experiments", names or runs)
+        _check_once("seeds", self.seeds)
+        _check_once("experiments", runs)
         labels = [evaluation.folder for evaluation in self.evaluations]
         if len(set(labels)) < len(labels):
             raise UserError(f"evaluations: two have the same label of {labels}; set label.")
         for rule in self.overrides_for:
-            if not fnmatch.filter(self.cells(), rule.experiments):
-                raise unknown_name("pattern of experiments", rule.experiments, self.cells())
+            if not fnmatch.filter(cells, rule.experiments):
+                raise unknown_name("pattern of experiments", rule.experiments, cells)
         self.runs()
 
     def cells(self) -> list[str]:
@@ -133,19 +135,21 @@ class StudyConfig:
 
     def all_seeds(self) -> list[int]:
         """Return the training seeds that any experiment has."""
-        return list(dict.fromkeys(seed for _, seeds in self._listed() for seed in seeds))
+        return list(dict.fromkeys(seed for _, seed in self._runs))
 
     def _listed(self) -> list[tuple[str, tuple[int, ...]]]:
         """Return the names of the experiments with their seeds, as listed."""
         listed: list[tuple[str, tuple[int, ...]]] = []
         for text in self.experiments:
+            seeds = self.seeds
             name, _, seed = text.rpartition("/")
             if name and seed.isdecimal():
-                listed.append((str(ExperimentName.parse(name)), (int(seed),)))
-            else:
-                listed.append((str(ExperimentName.parse(text)), self.seeds))
-        grid = self.grid.experiments() if self.grid else []
-        return [*listed, *((name, self.seeds) for name in grid)]
+                text = name
+                seeds = (int(seed),)
+            listed.append((str(ExperimentName.parse(text)), seeds))
+        if self.grid:
+            listed += [(name, self.seeds) for name in self.grid.experiments()]
+        return listed
 
     def runs(self) -> list[ExperimentConfig]:
         """Return the config of every run, as listed, experiment by experiment."""
@@ -161,25 +165,37 @@ class StudyConfig:
     @cached_property
     def _runs(self) -> dict[RunKey, ExperimentConfig]:
         configs = {name: self._experiment(name) for name in self.cells()}
-        return {
-            (configs[name].name, seed): dataclasses.replace(configs[name], seed=seed)
-            for name, seeds in self._listed()
-            for seed in seeds
-        }
+        runs = {}
+        for name, seeds in self._listed():
+            config = configs[name]
+            for seed in seeds:
+                runs[config.name, seed] = dataclasses.replace(config, seed=seed)
+        return runs
 
     def _experiment(self, name: str) -> ExperimentConfig:
         config = experiment_config(name)
-        given = {*self.overrides, *(name for each in self.overrides_for for name in each.fields)}
-        if fixed := sorted({"name", "seed"} & given):
-            raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
+        overrides = [self.overrides, *[rule.fields for rule in self.overrides_for]]
+        for fixed in ("name", "seed"):
+            if any(fixed in fields for fields in overrides):
+                raise UserError(f"overrides must not set {fixed!r}; it follows from the study.")
         config = override_experiment(config, self.overrides, where="overrides")
-        set_by_user = [*flatten(self.overrides)]
+        set_by_user = list(flatten(self.overrides))
         for rule in self.overrides_for:
             if fnmatch.filter([name], rule.experiments):
                 config = override_experiment(config, rule.fields, where="overrides_for.fields")
                 set_by_user += flatten(rule.fields)
         check_graphs(config, set_by_user)
         return config
+
+
+def _check_once(what: str, values: Collection[object]) -> None:
+    """Check that there are values, and none is given twice."""
+    if not values:
+        raise UserError(f"{what}: a study needs at least one; got none.")
+    counts = Counter(map(str, values))
+    twice = sorted(repr(value) for value, count in counts.items() if count > 1)
+    if twice:
+        raise UserError(f"{what}: {', '.join(twice)} is given twice.")
 
 
 def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConfig:
@@ -209,13 +225,14 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
     values = read_toml(path)
     try:
         controlled = values.pop("controls_of", None)
-        if of is not None and controlled is None:
-            raise UserError(f"{source} is no study of controls: leave out 'of'.")
         if controlled is not None:
-            studied = read_study(of or controlled)
-            if str(of or controlled) != controlled:
+            source_of = of or controlled
+            studied = read_study(source_of)
+            if str(source_of) != controlled:
                 values["name"] = f"{studied.name}-{values['name']}"
-            values = to_dict(controls(studied, "controls")) | values
+            values = to_dict(controls(studied)) | values
+        elif of is not None:
+            raise UserError(f"{source} is no study of controls: leave out 'of'.")
         return from_dict(StudyConfig, values)
     except UserError as error:
         line = _line(path.read_text(encoding="utf-8"), str(error))
@@ -228,25 +245,31 @@ def write_study(study: StudyConfig, out: Path) -> None:
     write_json(out / STUDY_FILE, {"format": FORMAT, **to_dict(study)})
 
 
-def controls(study: StudyConfig, name: str) -> StudyConfig:
+def controls(study: StudyConfig) -> StudyConfig:
     """Return the study of the registered controls of a study's agents with knowledge.
 
     They are trained on the same tasks, with the same seeds, overrides and evaluations.
     """
-    candidates = [
-        str(dataclasses.replace(subject, agent=control))
-        for subject in map(ExperimentName.parse, study.cells())
-        if AGENTS[subject.agent].role == "knowledge"
-        for role in ("capacity_control", "content_control")
-        for control in controls_of(subject.agent, role)
-        if subject.task in tasks_of(AGENTS[control])
-    ]
-    names = tuple(each for each in dict.fromkeys(candidates) if each not in study.cells())
+    cells = study.cells()
+    names: list[str] = []
+    for subject in map(ExperimentName.parse, cells):
+        if AGENTS[subject.agent].role != "knowledge":
+            continue
+        for role in ("capacity_control", "content_control"):
+            for agent in controls_of(subject.agent, role):
+                control = str(dataclasses.replace(subject, agent=agent))
+                if subject.task in tasks_of(AGENTS[agent]) and control not in [*cells, *names]:
+                    names.append(control)
     if not names:
         raise UserError(f"No agent of the study {study.name!r} has registered controls to train.")
-    kept = tuple(each for each in study.overrides_for if fnmatch.filter(names, each.experiments))
+    rules = [rule for rule in study.overrides_for if fnmatch.filter(names, rule.experiments)]
     return dataclasses.replace(
-        study, name=name, about="", experiments=names, grid=None, overrides_for=kept
+        study,
+        name="controls",
+        about="",
+        experiments=tuple(names),
+        grid=None,
+        overrides_for=tuple(rules),
     )
 
 
@@ -254,7 +277,8 @@ def _line(text: str, message: str) -> str:
     """Return ", line N" of the first line with a word that an error message quotes."""
     quoted = re.findall(r"'([^']+)'", message)
     fields = re.findall(r"([\w.\[\]]+)(?: must\b|:| \()", message)
-    for word in [*quoted, *(re.split(r"[.\[]", name)[-1].rstrip("]") for name in fields), *fields]:
+    last_parts = [re.split(r"[.\[]", name)[-1].rstrip("]") for name in fields]
+    for word in [*quoted, *last_parts, *fields]:
         pattern = re.compile(rf"(?<!\w){re.escape(word)}(?!\w)")
         for number, line in enumerate(text.splitlines(), 1):
             if word and pattern.search(line.partition("#")[0]):

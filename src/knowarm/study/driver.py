@@ -14,7 +14,7 @@ from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
-from knowarm.study.executor import LOG, Ended, Executor, LocalExecutor, RunKey, Where
+from knowarm.study.executor import LOG, Ended, Executor, LocalExecutor, RunKey, Where, folder_of
 from knowarm.study.ray_executor import RayExecutor
 from knowarm.study.status import FAILURE, PAUSE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
@@ -79,26 +79,28 @@ def check_folder(study: StudyConfig, out: Path) -> None:
     if (out / STUDY_FILE).exists():
         before = read_study(out)
         if before.name != study.name:
-            found = f"holds the study {before.name!r}, not {study.name!r}"
-            raise UserError(f"{out} {found}: choose another folder.")
-        lost = sorted({*runs_beside(study, out)} & {f"{c.name}/{c.seed}" for c in before.runs()})
+            raise UserError(
+                f"{out} holds the study {before.name!r}, not {study.name!r}: choose another folder."
+            )
+        of_before = {f"{config.name}/{config.seed}" for config in before.runs()}
+        lost = sorted(of_before.intersection(runs_beside(study, out)))
         if lost:
             raise UserError(
                 f"{out} holds runs that would no longer belong to the study: {', '.join(lost[:3])} "
                 f"({len(lost)}). Keep their experiments and seeds, or choose another folder."
             )
     if (out / PACKED).exists():
-        statuses = [each for each in study_status(study, out) if each.state != "waiting"]
-        begun = [
-            each.name
-            for each in statuses
-            if each.state != "done" and not (out / each.name / RESUMABLE).is_file()
-        ]
-        if begun:
+        unfinished = []
+        for status in study_status(study, out):
+            is_begun = status.state not in ("waiting", "done")
+            if is_begun and not (out / status.name / RESUMABLE).is_file():
+                unfinished.append(status.name)
+        if unfinished:
             raise UserError(
-                f"{out} is an unpacked study, which lacks what resuming {', '.join(begun[:3])} "
-                f"needs: remove the folders of unfinished runs ({len(begun)}) to start these "
-                "again, choose another folder, or pack the study with its checkpoints."
+                f"{out} is an unpacked study, which lacks what resuming "
+                f"{', '.join(unfinished[:3])} needs: remove the folders of unfinished runs "
+                f"({len(unfinished)}) to start these again, choose another folder, or pack the "
+                "study with its checkpoints."
             )
     for config in study.runs():
         folder = RunFolder(run_path(out, config))
@@ -123,13 +125,15 @@ def retry(out: Path, names: Sequence[str] = ()) -> list[str]:
         The runs that had failed.
     """
     statuses = study_status(open_study(out), out)
-    known = {each.name for each in statuses}
+    runs = {status.name for status in statuses}
+    experiments = {status.experiment for status in statuses}
     for name in names:
-        if name not in known and name not in {each.experiment for each in statuses}:
-            raise unknown_name("run of the study", name, known)
+        if name not in runs and name not in experiments:
+            raise unknown_name("run of the study", name, runs)
     cleared = []
     for status in statuses:
-        if status.state == "failed" and (not names or {status.name, status.experiment} & {*names}):
+        is_named = not names or status.name in names or status.experiment in names
+        if status.state == "failed" and is_named:
             (out / status.name / FAILURE).unlink()
             cleared.append(status.name)
     return cleared
@@ -153,7 +157,9 @@ def open_study(out: Path) -> StudyConfig:
 
 def make_executor(where: Where, out: Path) -> Executor:
     """Make the executor of a study in a folder."""
-    return (RayExecutor if where.kind == "ray" else LocalExecutor)(where, out)
+    if where.kind == "ray":
+        return RayExecutor(where, out)
+    return LocalExecutor(where, out)
 
 
 class _Driver:
@@ -162,14 +168,17 @@ class _Driver:
     def __init__(
         self, study: StudyConfig, out: Path, executor: Executor, on_status: OnStatus
     ) -> None:
-        self._study, self._out, self._executor = study, out, executor
+        self._study = study
+        self._out = out
+        self._executor = executor
         self._on_status = on_status
         self._mine: set[RunKey] = set()
         self._deaths: Counter[tuple[RunKey, int]] = Counter()  # by run and latest checkpoint
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Work until every run is done or failed, or until asked to stop."""
-        stopping, read = False, 0.0
+        stopping = False
+        read_at = 0.0
         while True:
             ended = self._executor.ended()
             for run in ended:
@@ -177,32 +186,41 @@ class _Driver:
             if not stopping and (should_stop() or (self._out / STOP).exists()):
                 stopping = True
                 self._executor.stop()
-            if ended or time.monotonic() - read > STATUS_S:
+            if ended or time.monotonic() - read_at > STATUS_S:
                 statuses = study_status(self._study, self._out)
-                read = time.monotonic()
+                read_at = time.monotonic()
                 self._on_status(statuses)
                 if not stopping:
                     self._start(statuses)
-                others = any(each.state == "running" for each in statuses)
-                free = (each for each in statuses if each.state in UNFINISHED)
-                left = any(not is_locked(self._out / each.name) for each in free)
-                if not self._mine and (stopping or not (left or others)):
+                if not self._mine and (stopping or not self._is_left(statuses)):
                     return
             time.sleep(POLL_S)
 
     def _start(self, statuses: Sequence[RunStatus]) -> None:
         """Fill the free slots in the study's order; leave runs that others hold."""
-        left = seconds_left(statuses)
-        free = [s for s in statuses if s.state in UNFINISHED and s.run not in self._mine]
-        todo = [s for s in free if not is_locked(self._out / s.name)]
-        # Without a known rate, the number of steps orders them.
-        length = {each.run: left.get(each.run, float(each.steps_left)) for each in todo}
+        waiting = [status for status in statuses if status.run not in self._mine]
+        waiting = [status for status in waiting if self._is_free(status)]
         if self._study.order == "seeds":  # otherwise they are in the order of the study
+            left = seconds_left(statuses)
             seeds = self._study.all_seeds()
-            todo.sort(key=lambda each: (seeds.index(each.run[1]), -length[each.run]))
-        for status in todo[: max(0, self._executor.slots - len(self._mine))]:
+
+            def order(status: RunStatus) -> tuple[int, float]:
+                # Without a known rate, the number of steps orders them.
+                length = left.get(status.run, float(status.steps_left))
+                return seeds.index(status.seed), -length
+
+            waiting.sort(key=order)
+        for status in waiting[: max(0, self._executor.slots - len(self._mine))]:
             self._executor.start(status.run)
             self._mine.add(status.run)
+
+    def _is_free(self, status: RunStatus) -> bool:
+        """Return whether a run is to be worked on, and nobody does."""
+        return status.state in UNFINISHED and not is_locked(self._out / status.name)
+
+    def _is_left(self, statuses: Sequence[RunStatus]) -> bool:
+        """Return whether a run is to be worked on, or others do."""
+        return any(status.state == "running" or self._is_free(status) for status in statuses)
 
     def _take_end(self, end: Ended, stopping: bool) -> None:
         """Take note of a worker's end; a killed one is started again, an error is a failure."""
@@ -210,12 +228,14 @@ class _Driver:
         self._mine.discard(run)
         if problem is None or stopping:
             return
-        path = self._out / run[0] / str(run[1])
+        path = folder_of(self._out, run)
         if not killed:
             record_failure(path, f"{problem}; see {path / LOG}")
             return
-        self._deaths[run, step := RunFolder(path).checkpoint_fact("step", -1)] += 1
-        if (count := self._deaths[run, step]) > self._study.where.retries:
+        step = RunFolder(path).checkpoint_fact("step", -1)
+        self._deaths[run, step] += 1
+        count = self._deaths[run, step]
+        if count > self._study.where.retries:
             del self._deaths[run, step]  # `retry` starts the count again
             reason = f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
             record_failure(path, reason)

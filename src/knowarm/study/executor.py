@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import psutil
 
@@ -56,6 +56,21 @@ class Ended(NamedTuple):
     problem: str | None = None
     killed: bool = False
 
+    @classmethod
+    def with_code(cls, run: RunKey, code: int) -> Self:
+        """Describe the end of a process by its exit code."""
+        if code < 0:
+            return cls(run, f"its process was killed by signal {-code}", killed=True)
+        if code > 0:
+            return cls(run, f"its process ended with exit code {code}")
+        return cls(run)
+
+
+def folder_of(out: Path, run: RunKey) -> Path:
+    """Return the folder of a run in that of its study."""
+    experiment, seed = run
+    return out / experiment / str(seed)
+
 
 def start_worker(
     out: Path, run: RunKey, environment: Mapping[str, str], **options: Any
@@ -64,11 +79,12 @@ def start_worker(
 
     ``environment`` holds further variables, ``options`` are those of `subprocess.Popen`.
     """
-    folder = out / run[0] / str(run[1])
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOG).open("ab") as log:
+    experiment, seed = run
+    log_file = folder_of(out, run) / LOG
+    log_file.parent.mkdir(parents=True, exist_ok=True)
+    with log_file.open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "knowarm.study.worker", str(out), run[0], str(run[1])],
+            [sys.executable, "-m", "knowarm.study.worker", str(out), experiment, str(seed)],
             stdin=subprocess.PIPE,  # closes when this process ends
             stdout=log,
             stderr=log,
@@ -105,7 +121,8 @@ class LocalExecutor:
     """
 
     def __init__(self, where: Where, out: Path) -> None:
-        self._where, self._out = where, out
+        self._where = where
+        self._out = out
         self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}  # with their slots
         self._deadline = math.inf  # when those that were asked to end are killed
         memory = psutil.virtual_memory()
@@ -123,8 +140,9 @@ class LocalExecutor:
                 )
         by_memory = int(memory.available / 2**30 / where.memory_gib)
         slots = min(available_cores() // where.cores, by_memory)
-        self._per_gpu = max(1, int(1 / where.gpus)) if where.gpus else 1
+        self._per_gpu = 1
         if where.gpus:
+            self._per_gpu = max(1, int(1 / where.gpus))
             slots = min(slots, self._per_gpu * len(self._gpus))
         self.slots = where.at_once or max(1, slots)
 
@@ -146,13 +164,13 @@ class LocalExecutor:
         for run, (_, process) in list(self._workers.items()):
             if process.poll() is None and time.monotonic() > self._deadline:
                 _kill(process)
-            if (code := process.poll()) is None:
+            code = process.poll()
+            if code is None:
                 continue
             del self._workers[run]
             assert process.stdin is not None
             process.stdin.close()
-            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-            ended.append(Ended(run, f"its process {how}" if code else None, killed=code < 0))
+            ended.append(Ended.with_code(run, code))
         return ended
 
     def stop(self) -> None:

@@ -1,14 +1,13 @@
 """Packs: a study as one file with what its report needs, and digests of everything in it."""
 
 import csv
-import hashlib
 import io
 import json
 import lzma
 import shutil
 import tarfile
 from collections.abc import Collection, Sequence
-from itertools import chain
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +16,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import reading, replacing
+from knowarm.reading import digest, reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, is_trained
@@ -78,18 +77,18 @@ def pack_study(
     if with_checkpoints and "losses" in leave_out:
         raise UserError(f"Runs resume with their whole {METRICS}: leave out losses or checkpoints.")
     study = open_study(out)
-    parts = [PACKED_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
-    patterns = list(chain(*parts))
+    patterns = list(PACKED_FILES)
+    for part, part_files in PART_FILES.items():
+        if part not in leave_out:
+            patterns += part_files
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
-        paths = [out / STUDY_FILE] + [
-            path
-            for config in study.runs()
-            for pattern in [*patterns, *_checkpoint_files(out, config, with_checkpoints)]
-            for path in sorted(run_path(out, config).glob(pattern))
-            if path.is_file()
-        ]
+        paths = [out / STUDY_FILE]
+        for config in study.runs():
+            folder = run_path(out, config)
+            for pattern in [*patterns, *_checkpoint_files(folder, config, with_checkpoints)]:
+                paths += sorted(folder.glob(pattern))
         contents = dict[str, bytes]()
-        for path in paths:
+        for path in filter(Path.is_file, paths):
             content = path.read_bytes()
             if path.name == METRICS and "losses" in leave_out:
                 content = _reported_metrics(content)
@@ -98,17 +97,19 @@ def pack_study(
         "format": FORMAT,
         "study": study.name,
         "left_out": sorted(leave_out),
-        "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
+        "sha256": {name: digest(data) for name, data in contents.items()},
     }
-    has_checkpoints = any(path.endswith(".safetensors") for path in contents if "/latest/" in path)
-    weights = WEIGHTS if has_checkpoints else {}
+    compression = COMPRESSION
+    if any(fnmatch(name, "*/latest/*.safetensors") for name in contents):
+        compression = COMPRESSION | WEIGHTS
     with (
         replacing(file) as temporary,
-        lzma.open(temporary, "wb", filters=[COMPRESSION | weights]) as compressed,
+        lzma.open(temporary, "wb", filters=[compression]) as compressed,
         tarfile.open(fileobj=compressed, mode="w", format=tarfile.PAX_FORMAT) as archive,
     ):
         text = json.dumps(manifest, indent=2) + "\n"
-        for name, data in ({PACKED: text.encode()} | contents).items():
+        members = {PACKED: text.encode(), **contents}
+        for name, data in members.items():
             member = tarfile.TarInfo(name)
             member.size = len(data)
             archive.addfile(member, io.BytesIO(data))
@@ -126,9 +127,9 @@ def _reported_metrics(content: bytes) -> bytes:
     return text.getvalue().encode()
 
 
-def _checkpoint_files(out: Path, config: ExperimentConfig, wanted: bool) -> Sequence[str]:
+def _checkpoint_files(path: Path, config: ExperimentConfig, wanted: bool) -> Sequence[str]:
     """Return the patterns of a run's checkpoint, if it is wanted and the run is unfinished."""
-    folder = RunFolder(run_path(out, config))
+    folder = RunFolder(path)
     if not wanted or not folder.has_checkpoint or is_trained(folder, config):
         return ()
     return CHECKPOINT_FILES
@@ -169,7 +170,8 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
     Raises:
         ValueError: the pack differs from its manifest.
     """
-    listed, digests = {PACKED}, {}
+    digests = {}
+    listed = {PACKED}
     for member in archive:
         name = member.name
         if name not in listed or member.type != tarfile.REGTYPE or (folder / name).exists():
@@ -177,13 +179,10 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
         if name == PACKED:
             digests = dict(json.loads((folder / PACKED).read_bytes())["sha256"])
-            listed = {*digests}
-    for name, digest in digests.items():
-        found = ""
-        if (folder / name).is_file():
-            with (folder / name).open("rb") as file:
-                found = hashlib.file_digest(file, "sha256").hexdigest()
-        if found != digest:
+            listed = set(digests)
+    for name, expected in digests.items():
+        file = folder / name
+        if not file.is_file() or digest(file.read_bytes()) != expected:
             raise ValueError(f"{name} is missing or was changed")
     if not digests:
         raise ValueError(f"it has no {PACKED}, or an empty one")

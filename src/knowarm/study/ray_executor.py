@@ -30,7 +30,8 @@ class RayExecutor:
     """
 
     def __init__(self, where: Where, out: Path) -> None:
-        self._where, self._out = where, out.absolute()
+        self._where = where
+        self._out = out.absolute()
         self._tasks: dict[Any, RunKey] = {}
         self._deadline: float | None = None
         try:
@@ -49,7 +50,7 @@ class RayExecutor:
             ) from None
         needed = {"CPU": float(where.cores), "memory": where.memory_gib * 2**30, "GPU": where.gpus}
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        if not any(all(has.get(k, 0) >= v for k, v in needed.items()) for has in nodes):
+        if not any(_has(node, needed) for node in nodes):
             raise UserError(
                 f"No node of the Ray cluster has the {where.cores} cores, {where.memory_gib:g} GiB "
                 f"and {where.gpus:g} GPUs of one run: choose smaller where.cores, memory_gib or "
@@ -62,8 +63,10 @@ class RayExecutor:
             max_retries=0,  # the driver starts it again, and knows how often
         )
         # Own robots, tasks and algorithms that are registered here
-        own = {k: v for k, v in os.environ.items() if k.startswith("KNOWARM_") and k != LIMIT}
-        self._environment = own | limited_to(where.cores)
+        self._environment = limited_to(where.cores)
+        for name, value in os.environ.items():
+            if name.startswith("KNOWARM_") and name != LIMIT:
+                self._environment.setdefault(name, value)
 
     @property
     def slots(self) -> int:
@@ -81,7 +84,9 @@ class RayExecutor:
             for task in self._tasks:
                 self._ray.cancel(task, force=True)
         tasks = list(self._tasks)
-        ready, _ = self._ray.wait(tasks, num_returns=len(tasks), timeout=0) if tasks else ([], [])
+        if not tasks:
+            return []
+        ready, _ = self._ray.wait(tasks, num_returns=len(tasks), timeout=0)
         return [self._end(task, self._tasks.pop(task)) for task in ready]
 
     def stop(self) -> None:
@@ -100,10 +105,11 @@ class RayExecutor:
 
     def _end(self, task: Any, run: RunKey) -> Ended:
         try:
-            code = self._ray.get(task)
+            return Ended.with_code(run, self._ray.get(task))
         except self._ray.exceptions.RayError as error:
             how = type(error).__name__
             return Ended(run, f"its task was lost ({how})", killed=True)
-        if code < 0:
-            return Ended(run, f"its process was killed by signal {-code}", killed=True)
-        return Ended(run, f"its process ended with exit code {code}" if code else None)
+
+
+def _has(resources: Mapping[str, float], needed: Mapping[str, float]) -> bool:
+    return all(resources.get(name, 0) >= amount for name, amount in needed.items())

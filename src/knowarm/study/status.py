@@ -67,8 +67,9 @@ class RunStatus:
     @property
     def steps_left(self) -> int:
         """Environment steps to go; 0 once trained."""
-        finished = self.state in ("trained", "done")
-        return 0 if finished else max(0, self.total_steps - self.step)
+        if self.state in ("trained", "done"):
+            return 0
+        return max(0, self.total_steps - self.step)
 
 
 def study_status(study: StudyConfig, out: Path) -> list[RunStatus]:
@@ -102,9 +103,12 @@ def _state(
     """Return the state of a run, and why it failed, stalled or stopped, or how it ended early."""
     path = folder.path
     failure = _failure(path)
+    locked = is_locked(path)
     if not folder.config_path.exists():
-        return "failed" if failure else "running" if is_locked(path) else "waiting", failure
-    if is_locked(path):
+        if failure:
+            return "failed", failure
+        return "running" if locked else "waiting", ""
+    if locked:
         silent = time.time() - _last_write(path)
         if silent > SILENT_S:
             return "stalled", f"its process has written nothing for {silent / 60:.0f} min"
@@ -116,8 +120,10 @@ def _state(
         if pause is not None and step >= pause:
             return "paused", f"at step {step:,}; goes on with a larger --until-step, or without"
         return "stopped", "resumes with the next study run"
+    detail = ""
     early = folder.ended_early_at(config.stop_when)
-    detail = "" if early is None or early >= config.total_steps else f"ended early at {early:,}"
+    if early is not None and early < config.total_steps:
+        detail = f"ended early at {early:,}"
     return "trained" if missing_evaluations(folder, evaluations) else "done", detail
 
 
@@ -133,28 +139,31 @@ def pause_step(out: Path) -> int | None:
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
     """Return whether a run has taken all its steps, and no interim evaluation is pending."""
     early = folder.ended_early_at(config.stop_when)
-    step, pending = (folder.checkpoint_fact(name, -1) for name in ("step", "pending"))
-    return step >= config.total_steps and pending < 1 if early is None else step >= early
+    step = folder.checkpoint_fact("step", -1)
+    if early is not None:
+        return step >= early
+    return step >= config.total_steps and folder.checkpoint_fact("pending", -1) < 1
 
 
 def runs_beside(study: StudyConfig, out: Path) -> list[str]:
     """Return the runs in the folder of a study that are not of the study."""
     known = {run_path(out, config) for config in study.runs()}
-    found = sorted(path.parent for path in out.glob("*/*/config.json"))
-    return [path.relative_to(out).as_posix() for path in found if path not in known]
+    folders = sorted(file.parent for file in out.glob("*/*/config.json"))
+    return [folder.relative_to(out).as_posix() for folder in folders if folder not in known]
 
 
 def missing_evaluations(
     folder: RunFolder, evaluations: Sequence[EvaluationConfig]
 ) -> list[EvaluationConfig]:
     """Return the evaluations that a run lacks, or has with other settings."""
-
-    def made_with(evaluation: EvaluationConfig) -> EvaluationConfig | None:
+    missing = []
+    for evaluation in evaluations:
+        made_with = None
         with suppress(UserError):
-            return Summary.read(folder.evaluation(evaluation.folder)).config
-        return None
-
-    return [each for each in evaluations if made_with(each) != each]
+            made_with = Summary.read(folder.evaluation(evaluation.folder)).config
+        if made_with != evaluation:
+            missing.append(evaluation)
+    return missing
 
 
 def totals(statuses: Sequence[RunStatus], cores: int) -> dict[str, Any]:
@@ -163,21 +172,29 @@ def totals(statuses: Sequence[RunStatus], cores: int) -> dict[str, Any]:
     ``core_hours_left`` is None while no rate is known; runs without a rate are assumed to have the
     mean rate.
     """
-    hours, left = cores / 3600, seconds_left(statuses)
+    hours = cores / 3600
+    left = seconds_left(statuses)
+    hours_left = None
+    if len(left) == len(statuses):
+        hours_left = hours * sum(left.values())
     return {
         "states": dict(Counter(status.state for status in statuses)),
         "core_hours": hours * sum(status.seconds for status in statuses),
-        "core_hours_left": hours * sum(left.values()) if len(left) == len(statuses) else None,
+        "core_hours_left": hours_left,
     }
 
 
 def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
     """Return the expected training time left of each run; runs of unknown rate are left out."""
-    rated = [(each.experiment, each.steps_per_s) for each in statuses if each.steps_per_s]
+    all_rates = []
+    by_experiment: dict[str, list[float]] = {}
+    for status in statuses:
+        if status.steps_per_s:
+            all_rates.append(status.steps_per_s)
+            by_experiment.setdefault(status.experiment, []).append(status.steps_per_s)
     left = {}
     for status in statuses:
-        same = [rate for experiment, rate in rated if experiment == status.experiment]
-        rates = same or [rate for _, rate in rated]
+        rates = by_experiment.get(status.experiment, all_rates)
         if not status.steps_left:
             left[status.run] = 0.0
         elif rates:
@@ -191,8 +208,8 @@ def _progress(folder: RunFolder) -> dict[str, Any]:
     curves = {folder.metrics_path: _training, folder.evaluations_path: _interim}
     for path, read in curves.items():
         with suppress(OSError):  # not there yet, or being replaced
-            found = path.stat()
-            progress |= read(path, found.st_mtime_ns, found.st_size)
+            stat = path.stat()
+            progress |= read(path, stat.st_mtime_ns, stat.st_size)
     return progress
 
 
@@ -213,12 +230,14 @@ def _interim(path: Path, *version: int) -> Mapping[str, Any]:
     rows = read_csv(path)
     numbers = [number_in(row, "success") for row in rows]
     success = [number for number in numbers if number is not None]
-    values: dict[str, Any] = {"success": success[-1]} if success else {}
-    best = [row for row in rows if number_in(row, "best") == 1]
-    if best:
-        step = number_in(best[-1], "step")
-        values["best_step"] = None if step is None else int(step)
-        values["best_return"] = number_in(best[-1], "return_mean")
+    values: dict[str, Any] = {}
+    if success:
+        values["success"] = success[-1]
+    for row in rows:
+        if number_in(row, "best") == 1:
+            step = number_in(row, "step")
+            values["best_step"] = None if step is None else int(step)
+            values["best_return"] = number_in(row, "return_mean")
     return values
 
 
@@ -232,9 +251,9 @@ def _failure(path: Path) -> str:
 
 
 def _last_write(path: Path) -> float:
-    times = [time.time()]
+    times = []
     for pattern in ("*", "checkpoints", "evaluation/*"):
-        for each in path.glob(pattern):
+        for file in path.glob(pattern):
             with suppress(OSError):  # replaced meanwhile
-                times.append(each.stat().st_mtime)
-    return max(times[1:] or times)
+                times.append(file.stat().st_mtime)
+    return max(times, default=time.time())

@@ -10,19 +10,19 @@ import threading
 import time
 import traceback
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import psutil
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.run import run_path, train
+from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunExistsError, RunFolder
 from knowarm.experiment.run_lock import FolderInUseError, StopRequest, lock_folder
 from knowarm.reading import write_json
 from knowarm.study.config import read_study
-from knowarm.study.executor import RunKey
+from knowarm.study.executor import RunKey, folder_of
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations, pause_step
 
 STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
@@ -32,11 +32,11 @@ GRACE_S = 60.0  # how long a worker may take to save after the process that star
 
 def work(out: Path, key: RunKey) -> None:
     """Train and evaluate one run as far as it is not, and record an error in its folder."""
-    path = out / key[0] / str(key[1])
+    path = folder_of(out, key)
     try:
         study = read_study(out)
         config = study.run(*key)
-        folder = RunFolder(run_path(out, config))
+        folder = RunFolder(path)
         stop = out / STOP
         is_started = folder.config_path.exists()
         if not (is_started and is_trained(folder, config)):
@@ -45,24 +45,26 @@ def work(out: Path, key: RunKey) -> None:
                 def should_stop() -> bool:
                     return is_asked() or stop.exists()
 
-                until = pause_step(out)
-                options: dict[str, Any] = {"should_stop": should_stop, "until_step": until}
+                train_run = partial(
+                    train, config, out, should_stop=should_stop, until_step=pause_step(out)
+                )
                 try:
-                    run = train(config, out, resume=is_started, **options)
+                    run = train_run(resume=is_started)
                 except RunExistsError:  # begun meanwhile by the worker of a driver that was killed
-                    run = train(config, out, resume=True, **options)
+                    run = train_run(resume=True)
             if run.result.reason == "stopped":
                 return
         with lock_folder(path, remedy="Wait until it ends."):
             for evaluation in missing_evaluations(folder, study.evaluations):
                 if stop.exists():
                     return
-                evaluate(folder.path, config=evaluation)
+                evaluate(path, config=evaluation)
     except FolderInUseError:
         print("another process works on this run", file=sys.stderr)
     except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        reason = str(error) if isinstance(error, UserError) else " ".join(reason.split())
+        reason = str(error)
+        if not isinstance(error, UserError):
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
         record_failure(path, reason, traceback.format_exc())
         print(f"failed: {reason}", file=sys.stderr)
 

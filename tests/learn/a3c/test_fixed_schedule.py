@@ -52,7 +52,7 @@ def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
         count,
         lambda encoded: rollout_loss(
             policy, CONFIG, rollout, encoded=encoded, weights=used / lengths
-        )["total"],
+        ),
     )
     assert set(workers.gradients) == {name for name, _ in policy.named_parameters()}
     for worker in range(WORKERS):
@@ -76,9 +76,7 @@ def test_gradients_of_rollouts_that_span_the_ends_of_episodes():
     assert rollout.episode_start[1:].any()
     workers.compute(
         count,
-        lambda encoded: rollout_loss(policy, CONFIG, rollout, encoded=encoded, weights=weights)[
-            "total"
-        ],
+        lambda encoded: rollout_loss(policy, CONFIG, rollout, encoded=encoded, weights=weights),
     )
     rollout_loss(policy, CONFIG, rollout)["total"].backward()
     for name, parameter in policy.named_parameters():

@@ -110,12 +110,12 @@ def test_updates_of_both_workers_arrive_and_are_recorded():
     rows = []
     policy = toy_policy()
     trainer = A3CTrainer(FAST, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append))
-    before = trainer._copy("values")
+    before = trainer._shared.copy("values")
     result = trainer.train(5_000)
     assert result.step >= 5_000
     assert trainer._shared["steps"].sum() == result.step
     assert (trainer._shared["steps"] % 96 == 0).all()
-    assert not np.array_equal(before, trainer._copy("values"))
+    assert not np.array_equal(before, trainer._shared.copy("values"))
     assert rows[-1]["worker_0_steps"] > 0
     assert rows[-1]["worker_1_steps"] > 0
     assert all(row["updates_per_s"] > 0 for row in rows)
@@ -149,11 +149,11 @@ def test_a_nan_in_a_worker_stops_the_training_and_names_the_term(tmp_path):
     trainer = A3CTrainer(
         FAST, toy_policy(), Make(False, 5, poison=True), seed=0, failure_folder=tmp_path
     )
-    before = trainer._copy("values")
+    before = trainer._shared.copy("values")
     with pytest.raises(NotFiniteError, match="the reward"):
         trainer.train(1000)
     assert list(tmp_path.glob("not-finite-*.safetensors"))
-    np.testing.assert_array_equal(trainer._copy("values"), before)
+    np.testing.assert_array_equal(trainer._shared.copy("values"), before)
 
 
 def test_a_user_error_in_a_worker_is_raised_as_one():

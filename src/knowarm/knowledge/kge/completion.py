@@ -39,21 +39,24 @@ def completed(
         trained = train(config, kept, len(graph.names), num_relations, valid=held_out).model
     ids = sorted(graph.entity_id(name) for name in objects)
     about = np.isin(graph.heads, ids)
-    pairs = np.unique(np.stack([graph.relations[about], graph.tails[about]], 1), axis=0)
+    pairs = np.unique(graph.triples[about, 1:], axis=0)
     trained_on = set(map(tuple, kept.tolist()))
-    every = ((head, *pair) for head, pair in product(ids, pairs.tolist()))
-    candidates = [triple for triple in every if triple not in trained_on]
+    candidates = []
+    for head, (relation, tail) in product(ids, pairs.tolist()):
+        if (head, relation, tail) not in trained_on:
+            candidates.append((head, relation, tail))
     if not candidates:
         return graph
-    triples = torch.tensor(candidates)
-    heads, relations, tails = triples.T
+    heads, relations, tails = torch.tensor(candidates).T
     with torch.no_grad():
         score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
         score += trained(tails, relations + num_relations).gather(1, heads[:, None])[:, 0]
-    held = set(map(tuple, held_out.tolist()))
-    true = np.array([tuple(triple) in held for triple in triples.tolist()])
     order = (-score).argsort(stable=True).numpy()
-    hits, chosen = true[order].cumsum(), np.arange(1, len(order) + 1)
-    best = int((hits / (chosen + true.sum())).argmax()) + 1 if true.any() else 0
-    added = triples.numpy()[order[:best]]
+    held = set(map(tuple, held_out.tolist()))
+    hits = np.cumsum([candidates[index] in held for index in order])
+    if hits[-1] == 0:
+        return graph
+    chosen = np.arange(1, len(order) + 1)
+    best = (hits / (chosen + hits[-1])).argmax()  # half of F1
+    added = np.array(candidates)[order[: best + 1]]
     return graph.with_triples(np.concatenate([graph.triples, added]))

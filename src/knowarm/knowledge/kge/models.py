@@ -24,8 +24,10 @@ class KgeModel(nn.Module, ABC):
     def __init__(self, entities: int, relations: int, dim: int, generator: torch.Generator) -> None:
         super().__init__()
         self.relations = relations
-        self.entity = nn.Parameter(torch.randn(entities, dim, generator=generator) * 0.1)
-        self.relation = nn.Parameter(torch.randn(2 * relations, dim, generator=generator) * 0.1)
+        entity = torch.randn(entities, dim, generator=generator)
+        relation = torch.randn(2 * relations, dim, generator=generator)
+        self.entity = nn.Parameter(entity * 0.1)
+        self.relation = nn.Parameter(relation * 0.1)
 
     @abstractmethod
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
@@ -42,29 +44,14 @@ class KgeModel(nn.Module, ABC):
     def forward(self, head: Tensor, relation: Tensor, tails: Tensor | None = None) -> Tensor:
         """Score tails, by default every entity: ids (B,), (B,), (T,) -> scores (B, T)."""
         compared = self.entity if tails is None else self.entity[tails]
-        return self.compare(self.query(self.entity[head], self.relation[relation]), compared)
+        query = self.query(self.entity[head], self.relation[relation])
+        return self.compare(query, compared)
 
     def penalty(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
         """N3: mean over the batch of sum |h|^3 + |r|^3 + |t|^3 (Lacroix et al. 2018, eq. 3)."""
-        vectors = (self.entity[head], self.relation[relation], self.entity[tail])
-        return torch.stack([self.moduli(v).pow(3).sum(dim=1) for v in vectors]).sum(0).mean()
-
-
-class ComplEx(KgeModel):
-    """score(h, r, t) = Re(<h, r, conj(t)>) (Trouillon et al. 2016).
-
-    Vectors are D/2 complex numbers: real parts, then imaginary parts.
-    """
-
-    divisor = 2
-
-    def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Return h r, whose dot product with (Re t, Im t) is Re(h r conj(t))."""
-        return torch.cat(_complex_product(head, relation), dim=-1)
-
-    def moduli(self, vectors: Tensor) -> Tensor:
-        """Return the moduli of the complex numbers."""
-        return _moduli(vectors)
+        batch = (self.entity[head], self.relation[relation], self.entity[tail])
+        sums = [self.moduli(vectors).pow(3).sum(dim=1) for vectors in batch]
+        return torch.stack(sums).sum(0).mean()
 
 
 class Analogy(KgeModel):
@@ -72,47 +59,51 @@ class Analogy(KgeModel):
 
     The paper's first choice. The relation is a normal matrix that is block diagonal: 1 x 1 blocks
     (scalars, s) and 2 x 2 blocks (complex pairs, c), so any two relations commute. Of D numbers,
-    D/4 are complex pairs (rounded down) and the rest scalars, so an entity is exactly D wide.
+    D/4 are complex pairs (rounded down) and the rest scalars, so an entity is exactly D wide:
+    scalars, then real parts, then imaginary parts.
     """
 
+    def pairs(self, dim: int) -> int:
+        """Return how many complex pairs the D numbers of a vector contain."""
+        return dim // 4
+
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Return the head times the relation's block diagonal matrix."""
-        scalars = _scalars(head)
-        real = head[..., :scalars] * relation[..., :scalars]
-        pairs = _complex_product(head[..., scalars:], relation[..., scalars:])
-        return torch.cat([real, *pairs], dim=-1)
+        """Return h r, whose dot product with (t_s, Re t_c, Im t_c) is the score."""
+        head_scalars, a, b = self._split(head)
+        relation_scalars, c, d = self._split(relation)
+        scalars = head_scalars * relation_scalars
+        real = a * c - b * d
+        imaginary = a * d + b * c
+        return torch.cat([scalars, real, imaginary], dim=-1)
 
     def moduli(self, vectors: Tensor) -> Tensor:
-        """Return the absolute scalars and the moduli of the complex pairs."""
-        scalars = _scalars(vectors)
-        return torch.cat([vectors[..., :scalars].abs(), _moduli(vectors[..., scalars:])], dim=-1)
+        """Return the absolute scalars and the moduli of the complex pairs, smooth at 0."""
+        scalars, a, b = self._split(vectors)
+        squares = a * a + b * b + 1e-12
+        return torch.cat([scalars.abs(), squares.sqrt()], dim=-1)
+
+    def _split(self, vectors: Tensor) -> tuple[Tensor, ...]:
+        """Split (..., D) into scalars, real parts and imaginary parts."""
+        dim = vectors.shape[-1]
+        pairs = self.pairs(dim)
+        return vectors.split([dim - 2 * pairs, pairs, pairs], dim=-1)
+
+
+class ComplEx(Analogy):
+    """score(h, r, t) = Re(<h, r, conj(t)>) (Trouillon et al. 2016): ANALOGY without scalars.
+
+    Vectors are D/2 complex numbers: real parts, then imaginary parts.
+    """
+
+    divisor = 2
+
+    def pairs(self, dim: int) -> int:
+        """As `Analogy.pairs`."""
+        return dim // 2
 
 
 MODELS: dict[str, type[KgeModel]] = {
     "analogy": Analogy,
     "complex": ComplEx,
 }
-"""Every model by name. A new one is one class like `ComplEx` and one line here."""
-
-
-def _scalars(vectors: Tensor) -> int:
-    """Return how many of the D numbers of ANALOGY are scalars."""
-    return vectors.shape[-1] - 2 * (vectors.shape[-1] // 4)
-
-
-def _halves(vectors: Tensor) -> tuple[Tensor, Tensor]:
-    """Split (..., D) into real and imaginary parts, (..., D/2) each."""
-    half = vectors.shape[-1] // 2
-    return vectors[..., :half], vectors[..., half:]
-
-
-def _complex_product(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
-    """Multiply complex vectors (..., D); return real and imaginary parts, (..., D/2) each."""
-    (a, b), (c, d) = _halves(first), _halves(second)
-    return a * c - b * d, a * d + b * c
-
-
-def _moduli(vectors: Tensor) -> Tensor:
-    """Return the moduli of complex vectors (..., D), (..., D/2); smooth at 0."""
-    a, b = _halves(vectors)
-    return (a * a + b * b + 1e-12).sqrt()
+"""Every model by name. A new one is one class like `Analogy` and one line here."""

@@ -1,7 +1,6 @@
 """Training of graph embeddings, stopped early by filtered ranks of held-out triples; their file."""
 
 import json
-from collections import defaultdict
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
@@ -21,6 +20,9 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.reading import reading, replacing
 
+RANKED_AT_ONCE = 256
+"""Triples whose scores are in memory at once."""
+
 _DIVERGED = (
     "The graph embedding diverged: {}. Lower learning_rate or n3, or leave them out, and train "
     "again."
@@ -39,9 +41,7 @@ class Trained(NamedTuple):
 
 
 @torch.no_grad()
-def filtered_ranks(
-    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int = 256
-) -> np.ndarray:
+def filtered_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
 
     Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
@@ -51,38 +51,37 @@ def filtered_ranks(
         The ranks of the tails of all triples, then of the heads, (2 n,) float64.
     """
     model.eval()
-    tails = _tail_ranks(model, triples, known, batch_size)
     inverse = reciprocal(triples, model.relations)
-    heads = _tail_ranks(model, inverse, reciprocal(known, model.relations), batch_size)
+    known_inverse = reciprocal(known, model.relations)
+    tails = _tail_ranks(model, triples, known)
+    heads = _tail_ranks(model, inverse, known_inverse)
     return np.concatenate([tails, heads])
 
 
 def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
     """Return (t, r + R, h) for each (h, r, t), (n, 3) int64."""
-    return np.stack([triples[:, 2], triples[:, 1] + relations, triples[:, 0]], axis=1)
+    head, relation, tail = triples.T
+    return np.stack([tail, relation + relations, head], axis=1)
 
 
-def _tail_ranks(
-    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int
-) -> np.ndarray:
-    answers: dict[tuple[int, int], list[int]] = defaultdict(list)
-    asked = {(h, r) for h, r, _ in triples.tolist()}
+def _tail_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
+    answers: dict[tuple[int, int], list[int]] = {(h, r): [] for h, r, _ in triples.tolist()}
     for h, r, t in known.tolist():
-        if (h, r) in asked:
+        if (h, r) in answers:
             answers[h, r].append(t)
     ranks = []
-    for start in range(0, len(triples), batch_size):
-        batch = torch.from_numpy(triples[start : start + batch_size])
-        scores = model(batch[:, 0], batch[:, 1])
+    for batch in torch.from_numpy(triples).split(RANKED_AT_ONCE):
+        head, relation, tail = batch.T
+        scores = model(head, relation)
         if not torch.isfinite(scores).all():
             raise UserError(_DIVERGED.format("the model gives a non-finite score"))
-        true = scores.gather(1, batch[:, 2:])
+        true = scores.gather(1, tail[:, None])
         for row, (h, r, _) in enumerate(batch.tolist()):
             scores[row, answers[h, r]] = -torch.inf
         higher = (scores > true).sum(dim=1)
         equal = (scores == true).sum(dim=1)  # the true one itself was filtered too
         ranks.append((1.0 + higher + equal / 2.0).double().numpy())
-    return np.concatenate(ranks) if ranks else np.empty(0)
+    return np.concatenate([np.empty(0), *ranks])
 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
@@ -126,50 +125,37 @@ def train(
     with torch_threads(config.threads):
         model = new_model(config, entities, relations)
         rate = model.learning_rate if config.learning_rate is None else config.learning_rate
-        n3 = model.n3 if config.n3 is None else config.n3
-        weights = list(model.parameters())
-        optimizer = torch.optim.Adam(weights, lr=rate)
+        optimizer = torch.optim.Adam(model.parameters(), lr=rate)
         order = torch.Generator().manual_seed(config.seed + 1)
         negatives = torch.Generator().manual_seed(config.seed + 2)
-        asked = np.concatenate([triples, reciprocal(triples, model.relations)])
-        # All answers of a query in one step: one row of scores serves them all.
-        pairs, group = np.unique(asked[:, :2], axis=0, return_inverse=True)
-        answers = torch.from_numpy(asked[np.argsort(group.ravel(), kind="stable"), 2])
-        queries, counts = torch.from_numpy(pairs), torch.from_numpy(np.bincount(group.ravel()))
-        starts = counts.cumsum(0) - counts
+        queries = _Queries.of(np.concatenate([triples, reciprocal(triples, relations)]))
         losses: list[float] = []
-        looks: list[tuple[int, float]] = []
-        best, best_epoch, kept = -1.0, 0, deepcopy(model.state_dict())
+        evaluations: list[tuple[int, float]] = []
+        best_mrr = -1.0
+        best_epoch = 0
+        best_state = deepcopy(model.state_dict())
         for epoch in range(1, config.epochs + 1):
             model.train()
             total = 0.0
-            for rows in torch.randperm(len(queries), generator=order).split(config.batch_size):
-                row = torch.repeat_interleave(torch.arange(len(rows)), counts[rows])
-                within = torch.arange(len(row)) - (counts[rows].cumsum(0) - counts[rows])[row]
-                tail = answers[starts[rows][row] + within]
-                head, relation = queries[rows].T
-                compared, column = None, tail
-                if config.negatives is not None:
-                    drawn = torch.randint(entities, (config.negatives,), generator=negatives)
-                    compared = torch.cat([tail, drawn]).unique()  # sorted
-                    column = torch.searchsorted(compared, tail)
-                scores = model(head, relation, compared)
-                loss = (scores.logsumexp(dim=1)[row] - scores[row, column]).mean()
-                if n3:
-                    loss = loss + n3 * model.penalty(head[row], relation[row], tail)
+            batches = torch.randperm(len(queries.pairs), generator=order).split(config.batch_size)
+            for rows in batches:
+                loss, count = _loss(config, model, queries, rows, negatives)
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
-                total += loss.item() * len(row)
-            losses.append(total / len(answers))
-            if not all(map(torch.all, map(torch.isfinite, (torch.tensor(total), *weights)))):
+                total += loss.item() * count
+            losses.append(total / len(queries.answers))
+            values = [torch.tensor(total), *model.parameters()]
+            if not all(torch.isfinite(value).all() for value in values):
                 raise UserError(_DIVERGED.format(f"its loss in epoch {epoch} is not finite"))
             mrr = None
             if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
                 mrr = float((1.0 / filtered_ranks(model, valid, known)).mean())
-                looks.append((epoch, mrr))
-                if mrr > best:
-                    best, best_epoch, kept = mrr, epoch, deepcopy(model.state_dict())
+                evaluations.append((epoch, mrr))
+                if mrr > best_mrr:
+                    best_mrr = mrr
+                    best_epoch = epoch
+                    best_state = deepcopy(model.state_dict())
             if on_epoch is not None:
                 on_epoch(epoch, losses[-1], mrr)
             if valid is not None and epoch - best_epoch >= config.patience * config.evaluate_every:
@@ -177,8 +163,53 @@ def train(
         if valid is None:
             best_epoch = len(losses)
         else:
-            model.load_state_dict(kept)
-        return Trained(model, len(losses), best_epoch, tuple(losses), tuple(looks))
+            model.load_state_dict(best_state)
+        return Trained(model, len(losses), best_epoch, tuple(losses), tuple(evaluations))
+
+
+class _Queries(NamedTuple):
+    """Queries (h, r, ?), and all their answers one after another."""
+
+    pairs: torch.Tensor  # (Q, 2) int64, h and r
+    counts: torch.Tensor  # (Q,) int64, answers of each query
+    answers: torch.Tensor  # (sum of counts,) int64
+
+    @classmethod
+    def of(cls, triples: np.ndarray) -> "_Queries":
+        pairs, group = np.unique(triples[:, :2], axis=0, return_inverse=True)
+        group = group.ravel()
+        answers = triples[np.argsort(group, kind="stable"), 2]
+        arrays = (pairs, np.bincount(group), answers)
+        return cls(*map(torch.from_numpy, arrays))
+
+
+def _loss(
+    config: KgeConfig,
+    model: KgeModel,
+    queries: _Queries,
+    rows: torch.Tensor,
+    negatives: torch.Generator,
+) -> tuple[torch.Tensor, int]:
+    """Return the loss of some rows of the queries, and the number of their answers."""
+    counts = queries.counts[rows]
+    ends = queries.counts.cumsum(0)[rows]
+    row = torch.repeat_interleave(torch.arange(len(rows)), counts)
+    # From the position of a row's answers among those of the batch to that among all.
+    shift = ends - counts.cumsum(0)
+    tail = queries.answers[torch.arange(len(row)) + shift[row]]
+    head, relation = queries.pairs[rows].T
+    compared = None
+    column = tail
+    if config.negatives is not None:
+        drawn = torch.randint(len(model.entity), (config.negatives,), generator=negatives)
+        compared = torch.cat([tail, drawn]).unique()  # sorted
+        column = torch.searchsorted(compared, tail)
+    scores = model(head, relation, compared)
+    loss = (scores.logsumexp(dim=1)[row] - scores[row, column]).mean()
+    weight = model.n3 if config.n3 is None else config.n3
+    if weight:
+        loss = loss + weight * model.penalty(head[row], relation[row], tail)
+    return loss, len(row)
 
 
 def hold_out(graph: KnowledgeGraph, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -243,11 +274,10 @@ def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: 
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
         data = "".join(f"{text}\0" for text in names).encode()
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(data, np.uint8).copy())
+    content = save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))})
     with replacing(path, "Give another path.") as temporary:
         # `save_file` raises another type of error than `OSError` when a disk is full.
-        temporary.write_bytes(
-            save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))})
-        )
+        temporary.write_bytes(content)
 
 
 def load_model(path: Path) -> StoredModel:
@@ -265,10 +295,11 @@ def load_model(path: Path) -> StoredModel:
         )
     with reading(path, AGAIN):
         config = from_dict(KgeConfig, json.loads(about["config"]))
-        entities, relations = (
-            tuple(tensors.pop(f"names.{kind}").numpy().tobytes().decode().split("\0")[:-1])
-            for kind in ("entities", "relations")
-        )
+        names = []
+        for kind in ("entities", "relations"):
+            data = tensors.pop(f"names.{kind}").numpy().tobytes()
+            names.append(tuple(data.decode().split("\0")[:-1]))
+        entities, relations = names
         if not all(torch.isfinite(value).all() for value in tensors.values()):
             raise ValueError("it contains non-finite values")
         model = new_model(config, len(entities), len(relations))

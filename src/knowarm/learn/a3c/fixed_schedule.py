@@ -12,7 +12,7 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.errors import UserError
 from knowarm.learn.a3c.gradients import WorkerGradients
-from knowarm.learn.a3c.messages import LOSS_METRICS, MakeEnv, episode_sums, mean_metrics
+from knowarm.learn.a3c.messages import MakeEnv, mean_metrics, sums_of
 from knowarm.learn.a3c.update import rmsprop_updates, rollout_loss
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
@@ -78,14 +78,17 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def update(self, total_steps: int) -> Metrics:
         """Play and learn for `A3CConfig.log_every_steps`; see `SynchronousTrainer.update`."""
-        begin, sums = self.step, Counter[str]()
-        while self.step < min(total_steps, begin + self.config.log_every_steps):
+        end = min(total_steps, self.step + self.config.log_every_steps)
+        sums: Counter[str] = Counter()
+        while self.step < end:
             sums.update(self._round(total_steps))
         return mean_metrics(sums)
 
     def _round(self, total_steps: int) -> dict[str, float]:
         """Play one rollout per worker and apply their updates; return sums over the workers."""
-        config, workers, collector = self.config, self._workers, self._collector
+        config = self.config
+        workers = self._workers
+        collector = self._collector
         whole = config.rollout_ends_with_episode
         if whole:
             # By the step, so that a checkpoint between two rounds needs no environments.
@@ -103,30 +106,21 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
             )
         after = self.step + int(lengths.sum())
         self._guard.check_rollout(rollout, after)
-        loss: Terms = {}
 
-        def total(encoded: Tensor) -> Tensor:
+        def loss_of(encoded: Tensor) -> Terms:
             weights = used / lengths
-            loss.update(
-                rollout_loss(self.policy, config, rollout, encoded=encoded, weights=weights)
-            )
-            return loss["total"]
+            return rollout_loss(self.policy, config, rollout, encoded=encoded, weights=weights)
 
-        workers.compute(count, total)
-        norms = torch.stack(
-            [
-                torch.linalg.vector_norm(each.flatten(1), dim=1)
-                for each in workers.gradients.values()
-            ]
-        )
+        loss = workers.compute(count, loss_of)
+        of_layers = [gradient.flatten(1) for gradient in workers.gradients.values()]
+        norms = torch.stack([torch.linalg.vector_norm(layer, dim=1) for layer in of_layers])
         norms = torch.linalg.vector_norm(norms, dim=0)
         self._guard.check_update(self.policy, loss, norms, after, rollout)
         self._apply(lengths, norms, total_steps)
         self._curriculum.update(episodes.summary().get("success", 0.0), after / total_steps)
         return {
             "updates": config.workers,
-            **episode_sums(episodes),
-            **{name: float(loss[name].detach()) for name in LOSS_METRICS},
+            **sums_of(episodes, loss),
             "grad_norm": float(norms.sum()),
             "threshold_factor": self._curriculum.factor * config.workers,
         }
@@ -135,15 +129,16 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         """Apply the updates of all workers, and count their steps (W,)."""
         config = self.config
         order = torch.argsort(lengths, stable=True)
-        before = self.step + torch.cumsum(lengths[order], 0) - lengths[order]
         rates = np.empty(config.workers, np.float32)
-        rates[order.numpy()] = [
-            config.learning_rate_at(step / total_steps) for step in before.tolist()
-        ]
+        step = self.step
+        for worker in order.tolist():
+            rates[worker] = config.learning_rate_at(step / total_steps)
+            step += int(lengths[worker])
         factors = (config.max_grad_norm / norms).clamp(max=1).numpy()
         start = 0
         for name, parameter in self.policy.named_parameters():
-            part = slice(start, start := start + parameter.numel())
+            part = slice(start, start + parameter.numel())
+            start = part.stop
             rmsprop_updates(
                 self._values[part].numpy(),
                 self._mean_square[part].numpy(),
@@ -153,16 +148,17 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
                 rates,
                 np.float32(config.rmsprop_eps),
             )
-        self.step += int(lengths.sum())
+        self.step = step
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
-        between = self.config.rollout_ends_with_episode
-        collector = self._collector
+        state = self._collector.get_state
+        if self.config.rollout_ends_with_episode:
+            state = self._collector.get_state_between_episodes
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer={"mean_square": self._mean_square.numpy().copy()},
-            state=collector.get_state_between_episodes() if between else collector.get_state(),
+            state=state(),
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy, State
 
@@ -31,7 +32,8 @@ class WorkerGradients:
 
     def __init__(self, policy: Policy, steps: int, workers: int) -> None:
         self.policy = policy
-        encoder, shape = policy.encoder, (workers, steps)
+        encoder = policy.encoder
+        shape = (workers, steps)
         # A worker's images are contiguous, as the products of each worker need them.
         self._patches = torch.zeros(*shape, *encoder.patch_shape, dtype=torch.uint8)
         with torch.no_grad(), policy.autocast():
@@ -44,50 +46,58 @@ class WorkerGradients:
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`."""
-        policy, encoder = self.policy, self.policy.encoder
+        policy = self.policy
+        encoder = policy.encoder
         if t == 0:
             self._weights = encoder.product_weights()
-        self._patches[:, t] = policy.patches(image)
+        patches = policy.patches(image)
         with policy.autocast():
-            hidden = encoder.first(self._patches[:, t], self._weights)
+            hidden = encoder.first(patches, self._weights)
             encoded = encoder.second(hidden, self._weights)
-        self._hidden[:, t], self._encoded[:, t] = hidden, encoded
+        self._patches[:, t] = patches
+        self._hidden[:, t] = hidden
+        self._encoded[:, t] = encoded
         logits, values, state = policy.step(
             encoded, rollout.knowledge[t], state, rollout.episode_start[t]
         )
         rollout.value[t] = values
         return logits, state
 
-    def compute(self, count: int, loss: Callable[[Tensor], Tensor]) -> None:
+    def compute(self, count: int, loss: Callable[[Tensor], Terms]) -> Terms:
         """Compute the gradients of a loss over the first ``count`` steps of the rollout.
 
         Args:
             count: t, the number of steps.
             loss: computes it from the encoded images (t, W, width).
+
+        Returns:
+            The loss and its terms.
         """
-        self.gradients, self._count = {}, count
+        self.gradients = {}
+        self._count = count
         encoded = self._encoded[:, :count].transpose(0, 1).contiguous().requires_grad_()
         with self._taps():
-            loss(encoded).backward()
+            terms = loss(encoded)
+            terms["total"].backward()
         assert encoded.grad is not None
         # Worker by worker, because that is what fits into the processor's cache.
-        of_workers = [
-            self.policy.encoder.gradients(*parts)
-            for parts in zip(
-                self._patches[:, :count],
-                self._hidden[:, :count],
-                self._encoded[:, :count],
-                encoded.grad.transpose(0, 1),
-                strict=True,
+        of_workers = []
+        for worker, gradient in enumerate(encoded.grad.transpose(0, 1)):
+            steps = (worker, slice(count))
+            of_worker = self.policy.encoder.gradients(
+                self._patches[steps], self._hidden[steps], self._encoded[steps], gradient
             )
-        ]
-        names = of_workers[0]
-        self._add("encoder", {n: torch.stack([each[n] for each in of_workers]) for n in names})
+            of_workers.append(of_worker)
+        for name in of_workers[0]:
+            stacked = torch.stack([of_worker[name] for of_worker in of_workers])
+            self.gradients[f"encoder.{name}"] = stacked
+        return terms
 
     @contextmanager
     def _taps(self) -> Iterator[None]:
         """Watch the layers, whose weights get no gradients from the backward pass meanwhile."""
-        policy, memory = self.policy, self.policy.memory
+        policy = self.policy
+        memory = policy.memory
         projected: list[Tensor] = []
         hooks = [
             memory.projected.register_forward_hook(lambda _, args, y: projected.append(y)),
@@ -106,10 +116,10 @@ class WorkerGradients:
 
     def _tap_linear(self, name: str, layer: nn.Linear, args: tuple[Any, ...], y: Tensor) -> None:
         def add(gradient: Tensor) -> None:
-            of_outputs, inputs = map(self._by_worker, (gradient, args[0]))
-            self._add(name, {"weight": _products(of_outputs, inputs)})
+            of_outputs = self._by_worker(gradient)
+            self.gradients[f"{name}.weight"] = _products(of_outputs, self._by_worker(args[0]))
             if layer.bias is not None:
-                self._add(name, {"bias": of_outputs.float().sum(1)})
+                self.gradients[f"{name}.bias"] = of_outputs.float().sum(1)
 
         y.requires_grad_().register_hook(add)
 
@@ -121,26 +131,27 @@ class WorkerGradients:
         result: tuple[Tensor, State],
     ) -> None:
         x, (h, _), episode_start = args
-        before = torch.cat((h[None], result[0].detach()[:-1])) * ~episode_start[:, :, None]
+        hidden = result[0].detach()
+        before = torch.cat((h[None], hidden[:-1]))
+        before *= ~episode_start[:, :, None]
 
         def add(gradient: Tensor) -> None:
-            of_gates, inputs, states = map(self._by_worker, (gradient, x, before))
+            of_gates = self._by_worker(gradient)
             bias = of_gates.float().sum(1)
-            products = {
-                "weight_ih": _products(of_gates, inputs),
-                "weight_hh": _products(of_gates, states),
+            self.gradients |= {
+                "memory.weight_ih": _products(of_gates, self._by_worker(x)),
+                "memory.weight_hh": _products(of_gates, self._by_worker(before)),
+                "memory.bias_ih": bias,
+                "memory.bias_hh": bias,
             }
-            self._add("memory", {**products, "bias_ih": bias, "bias_hh": bias})
 
         projected.pop().register_hook(add)
 
     def _by_worker(self, x: Tensor) -> Tensor:
         """Sort the rows of steps and workers by worker: (t * W * r, n) -> (W, t * r, n)."""
-        rows = x.detach().reshape(self._count, len(self._patches), -1, x.shape[-1])
+        workers = len(self._patches)
+        rows = x.detach().reshape(self._count, workers, -1, x.shape[-1])
         return rows.transpose(0, 1).flatten(1, 2)
-
-    def _add(self, module: str, gradients: dict[str, Tensor]) -> None:
-        self.gradients |= {f"{module}.{name}": value for name, value in gradients.items()}
 
 
 def _products(gradients: Tensor, inputs: Tensor) -> Tensor:

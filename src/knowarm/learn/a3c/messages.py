@@ -12,6 +12,7 @@ from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
+from knowarm.learn.losses import Terms
 from knowarm.learn.parallel.shared_tensors import TensorSpecs
 from knowarm.learn.rollout import FinishedEpisodes
 from knowarm.policy import MakePolicy
@@ -71,26 +72,30 @@ class UpdateReport(NamedTuple):
 LOSS_METRICS = ("policy_loss", "value_loss", "entropy")
 
 
-def episode_sums(episodes: FinishedEpisodes) -> dict[str, float]:
-    """Return the sums over finished episodes that `mean_metrics` reads."""
-    return {
+def sums_of(episodes: FinishedEpisodes, loss: Terms) -> dict[str, float]:
+    """Return the sums over finished episodes, and the loss, that `mean_metrics` reads."""
+    sums = {
         "episodes": len(episodes.length),
         "episode_return": float(episodes.episode_return.sum()),
         "episode_length": int(episodes.length.sum()),
         "successes": int(episodes.success.sum()),
     }
+    return sums | {name: float(loss[name].detach()) for name in LOSS_METRICS}
 
 
 def mean_metrics(sums: Mapping[str, float]) -> Metrics:
     """Return means over updates and finished episodes from the sums of `UpdateReport`."""
-    row: Metrics = {"episodes": sums["episodes"]}
-    if sums["episodes"]:
-        row["return_mean"] = sums["episode_return"] / sums["episodes"]
-        row["length_mean"] = sums["episode_length"] / sums["episodes"]
-        row["success"] = sums["successes"] / sums["episodes"]
+    episodes = sums["episodes"]
+    updates = sums["updates"]
+    row: Metrics = {"episodes": episodes}
+    if episodes:
+        row["return_mean"] = sums["episode_return"] / episodes
+        row["length_mean"] = sums["episode_length"] / episodes
+        row["success"] = sums["successes"] / episodes
     for name in (*LOSS_METRICS, "grad_norm", "threshold_factor"):
-        row[name] = sums[name] / sums["updates"]
-    return row | {"updates": sums["updates"]}
+        row[name] = sums[name] / updates
+    row["updates"] = updates
+    return row
 
 
 def shared_state_specs(parameters: int, workers: int) -> TensorSpecs:

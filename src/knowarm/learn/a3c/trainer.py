@@ -93,12 +93,15 @@ class A3CTrainer(Trainer):
 
     def _train(self, total_steps: int) -> StopReason:
         self._total_steps = total_steps
-        self._begin = self._row_begin = time.perf_counter()
-        self._request, self._workers = None, []
+        self._begin = time.perf_counter()
+        self._row_begin = self._begin
+        self._request = None
+        self._workers = []
         self._shared["paused"].fill_(False)
         reason: StopReason = "finished"
         if self.step == 0 and self.lacks_evaluation:
-            self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._copy("values")))
+            values = self._shared.copy("values")
+            self._evaluate_once(EvaluationRequest(number=0, step=0, values=values))
         try:
             for index, restarts in enumerate(self._restarts):
                 start = partial(self._start_worker, index)
@@ -127,20 +130,18 @@ class A3CTrainer(Trainer):
         for name in ("mean_square", "steps"):
             self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))
         self._shared["evaluated"].fill_(self.step // self.evaluate_every)
-        self._collectors = {
-            index: state
-            for index in range(self.config.workers)
-            if (state := select(checkpoint.state, f"worker-{index}/"))
-        }
-        factors = (state.get("threshold_factor") for state in self._collectors.values())
-        self._threshold_factor = next((float(each) for each in factors if each is not None), None)
+        self._collectors = {}
+        self._threshold_factor = None
+        for index in reversed(range(self.config.workers)):
+            state = select(checkpoint.state, f"worker-{index}/")
+            if state:
+                self._collectors[index] = state
+            if "threshold_factor" in state:
+                self._threshold_factor = float(state["threshold_factor"])
         self._restarts = checkpoint.facts["restarts"]
         self._sums = Counter(checkpoint.facts["sums"])
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
         self._checkpoints_requested = self.step // self.checkpoint_every
-
-    def _copy(self, name: str) -> np.ndarray:
-        return self._shared[name].numpy().copy()
 
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
         self._restarts[index] = restarts
@@ -163,17 +164,23 @@ class A3CTrainer(Trainer):
 
     def _read(self) -> None:
         """Handle the messages of the workers, waiting briefly for the first one."""
-        running = [i for i in range(len(self._workers)) if not self._has_exited(i)]
-        ready = wait([self._workers[i].child.connection for i in running], READ_S)
-        for index in running:
-            if self._workers[index].child.connection in ready:
+        connections = {}
+        for index, worker in enumerate(self._workers):
+            if not self._has_exited(index):
+                connections[index] = worker.child.connection
+        ready = wait(connections.values(), READ_S)
+        for index, connection in connections.items():
+            if connection in ready:
                 self._read_worker(index)
         self._take_evaluations()
         self._shared["paused"].fill_(len(self._evaluations.pending()) > MAX_PENDING)
 
     def _read_worker(self, index: int) -> None:
         worker = self._workers[index]
-        while not self._has_exited(index) and (message := worker.receive(0.0)) is not None:
+        while not self._has_exited(index):
+            message = worker.receive(0.0)
+            if message is None:
+                return
             if isinstance(message, UpdateReport):
                 self._add_report(index, message)
             elif isinstance(message, WorkerState):
@@ -187,32 +194,39 @@ class A3CTrainer(Trainer):
 
     def _add_report(self, index: int, report: UpdateReport) -> None:
         """Count an update; log a row of metrics and request states when due."""
-        before, steps = self.step, int(report.sums["steps"])
+        before = self.step
+        steps = int(report.sums["steps"])
         self.step += steps
         self._collectors.pop(index, None)
         self._worker_steps[index] += steps
         self._sums.update(report.sums)
         self._threshold_factor = report.sums["threshold_factor"]
         if crossed(before, self.step, self.config.log_every_steps):
-            now = time.perf_counter()
-            seconds = max(now - self._row_begin, 1e-9)
-            row = {
-                "step": self.step,
-                "wall_time_s": now - self._begin,
-                "steps_per_s": self._sums["steps"] / seconds,
-                "updates_per_s": self._sums["updates"] / seconds,
-                **mean_metrics(self._sums),
-                "restarts": self.restarts,
-                **{f"worker_{i}_steps": n for i, n in enumerate(self._worker_steps)},
-            }
-            self.hooks.on_metrics(row)
-            self._row_begin, self._sums = now, Counter()
+            self._log_row()
         if report.evaluation is not None:
             self._evaluate_once(report.evaluation)
         checkpoints = self.step // self.checkpoint_every
         if checkpoints > self._checkpoints_requested and self._request is None:
             self._checkpoints_requested = checkpoints
             self._request_states(is_last=False)
+
+    def _log_row(self) -> None:
+        """Log the means since the last row."""
+        now = time.perf_counter()
+        seconds = max(now - self._row_begin, 1e-9)
+        row = {
+            "step": self.step,
+            "wall_time_s": now - self._begin,
+            "steps_per_s": self._sums["steps"] / seconds,
+            "updates_per_s": self._sums["updates"] / seconds,
+            **mean_metrics(self._sums),
+            "restarts": self.restarts,
+        }
+        for index, steps in enumerate(self._worker_steps):
+            row[f"worker_{index}_steps"] = steps
+        self.hooks.on_metrics(row)
+        self._row_begin = now
+        self._sums = Counter()
 
     def _request_states(self, *, is_last: bool) -> None:
         """Request the states of all workers; the first one's includes the shared vectors.
@@ -248,34 +262,35 @@ class A3CTrainer(Trainer):
 
         A worker that has not updated, or not since the checkpoint, continues from there.
         """
-        missing = [i for i in range(self.config.workers) if i not in self._states]
+        missing = [index for index in range(self.config.workers) if index not in self._states]
         if missing:
             log.warning("No state arrived from the workers %s; they were stopped.", missing)
         for index in missing:
-            if index not in self._collectors and self._shared["steps"][index]:
+            steps = int(self._shared["steps"][index])
+            if index not in self._collectors and steps:
                 self._restarts[index] += 1  # another stream of random numbers
             self._states[index] = WorkerState(
                 is_last=True,
                 collector=self._collectors.get(index, {}),
-                steps=int(self._shared["steps"][index]),
-                values=self._copy("values"),
-                mean_square=self._copy("mean_square"),
+                steps=steps,
+                values=self._shared.copy("values"),
+                mean_square=self._shared.copy("mean_square"),
             )
 
     def _checkpoint(self) -> Checkpoint:
         first = self._states[0]
         assert first.values is not None
         assert first.mean_square is not None
-        states = [self._states[index] for index in range(self.config.workers)]
-        steps = np.array([state.steps for state in states])
+        collectors = {}
+        steps = np.zeros(self.config.workers, np.int64)
+        for index in range(self.config.workers):
+            steps[index] = self._states[index].steps
+            for name, value in self._states[index].collector.items():
+                collectors[f"worker-{index}/{name}"] = value
         return Checkpoint(
             policy=unflatten_parameters(self.policy, first.values),
             optimizer={"mean_square": first.mean_square, "steps": steps},
-            state={
-                f"worker-{index}/{name}": value
-                for index, state in enumerate(states)
-                for name, value in state.collector.items()
-            },
+            state=collectors,
             facts={
                 "step": int(steps.sum()),
                 "restarts": list(self._restarts),

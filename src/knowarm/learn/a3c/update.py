@@ -95,10 +95,13 @@ def rmsprop_updates(
     kept = np.float32(RMSPROP_ALPHA)
     added = np.float32(1 - RMSPROP_ALPHA)
     for begin in range(0, len(values), _BLOCK):
-        x, m = values[begin : begin + _BLOCK], mean_square[begin : begin + _BLOCK]
+        block = slice(begin, begin + _BLOCK)
+        x = values[block]
+        m = mean_square[block]
         for k in order:
-            g = gradients[k, begin : begin + _BLOCK]
-            factor, rate = factors[k], learning_rates[k]
+            g = gradients[k, block]
+            factor = factors[k]
+            rate = learning_rates[k]
             for p in range(len(x)):
                 scaled = g[p] * factor
                 m[p] = kept * m[p] + added * scaled * scaled

@@ -2,17 +2,15 @@
 
 from multiprocessing.connection import Connection
 
-import numpy as np
 import torch
 
 from knowarm.learn.a3c.messages import (
-    LOSS_METRICS,
     A3CWorkerArgs,
     EvaluationRequest,
     StateRequest,
     UpdateReport,
     WorkerState,
-    episode_sums,
+    sums_of,
 )
 from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
 from knowarm.learn.environment import ThresholdCurriculum
@@ -29,8 +27,9 @@ class A3CWorker:
     """Repeatedly reads the shared parameters, collects a rollout, and updates them."""
 
     def __init__(self, args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
+        config = args.config
         self.args = args
-        self.config = config = args.config
+        self.config = config
         self._shared = shared
         self._connection = connection
         self._policy = args.make_policy()
@@ -68,35 +67,37 @@ class A3CWorker:
 
     def _update(self) -> UpdateReport:
         """Collect one rollout and take one step of the shared optimizer."""
-        config, shared = self.config, self._shared
-        self._parameters.values.copy_(shared["values"])
+        args = self.args
+        config = self.config
+        shared = self._shared
+        parameters = self._parameters
+        parameters.values.copy_(shared["values"])
         ends = config.rollout_ends_with_episode
         count = self._collector.collect(self._rollout, until_episode_end=ends)
         rollout = self._rollout.first(count)
         steps = rollout.reward.numel()
         before = self._step()
-        self._guard.check_rollout(rollout, before + steps)
+        after = before + steps
+        self._guard.check_rollout(rollout, after)
         loss = rollout_loss(self._policy, config, rollout)
-        self._parameters.gradient.zero_()
+        parameters.gradient.zero_()
         loss["total"].backward()
-        norm = self._parameters.clip_gradient(config.max_grad_norm)
-        self._guard.check_update(self._policy, loss, norm, before + steps, rollout)
+        norm = parameters.clip_gradient(config.max_grad_norm)
+        self._guard.check_update(self._policy, loss, norm, after, rollout)
         rmsprop_update(
             shared["values"],
             shared["mean_square"],
-            self._parameters.gradient,
-            learning_rate=config.learning_rate_at(before / self.args.total_steps),
+            parameters.gradient,
+            learning_rate=config.learning_rate_at(before / args.total_steps),
             eps=config.rmsprop_eps,
         )
-        shared["steps"][self.args.index] += steps
+        shared["steps"][args.index] += steps
         episodes = self._collector.statistics.take()
-        progress = (before + steps) / self.args.total_steps
-        self._curriculum.update(episodes.summary().get("success", 0.0), progress)
+        self._curriculum.update(episodes.summary().get("success", 0.0), after / args.total_steps)
         sums = {
             "updates": 1,
             "steps": steps,
-            **episode_sums(episodes),
-            **{name: float(loss[name].detach()) for name in LOSS_METRICS},
+            **sums_of(episodes, loss),
             "grad_norm": float(norm),
             "threshold_factor": self._curriculum.factor,
         }
@@ -108,25 +109,26 @@ class A3CWorker:
         Two workers may both send them; the trainer uses the first. Comparing with a shared counter
         instead of detecting a crossing ensures that none is missed.
         """
-        shared, step = self._shared, self._step()
-        number = step // self.args.evaluate_every if self.args.evaluate_every else 0
-        if number <= int(shared["evaluated"]):
+        if self.args.evaluate_every is None:
             return None
-        shared["evaluated"].fill_(number)
-        return EvaluationRequest(number=number, step=step, values=shared["values"].numpy().copy())
+        step = self._step()
+        number = step // self.args.evaluate_every
+        if number <= int(self._shared["evaluated"]):
+            return None
+        self._shared["evaluated"].fill_(number)
+        return EvaluationRequest(number=number, step=step, values=self._shared.copy("values"))
 
     def _state(self, request: StateRequest) -> WorkerState:
-        shared, index = self._shared, self.args.index
-
-        def copy(name: str) -> np.ndarray | None:
-            return shared[name].numpy().copy() if index == 0 else None
-
-        return WorkerState(
+        index = self.args.index
+        state = WorkerState(
             is_last=request.is_last,
             collector=self._collector.get_state(),
-            steps=int(shared["steps"][index]),
-            values=copy("values"),
-            mean_square=copy("mean_square"),
+            steps=int(self._shared["steps"][index]),
+        )
+        if index > 0:
+            return state
+        return state._replace(
+            values=self._shared.copy("values"), mean_square=self._shared.copy("mean_square")
         )
 
 

@@ -17,10 +17,10 @@ TensorSpecs = Mapping[str, tuple[tuple[int, ...], torch.dtype]]
 
 def zeros(specs: TensorSpecs, device: torch.device | None = None) -> dict[str, Tensor]:
     """Allocate tensors of zeros by name, not shared; without a device, on the CPU."""
-    return {
-        name: torch.zeros(shape, dtype=dtype, device=device)
-        for name, (shape, dtype) in specs.items()
-    }
+    tensors = {}
+    for name, (shape, dtype) in specs.items():
+        tensors[name] = torch.zeros(shape, dtype=dtype, device=device)
+    return tensors
 
 
 class SharedTensors:
@@ -40,6 +40,10 @@ class SharedTensors:
     def __getitem__(self, name: str) -> Tensor:
         """Return a tensor."""
         return self.tensors[name]
+
+    def copy(self, name: str) -> np.ndarray:
+        """Copy a tensor into an array of this process."""
+        return self.tensors[name].numpy().copy()
 
     def __getstate__(self) -> dict[str, Any]:
         return self._buffers
