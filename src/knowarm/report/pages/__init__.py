@@ -37,17 +37,20 @@ HEADINGS = {
 
 def build_pages(study: StudyData) -> list[Page]:
     """Build all pages that have something to show."""
-    decided, understood = claims(study), query_findings(study)
+    decided = claims(study)
+    understood = query_findings(study)
 
     def per_task(
-        blocks: Callable[..., Sequence[Block]], *more: Any, intro: Sequence[str] = ()
+        task_blocks: Callable[..., Sequence[Block]], *more: Any, intro: Sequence[str] = ()
     ) -> list[Block]:
-        parts = [
-            TaskPart(name=task.name, title=task.title, blocks=shown)
-            for task in study.tasks
-            if (shown := blocks(task, *more))
-        ]
-        return [Text(paragraphs=intro), *parts] if parts and intro else [*parts]
+        parts: list[Block] = []
+        for task in study.tasks:
+            blocks = task_blocks(task, *more)
+            if blocks:
+                parts.append(TaskPart(name=task.name, title=task.title, blocks=blocks))
+        if parts and intro:
+            parts.insert(0, Text(intro))
+        return parts
 
     content: dict[str, Sequence[Block]] = {
         "summary": runs.summary_blocks(study, decided, understood),
