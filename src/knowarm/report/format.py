@@ -109,11 +109,6 @@ def ends(value: Interval, form: Callable[[float], str]) -> str:
     return "no interval, because all values are equal"
 
 
-def with_ends(value: Interval, form: Callable[[float], str], unit: str = "") -> str:
-    """Format an estimate, with the ends of its interval in brackets."""
-    return f"{form(value.estimate)}{unit} ({ends(value, form)})"
-
-
 FORMATS: dict[str, Callable[[Any], str]] = {
     "text": text,
     "path": text,
