@@ -33,6 +33,11 @@ COLUMNS = {
 """Columns of several tables that are no measures, by key."""
 
 
+def estimate_column(key: str, label: str, format: str = "percent", hint: str = "") -> Column:
+    """Return the column of a number whose values may be intervals."""
+    return Column(key, label, format, interval=True, hint=hint)
+
+
 def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
     """Return the column of a measure, with its title unless another one is given."""
     of = measure(key)

@@ -165,12 +165,13 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
         if "choice_chance" in summary:
             by_split[summary.config.split or next(iter(SPLITS))].append(evaluations)
     groups = {}
-    for split in filter(by_split.get, SPLITS):
-        common = max(by_split[split], key=lambda agents: sum(map(len, agents.values())))
-        groups[split] = [
-            SplitGroup(group.name, evaluations, group, split)
-            for group, evaluations in common.items()
-        ]
+    for split in SPLITS:
+        if split in by_split:
+            common = max(by_split[split], key=lambda agents: sum(map(len, agents.values())))
+            groups[split] = [
+                SplitGroup(group.name, evaluations, group, split)
+                for group, evaluations in common.items()
+            ]
     return groups
 
 
@@ -210,11 +211,11 @@ def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
         same_title[_title(runs[0])].append(flatten(runs[0].settings["env"]))
     titles = []
     for runs in tasks:
-        robot, robot_title, *title = _title(runs[0])
+        title = _title(runs[0])
         env = flatten(runs[0].settings["env"])
-        fields = differing(same_title[robot, robot_title, *title])
-        title += [f"{field} {env.get(field)}" for field in fields]
-        titles.append((" · ".join([robot, *title]), " · ".join([robot_title, *title])))
+        robot, robot_title, *parts = title
+        parts += [f"{field} {env.get(field)}" for field in differing(same_title[title])]
+        titles.append((" · ".join([robot, *parts]), " · ".join([robot_title, *parts])))
     return titles
 
 

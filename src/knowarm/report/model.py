@@ -142,24 +142,18 @@ class RunData:
         return float(self.interim["step"][best])
 
     @property
-    def has_success_curve(self) -> bool:
-        """Whether interim success is known at every interim evaluation."""
-        if "success" not in self.interim or self.interim["step"][-1] <= 0:
-            return False
-        return bool(np.isfinite(self.interim["success"]).all())
-
-    @property
     def success_until(self) -> float:
-        """Step until which interim success is known; 0 if it is not."""
-        if not self.has_success_curve:
+        """Step until which success is known at every interim evaluation; 0 if it is not."""
+        success = self.interim.get("success", np.nan)
+        if not np.isfinite(success).all():
             return 0.0
-        if self.ended_early:
-            return self.config.total_steps
-        return float(self.interim["step"][-1])
+        end = float(self.interim["step"][-1])
+        return self.config.total_steps if self.ended_early and end else end
 
     def lasts(self, until: float) -> bool:
         """Whether success is known until a step, give or take a rollout, or its rule ended it."""
-        return self.has_success_curve and (self.ended_early or self.steps_done >= 0.98 * until)
+        is_long_enough = self.ended_early or self.steps_done >= 0.98 * until
+        return is_long_enough and self.success_until > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +179,7 @@ class Group(Evaluated):
     @property
     def success_curves(self) -> list[Curve]:
         """Interim curves of the runs whose success is known."""
-        return [run.interim for run in self.runs if run.has_success_curve]
+        return [run.interim for run in self.runs if run.success_until]
 
     @property
     def scope(self) -> str:
@@ -285,12 +279,8 @@ class TaskData:
 
         A run that its ``stop_when`` ended counts to ``total_steps``.
         """
-        longest = [
-            max(run.success_until for run in group.runs)
-            for group in self.groups
-            if group.success_curves
-        ]
-        return float(min(longest, default=0.0))
+        longest = [max(run.success_until for run in group.runs) for group in self.groups]
+        return float(min(filter(None, longest), default=0.0))
 
 
 @dataclass(frozen=True)

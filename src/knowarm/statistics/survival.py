@@ -36,7 +36,10 @@ def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | No
         fractions = np.where(np.isnan(fractions), curve.probabilities, fractions)
         return _first(curve.quantiles, fractions <= 0.5 + 1e-12)  # products are rounded
 
-    return first_at_most_half(curve), first_at_most_half(ends.low), first_at_most_half(ends.high)
+    estimate = first_at_most_half(curve)
+    low = first_at_most_half(ends.low)
+    high = first_at_most_half(ends.high)
+    return estimate, low, high
 
 
 def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interval:
@@ -74,7 +77,7 @@ def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interva
     return Interval(estimate, low, high)
 
 
-def _sum_from_right(values: Floats) -> Floats:
+def _sum_from_right(values: np.ndarray) -> np.ndarray:
     """Sum each value and all after it."""
     return np.cumsum(values[::-1])[::-1]
 
@@ -88,7 +91,8 @@ def _first(steps: Floats, condition: Mask) -> float | None:
 
 def _below_threshold(steps: Floats, reached: Mask) -> Any:
     """Estimate S(t) at every observed step."""
-    sample = scipy.stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))
+    is_censored = ~np.asarray(reached, bool)
+    sample = scipy.stats.CensoredData.right_censored(steps, is_censored)
     return scipy.stats.ecdf(sample).sf
 
 

@@ -43,7 +43,7 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     one, other = (evaluation.joint_angles() for evaluation in evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
     names = evaluations[0].summary.joints
-    rows: list[Row] = []
+    rows = []
     panels = []
     for joint in one:
         if joint not in other:

@@ -6,7 +6,17 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, Verdict, row_of, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Row,
+    Verdict,
+    estimate_column,
+    row_of,
+    table_of,
+)
 from knowarm.report.charts import SUCCESS_AXIS, Series, near, percent_axis
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
@@ -50,7 +60,7 @@ COMPARISON_COLUMNS = (
     "outcome",
     Column("first", "agent"),
     Column("second", "against"),
-    Column("difference", "difference [points]", "points", interval=True),
+    estimate_column("difference", "difference [points]", "points"),
     Column("seeds", "seeds"),
     Column("effect_size", "effect size", "signed", hint="Cohen's d"),
     Column("p", "p", "p", hint="Welch's t, two-sided"),
@@ -71,7 +81,7 @@ SCORES_NOTE = (
     "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed."
 )
 PROFILE_LEVELS = np.linspace(0, 1, 101)  # of success, of the performance profile
-PROFILE_COLUMNS = ("agent", "level", Column("share", "runs above", "percent", interval=True))
+PROFILE_COLUMNS = ("agent", "level", estimate_column("share", "runs above"))
 PROFILE_CAPTION = (
     "Share of training runs that end above each level of success; further right is "
     "better. Band: 95 % bootstrap over seeds, pointwise."
@@ -147,9 +157,9 @@ def _scores(task: TaskData) -> DataTable:
         final = scores(task, group, "success")
         row = row_of(task, group) | {
             "seeds": len(final),
-            "mean": _estimate(final, np.mean),
-            "iqm": _estimate(final, iqm),
-            "area": _estimate(scores(task, group, "speed"), np.mean),
+            "mean": _with_interval(final, np.mean),
+            "iqm": _with_interval(final, iqm),
+            "area": _with_interval(scores(task, group, "speed"), np.mean),
         }
         if group is not baseline and min(final.size, base.size) > 1:
             row["improvement"] = probability_of_improvement(final, base)
@@ -157,16 +167,16 @@ def _scores(task: TaskData) -> DataTable:
     columns = (
         "agent",
         "seeds",
-        Column("mean", "mean", "percent", interval=True),
-        Column("iqm", "interquartile mean", "percent", interval=True),
-        Column("improvement", f"P(better than {baseline.name})", "percent", interval=True),
-        Column("area", "mean during training", "percent", interval=True),
+        estimate_column("mean", "mean"),
+        estimate_column("iqm", "interquartile mean"),
+        estimate_column("improvement", f"P(better than {baseline.name})"),
+        estimate_column("area", "mean during training"),
     )
     title = "Success over training seeds"
     return table_of(task, "scores", title, columns, rows, note=SCORES_NOTE)
 
 
-def _estimate(values: Floats, statistic: Callable[..., Floats]) -> Interval | float | None:
+def _with_interval(values: Floats, statistic: Callable[..., Floats]) -> Interval | float | None:
     """Return a statistic of several values with its interval, and a single value as it is."""
     if values.size > 1:
         return bootstrap(values, statistic)
@@ -182,7 +192,7 @@ def _profile(task: TaskData) -> Figure | None:
     axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
     drawn = min(axis.range or (0.0,)) <= PROFILE_LEVELS
     series = []
-    rows: list[Row] = []
+    rows = []
     for agent, final in finals.items():
         colour = task.colours[agent]
         share, low, high = performance_profile(final, PROFILE_LEVELS)
@@ -209,7 +219,7 @@ def _profile(task: TaskData) -> Figure | None:
 
 def _variance(task: TaskData) -> DataTable | None:
     """Run the paper's one-way ANOVA (section 5.3) on success rates over evaluation seeds."""
-    rows: list[Row] = []
+    rows = []
     sources = []
     for first, second, _ in pairs(task):
         evaluated = success_rates(first)

@@ -162,9 +162,9 @@ def _overview_row(group: Group) -> Row:
 
 def _parameters(task: TaskData) -> list[Block]:
     """List the trainable parameters by part; nothing if no run stored its counts."""
-    rows: list[Row] = []
+    rows = []
     sources = []
-    columns: dict[str, Column] = {}
+    columns = {"agent": Column("agent", "agent")}
     for group in task.groups:
         run = group.runs[0]
         counts = run.provenance.parameter_counts
@@ -174,8 +174,7 @@ def _parameters(task: TaskData) -> list[Block]:
         for part, count in counts.items():
             if count:
                 columns[part] = Column(part, part, "integer")
-    if not columns:
+    if len(columns) == 1:
         return []
     title = "Trainable parameters by part of the network"
-    shown = ("agent", *columns.values())
-    return [table_of(task, "parameters", title, shown, rows, sources, PARAMETERS_NOTE)]
+    return [table_of(task, "parameters", title, columns.values(), rows, sources, PARAMETERS_NOTE)]

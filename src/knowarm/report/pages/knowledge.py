@@ -4,7 +4,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, row_of, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    estimate_column,
+    row_of,
+    table_of,
+)
 from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
@@ -60,7 +70,7 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
     """Show the difference to every other agent, with its role and its size."""
     name = subject.name
     size = size_of(subject, "parameters")
-    rows: list[Row] = []
+    rows = []
     for claim in final:
         other = claim.second
         if other is None:
@@ -85,7 +95,7 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
         "about",
         "parameters",
         Column("equal", f"as many as {name}", hint=f"within {TOLERANCE:.0%}"),
-        Column("difference", "success [points]", "points", interval=True),
+        estimate_column("difference", "success [points]", "points"),
         Column("adjusted_p", "adjusted p", "p"),
         Column("verdict", f"{name} is"),
     )
@@ -141,7 +151,7 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
         "agent",
         "seeds",
         Column("success", "success", "percent"),
-        Column("difference", f"{subject.name} minus it [points]", "points", interval=True),
+        estimate_column("difference", f"{subject.name} minus it [points]", "points"),
     )
     title = "Other conditions"
     return [table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)]

@@ -15,6 +15,7 @@ from knowarm.report.blocks import (
     Figure,
     Panel,
     Text,
+    estimate_column,
     row_of,
     shared,
 )
@@ -33,7 +34,7 @@ COLUMNS = shared(
     "seeds",
     "accuracy",
     Column("paper_accuracy", "paper", "percent"),
-    Column("best_step", "best model at", "steps", interval=True),
+    estimate_column("best_step", "best model at", "steps"),
     Column("paper_step", "paper", "steps"),
 )
 NOTE = (

@@ -186,7 +186,7 @@ def _confusion(task: TaskData, agents: Sequence[SplitGroup]) -> Block:
     told = [agent for agent in agents if agent.group.role == "knowledge"]
     (first, *_) = told or agents
     agents = [agent for agent in agents if agent.group is first.group]
-    rows: list[Row] = []
+    rows = []
     panels = []
     try:
         for agent in agents:

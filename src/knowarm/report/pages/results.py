@@ -10,6 +10,7 @@ from knowarm.report.blocks import (
     Panel,
     Row,
     column_of,
+    estimate_column,
     files,
     row_of,
     shared,
@@ -85,13 +86,14 @@ def _vision(task: TaskData) -> DataTable | None:
     if not groups:
         return None
     columns = shared("agent", "seeds", "success")
-    differences = [_difference("vision_gain", "depends on vision")]
+    differences = [estimate_column("vision_gain", "depends on vision [points]", "points")]
     abouts = []
     for name, entry in BLIND_AGENTS.items():
-        columns.append(Column(name, name, "percent", interval=True, hint=entry.about))
+        columns.append(estimate_column(name, name, hint=entry.about))
         abouts.append(f"{name}: {entry.about}")
         if not entry.sees_nothing:
-            differences.append(_difference(f"minus {name}", f"success minus {name}"))
+            label = f"success minus {name} [points]"
+            differences.append(estimate_column(f"minus {name}", label, "points"))
     most = 0.0
     for group in groups:
         row = row_of(task, group, "success", "vision_gain")
@@ -105,10 +107,6 @@ def _vision(task: TaskData) -> DataTable | None:
     note = VISION_NOTE.format(count=integer(most), agents="; ".join(abouts))
     title = "How much of the success depends on vision"
     return table_of(task, "vision", title, [*columns, *differences], rows, files(groups), note)
-
-
-def _difference(key: str, words: str) -> Column:
-    return Column(key, f"{words} [points]", "points", interval=True)
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
@@ -132,7 +130,7 @@ def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
             rows.append(row)
     if not tested:
         return None
-    columns = ("agent", "seeds", Column("rules", "episodes"), "success", *table.measures)
+    columns = shared("agent", "seeds", Column("rules", "episodes"), "success", *table.measures)
     return table_of(task, table.name, table.title, columns, rows, files(tested), table.note)
 
 

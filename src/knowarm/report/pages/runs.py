@@ -55,7 +55,7 @@ SUMMARY_CAPTION = (
 
 def run_blocks(study: StudyData) -> list[Block]:
     """List every remark on a folder, and every run with its versions and machine."""
-    rows: list[Row] = []
+    rows = []
     sources = []
     for task in study.tasks:
         for group in task.groups:

@@ -7,7 +7,18 @@ import numpy as np
 
 from knowarm.arrays import Floats, Mask
 from knowarm.experiment.csv_log import training_seconds
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, row_of, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    estimate_column,
+    row_of,
+    shared,
+    table_of,
+)
 from knowarm.report.charts import (
     BOXES,
     RETURN_AXIS,
@@ -90,7 +101,7 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
         if lines:
             words = f"{axis.title} over environment steps on {task.title}"
             panels += sized_panels(lines, words, STEPS_AXIS, axis)
-    columns = ("agent", "seeds", Column("step", "steps", "steps"), *measures)
+    columns = shared("agent", "seeds", Column("step", "steps", "steps"), *measures)
     table = table_of(task, name, title, columns, list(rows.values()), _logs(task), CURVE_NOTE)
     return Figure(table, CAPTION, panels, legend=list(legend.items()))
 
@@ -202,8 +213,8 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
         "level",
         "agent",
         Column("reached", "runs that reached it"),
-        Column("median", "median steps", "steps", interval=True),
-        Column("mean", "restricted mean", "steps", interval=True),
+        estimate_column("median", "median steps", "steps"),
+        estimate_column("mean", "restricted mean", "steps"),
         Column("saved", f"saved against {baseline.name}" if baseline else "saved", "percent"),
     )
     note = THRESHOLDS_NOTE.format(until=steps(until))

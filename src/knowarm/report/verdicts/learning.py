@@ -55,8 +55,8 @@ def learning_verdict(task: TaskData) -> Verdict | None:
 
 def vision_verdict(task: TaskData) -> Verdict | None:
     """State how much of each agent's success depends on vision."""
-    seeing = []
-    others = []
+    seeing: list[str] = []
+    others: list[str] = []
     reasons = []
     for group in task.groups:
         vision = group.level("vision_gain")
