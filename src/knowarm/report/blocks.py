@@ -222,7 +222,7 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
     return unfolded
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Page:
     """One section of the report."""
 

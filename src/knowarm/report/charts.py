@@ -142,19 +142,19 @@ def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     """Draw grid lines, tick labels and axis titles; the vertical axis has its title on top."""
     left, right = box.x
     bottom, top = box.y
-    parts = []
+    elements = []
     for at, words in y_axis.ticks(y, 4):
-        parts.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
-        parts.append(label(left - 6, at + 4, words, class_="tick", text_anchor="end"))
+        elements.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
+        elements.append(label(left - 6, at + 4, words, class_="tick", text_anchor="end"))
     for at, words in x_axis.ticks(x, max(4, int((right - left) / 85))):
-        parts.append(element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4))
-        parts.append(label(at, bottom + 17, words, class_="tick", text_anchor="middle"))
-    parts += [
+        elements.append(element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4))
+        elements.append(label(at, bottom + 17, words, class_="tick", text_anchor="middle"))
+    elements += [
         element("line", class_="axis", x1=left, x2=right, y1=bottom, y2=bottom),
         label(left - 40, top - 11, y_axis.title, class_="axis-title"),
         label(right, bottom + 33, x_axis.title, class_="axis-title", text_anchor="end"),
     ]
-    return element("g", *parts, class_="axes", aria_hidden="true")
+    return element("g", *elements, class_="axes", aria_hidden="true")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,27 +209,29 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
             return _pixels(x, y, np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1])
         return _pixels(x, y, xs, ys)
 
-    parts = []
+    elements = []
     for xs, ys in series.faint:
-        parts += [path(pixels(xs[piece], ys[piece]), class_="seed") for piece in _gapless(xs, ys)]
+        elements += [
+            path(pixels(xs[piece], ys[piece]), class_="seed") for piece in _gapless(xs, ys)
+        ]
     if series.band is not None:
         lower, upper = series.band
         for piece in _gapless(series.x, lower + upper):
             xs = series.x[piece]
             top = pixels(xs, upper[piece])
             bottom = pixels(xs, lower[piece])
-            parts.append(band(top, bottom, class_="band"))
+            elements.append(band(top, bottom, class_="band"))
     for piece in _gapless(series.x, series.y):
         corners = pixels(series.x[piece], series.y[piece])
-        parts.append(path(corners, class_="line dashed" if series.dashed else "line"))
+        elements.append(path(corners, class_="line dashed" if series.dashed else "line"))
         if len(corners) == 1:
             ((cx, cy),) = corners
-            parts.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
+            elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
     finite = np.isfinite(series.y)
     points = np.transpose([series.x[finite], series.y[finite]]).tolist()
     return element(
         "g",
-        *parts,
+        *elements,
         class_=f"series {series.colour}",
         data_name=series.name,
         data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in points),
@@ -268,11 +270,13 @@ def density_chart(
     y = Scale(0.0, 1.08 * highest or 1.0, *box.y)
     x_axis = Axis(title=x_title, decimals=1)
     y_axis = Axis(title="density", decimals=1)
-    parts = [axes(box, x, y, x_axis, y_axis)]
+    elements = [axes(box, x, y, x_axis, y_axis)]
     for (agent, values), height in zip(samples.items(), heights, strict=True):
         corners = _pixels(x, y, np.repeat(edges, 2), np.pad(np.repeat(height, 2), 1))
         mean = x(float(values.mean().clip(x.low, x.high)))
         line = element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean")
         area = path(corners, class_="area")
-        parts.append(element("g", area, line, class_=f"series {colours[agent]}", data_name=agent))
-    return drawing(box.width, box.height, name, *parts, class_="chart density")
+        elements.append(
+            element("g", area, line, class_=f"series {colours[agent]}", data_name=agent)
+        )
+    return drawing(box.width, box.height, name, *elements, class_="chart density")

@@ -159,11 +159,12 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
 
     Without a split the queries are those of training (S1). The most common episodes count.
     """
+    first, *_ = SPLITS
     by_split: dict[str, list[EvaluationSet]] = defaultdict(list)
     for evaluations in evaluation_sets(task).values():
         summary = next(iter(evaluations.values()))[0].summary
         if "choice_chance" in summary:
-            by_split[summary.config.split or next(iter(SPLITS))].append(evaluations)
+            by_split[summary.config.split or first].append(evaluations)
     groups = {}
     for split in SPLITS:
         if split in by_split:

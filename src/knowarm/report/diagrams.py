@@ -54,15 +54,15 @@ def dot_chart(
     start, end = box.x
     bottom, top = box.y
     x = axis.scale(_drawn_values(dots, zero), box.x)
-    parts = []
+    elements = []
     for at, words in axis.ticks(x, max(2, int((end - start) / 70))):
-        parts.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
-        parts.append(label(at, bottom + 16, words, class_="tick", text_anchor="middle"))
+        elements.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
+        elements.append(label(at, bottom + 16, words, class_="tick", text_anchor="middle"))
     if zero:
         at = x(0)
-        parts.append(element("line", class_="zero", x1=at, x2=at, y1=top, y2=bottom))
-    parts.append(label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end"))
-    frame = element("g", *parts, class_="axes", aria_hidden="true")
+        elements.append(element("line", class_="zero", x1=at, x2=at, y1=top, y2=bottom))
+    elements.append(label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end"))
+    frame = element("g", *elements, class_="axes", aria_hidden="true")
     rows = [_dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)]
     return drawing(box.width, box.height, name, frame, *rows, class_="chart dots")
 
@@ -80,20 +80,20 @@ def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
 
 def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     words = dot.name
-    parts = [label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")]
-    parts += [element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single]
+    elements = [label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")]
+    elements += [element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single]
     value = dot.value
     if value:
         words += f": {axis.text(value.estimate)}"
         if value.low < value.high:
             start = x(max(value.low, x.low))
             end = x(min(value.high, x.high))
-            parts.append(element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker"))
+            elements.append(element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker"))
             words += f" ({axis.text(value.low)} to {axis.text(value.high)})"
-        parts.append(element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot"))
+        elements.append(element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot"))
     if dot.ring is not None:
-        parts.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
-    return element("g", hover(words), *parts, class_=f"row {dot.colour}", data_name=dot.name)
+        elements.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
+    return element("g", hover(words), *elements, class_=f"row {dot.colour}", data_name=dot.name)
 
 
 def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str) -> str:
@@ -102,10 +102,12 @@ def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], t
     below = 8 + max(map(text_width, columns))
     size = min(CONFUSION_CELL, (WIDTH - left) / len(columns))
     bottom = len(rows) * size
-    parts = []
+    elements = []
     for i, row in enumerate(rows):
         y = i * size
-        parts.append(label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end"))
+        elements.append(
+            label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end")
+        )
         for j, column in enumerate(columns):
             share = float(shares[i, j])
             cell = element(
@@ -118,11 +120,11 @@ def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], t
                 class_="cell",
                 fill_opacity=round(0.06 + 0.94 * share, 3),
             )
-            parts.append(cell)
+            elements.append(cell)
     y = bottom + 6
     for j, column in enumerate(columns):
         x = left + (j + 0.5) * size + 4
         turn = f"rotate(-90 {x:.6g} {y:.6g})"
-        parts.append(label(x, y, column, class_="tick", transform=turn, text_anchor="end"))
+        elements.append(label(x, y, column, class_="tick", transform=turn, text_anchor="end"))
     width = left + len(columns) * size
-    return drawing(width, bottom + below, title, *parts, class_="chart heat")
+    return drawing(width, bottom + below, title, *elements, class_="chart heat")

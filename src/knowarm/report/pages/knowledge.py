@@ -21,7 +21,7 @@ from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import integer, slugs
 from knowarm.report.model import Evaluated, Group, TaskData
 from knowarm.report.pages.results import conditions
-from knowarm.report.verdicts.claims import TOLERANCE, Claim, size_of
+from knowarm.report.verdicts.claims import TOLERANCE, Claim, claims_on, size_of
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch
 
@@ -30,7 +30,7 @@ EXPLANATION = (
     "network it is a bias. It can still change learning, because it makes the network larger and "
     "because its weights have a gradient of their own. An advantage over the baseline alone is "
     "therefore no evidence for knowledge. What counts is the advantage over controls that differ "
-    "in the knowledge only."
+    "in the knowledge only.",
 )
 
 
@@ -52,11 +52,7 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     for subject in task.subjects:
         name = subject.name
         stem = "" if subject is task.subjects[0] else f"-{slugs([name])[name]}"
-        final = [
-            claim
-            for claim in decided
-            if claim.task is task and claim.first is subject and claim.outcome == "success"
-        ]
+        final = claims_on(decided, task, subject, "success")
         blocks += [
             finding(task, decided, "success", subject).verdict(),
             finding(task, decided, "speed", subject).verdict(),

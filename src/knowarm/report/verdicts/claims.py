@@ -60,6 +60,11 @@ class Claim:
     adjusted_p: float | None = None  # see `claims`, `verdicts.query`; None: nothing is tested
 
     @property
+    def topic(self) -> tuple[TaskData, Group, str]:
+        """Task, first agent and outcome, which the claims of one finding share."""
+        return self.task, self.first, self.outcome
+
+    @property
     def against(self) -> str:
         """Name of what the first agent is compared with."""
         return self.second.name if self.second else CHANCE
@@ -132,16 +137,21 @@ def claims(study: StudyData) -> list[Claim]:
     return [_decide(claim, gate_values) for claim in undecided]
 
 
+def claims_on(
+    decided: Sequence[Claim], task: TaskData, subject: Group | None, outcome: str
+) -> list[Claim]:
+    """Return the claims on one subject of a task."""
+    topic = (task, subject, outcome)
+    return [claim for claim in decided if claim.topic == topic]
+
+
 def _decide(claim: Claim, gate_values: Mapping[Claim, float]) -> Claim:
     """Return a claim with its adjusted p, given those of the gates."""
     if claim in gate_values:
         return replace(claim, adjusted_p=gate_values[claim])
     if claim.stage != "after gate" or not claim.testable or claim.comparison is None:
         return claim
-    key = (claim.task, claim.first, claim.outcome)
-    own_gates = [
-        p for gate, p in gate_values.items() if (gate.task, gate.first, gate.outcome) == key
-    ]
+    own_gates = [p for gate, p in gate_values.items() if gate.topic == claim.topic]
     gate_p = min(own_gates, default=1.0)
     if gate_p > ALPHA:
         return claim

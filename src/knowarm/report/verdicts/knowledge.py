@@ -12,6 +12,7 @@ from knowarm.report.verdicts.claims import (
     Claim,
     Finding,
     Kind,
+    claims_on,
     few_seeds,
     hint,
     mismatch,
@@ -47,26 +48,22 @@ def finding(
     Controls of another size (`claims.mismatch`) do not count; the sentence names them.
     """
     subject = subject or next(iter(task.subjects), None)
-    mine = [
-        claim
-        for claim in decided
-        if claim.task is task and claim.outcome == outcome and claim.first is subject
-    ]
-    tested = [claim for claim in mine if claim.stage != "described"]
+    compared = claims_on(decided, task, subject, outcome)
+    tested = [claim for claim in compared if claim.stage != "described"]
     if subject is None or not tested:
-        missing = (
-            f"nothing to compare {subject.name} with" if subject else "no agent with knowledge"
-        )
+        missing = "no agent with knowledge"
+        if subject:
+            missing = f"nothing to compare {subject.name} with"
         sentence = f"{task.title}: {missing} among these runs."
         return Finding(task, subject, outcome, "nothing to compare", sentence)
     start = f"{task.title}, {OUTCOMES[outcome]}: "
     if all(claim.verdict == "too few seeds" for claim in tested):
         seeds = few_seeds(min(claim.seeds for claim in tested))
         sentence = f"{start}whether the knowledge of {subject.name} helps {seeds}"
-        return Finding(task, subject, outcome, "too few seeds", sentence, mine, [FEW_SEEDS])
+        return Finding(task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS])
     kind, words = _judge(subject, tested)
     sentence = f"{start}{words}{_not_counted(task, subject)}"
-    return Finding(task, subject, outcome, kind, sentence, mine)
+    return Finding(task, subject, outcome, kind, sentence, compared)
 
 
 def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
