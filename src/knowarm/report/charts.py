@@ -209,11 +209,12 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
             return _pixels(x, y, np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1])
         return _pixels(x, y, xs, ys)
 
+    def pieces(xs: Floats, ys: Floats) -> list[list[Point]]:
+        return [pixels(xs[piece], ys[piece]) for piece in _gapless(xs, ys)]
+
     elements = []
     for xs, ys in series.faint:
-        elements += [
-            path(pixels(xs[piece], ys[piece]), class_="seed") for piece in _gapless(xs, ys)
-        ]
+        elements += [path(corners, class_="seed") for corners in pieces(xs, ys)]
     if series.band is not None:
         lower, upper = series.band
         for piece in _gapless(series.x, lower + upper):
@@ -221,20 +222,20 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
             top = pixels(xs, upper[piece])
             bottom = pixels(xs, lower[piece])
             elements.append(band(top, bottom, class_="band"))
-    for piece in _gapless(series.x, series.y):
-        corners = pixels(series.x[piece], series.y[piece])
-        elements.append(path(corners, class_="line dashed" if series.dashed else "line"))
+    kind = "line dashed" if series.dashed else "line"
+    for corners in pieces(series.x, series.y):
+        elements.append(path(corners, class_=kind))
         if len(corners) == 1:
             ((cx, cy),) = corners
             elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
     finite = np.isfinite(series.y)
-    points = np.transpose([series.x[finite], series.y[finite]]).tolist()
+    known = np.transpose([series.x[finite], series.y[finite]]).tolist()
     return element(
         "g",
         *elements,
         class_=f"series {series.colour}",
         data_name=series.name,
-        data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in points),
+        data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in known),
     )
 
 

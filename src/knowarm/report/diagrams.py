@@ -121,7 +121,7 @@ def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], t
                 fill_opacity=round(0.06 + 0.94 * share, 3),
             )
             elements.append(cell)
-    y = bottom + 6
+    y = bottom + 6  # of the names below, which are turned
     for j, column in enumerate(columns):
         x = left + (j + 0.5) * size + 4
         turn = f"rotate(-90 {x:.6g} {y:.6g})"
