@@ -23,10 +23,19 @@ class Column:
     hint: str = ""  # explanation of the heading, one sentence
 
 
-COUNTS = {  # columns of several tables
-    **{key: Column(key, key, "integer") for key in ("seed", "episodes", "parameters")},
+COLUMNS = {
+    "seed": Column("seed", "seed", "integer"),
     "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
+    "episodes": Column("episodes", "episodes", "integer"),
+    "parameters": Column("parameters", "parameters", "integer"),
+    "level": Column("level", "success", "percent"),
 }
+"""Columns of several tables that are no measures, by key."""
+
+
+def estimate_column(key: str, label: str, format: str = "percent", hint: str = "") -> Column:
+    """Return the column of a number whose values may be intervals."""
+    return Column(key, label, format, interval=True, hint=hint)
 
 
 def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
@@ -35,7 +44,7 @@ def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
     return Column(key, label or of.title, of.format, interval, of.about)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class DataTable:
     """Rows under named columns; written as CSV beside the report."""
 
@@ -49,23 +58,24 @@ class DataTable:
     @property
     def flat_rows(self) -> list[Row]:
         """Rows in which an interval is ``<key>``, ``<key>_low``, ``<key>_high`` and ``_runs``."""
-        return [
-            {
-                name: number
-                for key, value in row.items()
-                for name, number in (
-                    {**value.named(key), f"{key}_runs": value.runs}
-                    if isinstance(value, Interval)
-                    else {key: value}
-                ).items()
-            }
-            for row in self.rows
-        ]
+        rows = []
+        for row in self.rows:
+            flat_row = dict(row)
+            for key, value in row.items():
+                if isinstance(value, Interval):
+                    flat_row |= value.named(key)
+                    flat_row[f"{key}_runs"] = value.runs
+            rows.append(flat_row)
+        return rows
 
     def csv_columns(self) -> list[str]:
         """Return the names of the CSV's columns, in order."""
-        ends = {False: ("",), True: ("", "_low", "_high")}
-        return [f"{column.key}{end}" for column in self.columns for end in ends[column.interval]]
+        names = []
+        for column in self.columns:
+            names.append(column.key)
+            if column.interval:
+                names += [f"{column.key}_low", f"{column.key}_high"]
+        return names
 
 
 def table_of(
@@ -82,42 +92,47 @@ def table_of(
 
     ``sources`` of None are all run folders of the task; ``stem`` ends the name of the CSV file.
     """
-    return DataTable(
-        name=f"{name}-{task.name}{stem}",
-        title=title,
-        columns=shared(*columns),
-        rows=rows,
-        sources=[run.path for run in task.runs] if sources is None else sources,
-        note=note,
-    )
+    if sources is None:
+        sources = [run.path for run in task.runs]
+    name = f"{name}-{task.name}{stem}"
+    return DataTable(name, title, shared(*columns), rows, sources, note)
 
 
 def shared(*columns: str | Column) -> list[Column]:
-    """Return columns, given as they are, by the name of a count, of a measure, or of a text."""
-    return [
-        each
-        if isinstance(each, Column)
-        else COUNTS.get(each) or (column_of(each) if find_measure(each) else Column(each, each))
-        for each in columns
-    ]
+    """Return columns, given as they are, by a key of `COLUMNS`, or by that of a measure or text."""
+    return [_column(column) for column in columns]
+
+
+def _column(column: str | Column) -> Column:
+    if isinstance(column, Column):
+        return column
+    if column in COLUMNS:
+        return COLUMNS[column]
+    return column_of(column) if find_measure(column) else Column(column, column)
 
 
 def row_of(task: TaskData, evaluated: Evaluated, *keys: str) -> Row:
     """Return the row of an agent: its name, seeds and colour, and numbers of its summary."""
-    seeds = None if isinstance(evaluated, Reference) else len(evaluated.evaluations)
-    row: Row = {"agent": evaluated.name, "seeds": seeds, "_colour": task.colours[evaluated.name]}
-    return row | {key: evaluated.level(key) for key in keys}
+    row: Row = {key: evaluated.level(key) for key in keys}
+    row["agent"] = evaluated.name
+    row["_colour"] = task.colours[evaluated.name]
+    if not isinstance(evaluated, Reference):
+        row["seeds"] = len(evaluated.evaluations)
+    return row
 
 
 def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Path]:
     """Return the paths of one file of all evaluations, sources of a table."""
-    return [evaluation.folder / name for each in evaluated for evaluation in each.evaluations]
+    paths = []
+    for agent in evaluated:
+        paths += [evaluation.folder / name for evaluation in agent.evaluations]
+    return paths
 
 
 Tone = Literal["good", "bad", "open", "note"]  # confirmed, refuted, undecided, or a remark
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Panel:
     """One drawing of a figure."""
 
@@ -126,7 +141,7 @@ class Panel:
     only: Literal["", "large", "small"] = ""  # screens it is for, where it has two widths
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
     """Drawings with a table of the values they show."""
 
@@ -137,14 +152,14 @@ class Figure:
     open_table: bool = False  # whether the table is above the drawings, instead of folded
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Text:
     """Paragraphs of plain text."""
 
     paragraphs: Sequence[str]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Verdict:
     """A statement derived from the numbers."""
 
@@ -155,7 +170,7 @@ class Verdict:
     kind: str = ""  # one of `claims.Kind`, for programs; "" for other statements
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Film:
     """One episode of one agent: selected frames and the animation."""
 
@@ -168,7 +183,7 @@ class Film:
     colour: str = ""  # palette class
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Films:
     """Several agents on the same episode."""
 
@@ -207,7 +222,7 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
     return unfolded
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Page:
     """One section of the report."""
 
@@ -218,5 +233,10 @@ class Page:
 
     def tables(self) -> list[DataTable]:
         """Return every table of the page, including those of figures."""
-        shown = [block for block in flat(self.blocks) if isinstance(block, DataTable | Figure)]
-        return [block.table if isinstance(block, Figure) else block for block in shown]
+        tables = []
+        for block in flat(self.blocks):
+            if isinstance(block, Figure):
+                tables.append(block.table)
+            if isinstance(block, DataTable):
+                tables.append(block)
+        return tables

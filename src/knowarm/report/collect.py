@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,9 @@ from knowarm.world.robots import ROBOTS
 
 PREFERRED_LABEL = "post-training-greedy"
 # Suffixes of evaluations other than that of the best model on its training task.
-UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
+UNTRAINED = "-untrained"
+LATEST = "-latest"
+HELD_OUT = "-held-out"
 # Fields of ``env`` that do not make a different task, and those of ``env.task.asked`` that an
 # agent sets.
 NOT_THE_TASK = {"renderer", "image_size"}
@@ -38,53 +40,67 @@ NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps
 NOT_A_RULE = ("probes", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knows.seed"}
+MOST_REFERENCES = 2  # untrained policies of a task, enough to compare with
+OTHER_RULES = "evaluated on other episodes or with other thresholds than most runs of its task"
 
 
 def collect(paths: Sequence[Path]) -> StudyData:
     """Read run folders, at any depth, and sort them into tasks and agents."""
     runs, problems = read_folders(paths)
     references = _untrained(runs)
-    by_task: dict[str, list[RunData]] = defaultdict(list)
-    for run in runs:
-        by_task[_task_key(run)].append(run)
-    titles = _titles(list(by_task.values()))
+    by_task = list(_grouped(runs, _task_key).values())
+    titles = _titles(by_task)
     names = slugs(ids for ids, _ in titles)
-    tasks = [
-        _task((names[ids], title), members, references, problems)
-        for (ids, title), members in zip(titles, by_task.values(), strict=True)
-    ]
+    tasks = []
+    for (ids, title), task_runs in zip(titles, by_task, strict=True):
+        tasks.append(_task(names[ids], title, task_runs, references, problems))
     _report_versions(runs, problems)
-    return StudyData(
-        tuple(sorted(tasks, key=lambda task: task.title)),
-        tuple(sorted(problems, key=lambda problem: str(problem.path))),
-    )
+    tasks.sort(key=lambda task: task.title)
+    problems.sort(key=lambda problem: str(problem.path))
+    return StudyData(tuple(tasks), tuple(problems))
+
+
+def _grouped(runs: Iterable[RunData], key: Callable[[RunData], str]) -> dict[str, list[RunData]]:
+    """Return the runs of each key, in the order of the first of each."""
+    groups: dict[str, list[RunData]] = defaultdict(list)
+    for run in runs:
+        groups[key(run)].append(run)
+    return groups
 
 
 def _task(
-    names: tuple[str, str],
+    name: str,
+    title: str,
     runs: list[RunData],
     references: list[Reference],
     problems: list[FolderProblem],
 ) -> TaskData:
     label = _label(runs)
     runs = _comparable(runs, label, problems)
-    by_agent: dict[str, list[RunData]] = defaultdict(list)
-    for run in runs:
-        by_agent[run.config.agent].append(run)
-    groups: list[Group] = []
-    for agent, same_agent in by_agent.items():
-        settings = [_agent_settings(run) for run in same_agent]
-        fields = differing(settings)
-        members: dict[str, list[RunData]] = defaultdict(list)
-        for run, values in zip(same_agent, settings, strict=True):
-            details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
-            members[" · ".join([agent, *details])].append(run)
-        for name, chosen in members.items():
-            groups.append(Group.of(name, _one_run_per_seed(chosen, problems), label))
-    own = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
-    fitting = [each for each in references if own and _same_rules(each.evaluations[0], own)]
+    groups = []
+    for same_agent in _grouped(runs, lambda run: run.config.agent).values():
+        for group_name, same_settings in _by_settings(same_agent).items():
+            chosen = _one_run_per_seed(same_settings, problems)
+            groups.append(Group.of(group_name, chosen, label))
     groups.sort(key=lambda group: rank(group.role, group.agent))
-    return TaskData(*names, label, tuple(groups), tuple(fitting[:2]))  # enough to compare with
+    compared = [run.evaluations[label] for run in runs if label in run.evaluations]
+    if not compared:
+        return TaskData(name, title, label, tuple(groups))
+    played = _played(compared[0])
+    alike = [reference for reference in references if _played(reference.evaluations[0]) == played]
+    return TaskData(name, title, label, tuple(groups), tuple(alike[:MOST_REFERENCES]))
+
+
+def _by_settings(runs: list[RunData]) -> dict[str, list[RunData]]:
+    """Return runs of one agent by a name that has the settings in which they differ."""
+    fields = differing([_agent_settings(run) for run in runs])
+
+    def name(run: RunData) -> str:
+        settings = _agent_settings(run)
+        details = [f"{field.split('.')[-1]}={settings.get(field)}" for field in fields]
+        return " · ".join([run.config.agent, *details])
+
+    return _grouped(runs, name)
 
 
 def _untrained(runs: list[RunData]) -> list[Reference]:
@@ -92,35 +108,35 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     references: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        ranked = rank(run.config.role, run.config.agent)
-        return ranked[0], -run.config.knows.rank, ranked, run.config.seed
+        role_and_agent = rank(run.config.role, run.config.agent)
+        return role_and_agent[0], -run.config.knows.rank, role_and_agent, run.config.seed
 
     for run in sorted(runs, key=order):
+        agent = run.config.agent
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {run.config.agent}", [evaluation])
-                references.setdefault((_task_key(run), run.config.agent), reference)
+                reference = Reference(f"untrained {agent}", [evaluation])
+                references.setdefault((_task_key(run), agent), reference)
     return list(references.values())
 
 
 def _label(runs: list[RunData]) -> str:
     """Return the most common evaluation of the best model; of equally common ones the greedy."""
-    labels = (label for run in runs for label in run.evaluations)
-    counts = Counter(label for label in labels if not label.endswith((UNTRAINED, LATEST, HELD_OUT)))
-    return max(sorted(counts), key=lambda n: (counts[n], n == PREFERRED_LABEL), default="")
+    labels = Counter(label for run in runs for label in run.evaluations)
+    others = (UNTRAINED, LATEST, HELD_OUT)
+    best = sorted(label for label in labels if not label.endswith(others))
+    return max(best, key=lambda label: (labels[label], label == PREFERRED_LABEL), default="")
 
 
-def _same_rules(first: Evaluation, second: Evaluation) -> bool:
-    """Return whether two policies were evaluated on the same task by the same rules."""
-    env, other_env = (_task_env(each.summary.env) for each in (first, second))
-    return env == other_env and rules(first) == rules(second)
+def _played(evaluation: Evaluation) -> tuple[dict[str, Any], str]:
+    """Return what policies share that were evaluated on the same task by the same rules."""
+    return _task_env(evaluation.summary.env), rules(evaluation)
 
 
 def rules(evaluation: Evaluation) -> str:
     """Return what evaluations by the same rules share."""
-    config = to_dict(evaluation.summary.config)
-    kept = {k: v for k, v in config.items() if k not in NOT_A_RULE}
-    return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
+    config = _without(to_dict(evaluation.summary.config), NOT_A_RULE)
+    return json.dumps([evaluation.summary["episodes"], config], sort_keys=True)
 
 
 EvaluationSet = dict[Group, list[Evaluation]]
@@ -135,7 +151,7 @@ def evaluation_sets(task: TaskData) -> dict[tuple[str, str], EvaluationSet]:
             for label, evaluation in run.evaluations.items():
                 if not label.endswith((UNTRAINED, LATEST)):
                     sets[label, rules(evaluation)][group].append(evaluation)
-    return dict(sorted(sets.items(), key=lambda each: each[0][0]))
+    return dict(sorted(sets.items(), key=lambda item: item[0][0]))
 
 
 def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
@@ -143,21 +159,21 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
 
     Without a split the queries are those of training (S1). The most common episodes count.
     """
+    first, *_ = SPLITS
     by_split: dict[str, list[EvaluationSet]] = defaultdict(list)
     for evaluations in evaluation_sets(task).values():
         summary = next(iter(evaluations.values()))[0].summary
         if "choice_chance" in summary:
-            split: str = summary.config.split or next(iter(SPLITS))
-            by_split[split].append(evaluations)
-    return {
-        split: [
-            SplitGroup(group.name, evaluations, group, split)
-            for group, evaluations in max(
-                by_split[split], key=lambda each: sum(map(len, each.values()))
-            ).items()
-        ]
-        for split in filter(by_split.__contains__, SPLITS)
-    }
+            by_split[summary.config.split or first].append(evaluations)
+    groups = {}
+    for split in SPLITS:
+        if split in by_split:
+            common = max(by_split[split], key=lambda agents: sum(map(len, agents.values())))
+            groups[split] = [
+                SplitGroup(group.name, evaluations, group, split)
+                for group, evaluations in common.items()
+            ]
+    return groups
 
 
 def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) -> list[RunData]:
@@ -168,44 +184,48 @@ def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) 
     usual = _most_common(rules_by_run.values())
     kept = []
     for run in runs:
-        if label and rules_by_run.get(run.path, usual) != usual:
-            what = "evaluated on other episodes or with other thresholds than most runs of its task"
-            folder = run.evaluations[label].folder
-            problems.append(FolderProblem(folder, what, "the evaluation is left out"))
-            others = {name: each for name, each in run.evaluations.items() if name != label}
-            run = replace(run, evaluations=others)
+        if rules_by_run.get(run.path, usual) != usual:
+            evaluations = dict(run.evaluations)
+            folder = evaluations.pop(label).folder
+            problems.append(FolderProblem(folder, OTHER_RULES, "the evaluation is left out"))
+            run = replace(run, evaluations=evaluations)
         kept.append(run)
     return kept
 
 
-def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> tuple[RunData, ...]:
+def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> list[RunData]:
     """Keep, of several runs of one seed, the one with the most steps, then the last by path."""
     chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
         seed = run.config.seed
-        if (other := chosen.get(seed)) is not None:
+        if seed in chosen:
             what = f"same agent, task and seed {seed} as {run.path}, which has no fewer steps"
-            problems.append(FolderProblem(other.path, what, "left out"))
+            problems.append(FolderProblem(chosen[seed].path, what, "left out"))
         chosen[seed] = run
-    return tuple(chosen[seed] for seed in sorted(chosen))
+    return [chosen[seed] for seed in sorted(chosen)]
 
 
 def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
     """Return two titles per task, with names and for people; fields tell equal ones apart."""
-    short = []
+    same_title: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
     for runs in tasks:
-        env = runs[0].config.env
-        title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
-        rest = [*filter(None, [env.task.title]), f"{env.colours} colours", runs[0].config.learner]
-        short.append((" · ".join([env.robot, *rest]), " · ".join([title, *rest])))
+        same_title[_title(runs[0])].append(flatten(runs[0].settings["env"]))
     titles = []
-    for both, runs in zip(short, tasks, strict=True):
-        envs = [flatten(each[0].settings["env"]) for each in tasks]
-        alike = [each for other, each in zip(short, envs, strict=True) if other == both]
-        own = flatten(runs[0].settings["env"])
-        details = [f"{name} {own.get(name)}" for name in differing(alike)]
-        titles.append((" · ".join([both[0], *details]), " · ".join([both[1], *details])))
+    for runs in tasks:
+        title = _title(runs[0])
+        env = flatten(runs[0].settings["env"])
+        robot, robot_title, *parts = title
+        parts += [f"{field} {env.get(field)}" for field in differing(same_title[title])]
+        titles.append((" · ".join([robot, *parts]), " · ".join([robot_title, *parts])))
     return titles
+
+
+def _title(run: RunData) -> tuple[str, ...]:
+    """Return what the titles of a run's task consist of: the robot, its title, and the rest."""
+    env = run.config.env
+    robot_title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
+    title = (env.robot, robot_title, env.task.title, f"{env.colours} colours", run.config.learner)
+    return tuple(filter(None, title))
 
 
 def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None:
@@ -218,9 +238,10 @@ def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None
             problems.append(FolderProblem(path, what, "merged: the run format is the same"))
 
 
-def _most_common(values: Any) -> Any:
-    counts = Counter(values)
-    return max(sorted(counts), key=lambda value: counts[value], default=None)
+def _most_common(values: Iterable[str]) -> str | None:
+    """Return the most common value; of equally common ones the first by name."""
+    counts = Counter(sorted(values))
+    return max(counts, key=lambda value: counts[value], default=None)
 
 
 def _task_key(run: RunData) -> str:
@@ -230,17 +251,20 @@ def _task_key(run: RunData) -> str:
 
 def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return what makes the task of an environment."""
-    env = {name: value for name, value in env.items() if name not in NOT_THE_TASK}
+    task_env = _without(env, NOT_THE_TASK)
     task = env.get("task")
     if isinstance(task, dict) and isinstance(task.get("asked"), dict):
-        asked = {name: value for name, value in task["asked"].items() if name not in NOT_A_TASK}
-        env["task"] = task | {"asked": asked}
-    return env
+        task_env["task"] = task | {"asked": _without(task["asked"], NOT_A_TASK)}
+    return task_env
 
 
 def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
-    kept = {name: value for name, value in run.settings.items() if name not in NOT_A_SETTING}
+    settings = _without(run.settings, NOT_A_SETTING)
     env = run.settings["env"] | run.settings["env"]["task"]["asked"]
-    kept["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
-    return {name: value for name, value in flatten(kept).items() if name not in DRAWS}
+    settings["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
+    return _without(flatten(settings), DRAWS)
+
+
+def _without(values: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in names}

@@ -5,31 +5,43 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.statistics import Interval
 
-MISSING, MINUS, NARROW_SPACE = "–", "\u2212", "\u202f"
+MISSING = "–"
+MINUS = "\u2212"
+NARROW_SPACE = "\u202f"
 # Palette classes for agents without a colour of their own, in the order in which they are used.
 SPARE_COLOURS = ("c-navy", "c-gold", "c-teal", "c-purple", "c-pink", "c-brown", "c-grey")
 
 
 def text(value: Any) -> str:
     """Format any value; truth values as yes and no."""
+    if value is None or value == "":
+        return MISSING
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return MISSING if value is None or value == "" else str(value)
+    return str(value)
+
+
+def _is_known(value: float | None) -> TypeGuard[float]:
+    return value is not None and not math.isnan(value)
+
+
+def _is_zero(formatted: str) -> bool:
+    return not formatted.strip(f"-0.{NARROW_SPACE}")
 
 
 def number(value: float | None, decimals: int = 2) -> str:
     """Format a number with fixed decimals, a typographic minus and separated thousands."""
-    if value is None or math.isnan(value):
+    if not _is_known(value):
         return MISSING
-    shown = f"{value:,.{decimals}f}".replace(",", NARROW_SPACE)
-    if not shown.strip("-0.\u202f"):
-        shown = shown.lstrip("-")  # no negative zero
-    return shown.replace("-", MINUS)
+    formatted = f"{value:,.{decimals}f}".replace(",", NARROW_SPACE)
+    if _is_zero(formatted):
+        return formatted.lstrip("-")  # no negative zero
+    return formatted.replace("-", MINUS)
 
 
 integer = partial(number, decimals=0)
@@ -37,44 +49,52 @@ integer = partial(number, decimals=0)
 
 def percent(value: float | None, decimals: int = 1) -> str:
     """Format a fraction in 0..1 in per cent."""
-    shown = number(None if value is None else value * 100, decimals)
-    return shown if shown == MISSING else f"{shown}{NARROW_SPACE}%"
+    if not _is_known(value):
+        return MISSING
+    return f"{number(value * 100, decimals)}{NARROW_SPACE}%"
 
 
 def signed(value: float | None, decimals: int = 2) -> str:
     """Format a number with its sign."""
-    shown = number(value, decimals)
-    unsigned = shown == MISSING or shown.startswith(MINUS) or not shown.strip("0.\u202f")
-    return shown if unsigned else f"+{shown}"
+    formatted = number(value, decimals)
+    if formatted.startswith((MISSING, MINUS)) or _is_zero(formatted):
+        return formatted
+    return f"+{formatted}"
 
 
 def points(value: float | None, decimals: int = 1) -> str:
     """Format a difference of fractions in signed percentage points."""
-    return signed(None if value is None else value * 100, decimals)
+    if not _is_known(value):
+        return MISSING
+    return signed(value * 100, decimals)
 
 
 def steps(value: float | None) -> str:
     """Format environment steps in k, M or G."""
-    if value is None or math.isnan(value):
+    if not _is_known(value):
         return MISSING
-
-    def three_digits(value: float) -> str:
-        shown = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-        return shown.replace("-", MINUS)
-
+    rounded = abs(float(f"{value:.3g}"))
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if abs(float(f"{value:.3g}")) >= size:
-            return f"{three_digits(value / size)}{NARROW_SPACE}{unit}"
-    return three_digits(value)
+        if rounded >= size:
+            return f"{_three_digits(value / size)}{NARROW_SPACE}{unit}"
+    return _three_digits(value)
+
+
+def _three_digits(value: float) -> str:
+    """Format a number with three significant digits, without an exponent."""
+    style = ".3g" if abs(value) < 1000 else ".0f"
+    return f"{value:{style}}".replace("-", MINUS)
 
 
 def p_value(value: float | None) -> str:
     """Format a p-value; values below .001 as a bound."""
-    if value is None or math.isnan(value):
+    if not _is_known(value):
         return MISSING
     if value < 1e-3:
         return "< .001"
-    return f"{value:.3f}".lstrip("0") if value < 1 else "1"
+    if value >= 1:
+        return "1"
+    return f"{value:.3f}".lstrip("0")
 
 
 def ends(value: Interval, form: Callable[[float], str]) -> str:
@@ -83,26 +103,40 @@ def ends(value: Interval, form: Callable[[float], str]) -> str:
     Equal values, as of equal seeds, have none.
     """
     if value.runs:
-        return f"training seeds {listed([form(each) for each in value.runs])}"
-    shown = f"95 % interval {form(value.low)} to {form(value.high)}"
-    return shown if value.low < value.high else "no interval, because all values are equal"
+        return f"training seeds {listed([form(run) for run in value.runs])}"
+    if value.low < value.high:
+        return f"95 % interval {form(value.low)} to {form(value.high)}"
+    return "no interval, because all values are equal"
 
 
-FORMATS: dict[str, Callable[[Any], str]] = {  # of table columns, by name
-    **{"text": text, "path": text, "integer": integer, "number": number},
-    **{"number1": partial(number, decimals=1), "number3": partial(number, decimals=3)},
-    **{"signed": signed, "percent": percent, "points": points, "steps": steps, "p": p_value},
+FORMATS: dict[str, Callable[[Any], str]] = {
+    "text": text,
+    "path": text,
+    "integer": integer,
+    "number": number,
+    "number1": partial(number, decimals=1),
+    "number3": partial(number, decimals=3),
+    "signed": signed,
+    "percent": percent,
+    "points": points,
+    "steps": steps,
+    "p": p_value,
 }
+"""Formats of table columns, by name."""
 
 
 def listed(names: Sequence[str], conjunction: str = "and") -> str:
     """Join names to an enumeration: "a, b and c"."""
-    return f" {conjunction} ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {conjunction} {names[-1]}"
 
 
 def counted(number: int, noun: str) -> str:
     """Format a count with its noun in the singular or plural."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun}s"
 
 
 def facet(name: str) -> str:
@@ -115,9 +149,11 @@ def slugs(names: Iterable[str]) -> dict[str, str]:
     by_name: dict[str, str] = {}
     for name in names:
         base = re.sub(r"[^a-z0-9+]+", "-", name.lower()).strip("-") or "x"
-        slug, suffix = base, 2
+        slug = base
+        suffix = 2
         while slug in by_name.values():
-            slug, suffix = f"{base}-{suffix}", suffix + 1
+            slug = f"{base}-{suffix}"
+            suffix += 1
         by_name[name] = slug
     return by_name
 
@@ -126,17 +162,21 @@ def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Choose one palette class per (group, agent): the registered one, or a spare one."""
     chosen: dict[str, str] = {}
     for name, agent in names:
-        registered = AGENTS[agent].colour if agent in AGENTS else None
-        taken = set(chosen.values())
-        if not registered or registered in taken:
-            free = [spare for spare in SPARE_COLOURS if spare not in taken]
-            registered = (free or SPARE_COLOURS)[0 if free else len(chosen) % len(SPARE_COLOURS)]
-        chosen[name] = registered
+        colour = AGENTS[agent].colour if agent in AGENTS else None
+        taken = chosen.values()
+        if not colour or colour in taken:
+            again = SPARE_COLOURS[len(chosen) % len(SPARE_COLOURS)]
+            free = (spare for spare in SPARE_COLOURS if spare not in taken)
+            colour = next(free, again)
+        chosen[name] = colour
     return chosen
 
 
 def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the names whose values are not the same everywhere."""
-    texts = [{n: json.dumps(v, sort_keys=True) for n, v in each.items()} for each in settings]
-    names = sorted({name for each in settings for name in each})
-    return [name for name in names if len({each.get(name, "null") for each in texts}) > 1]
+    """Return the names whose values are not the same everywhere; a missing one counts as None."""
+    different = []
+    for name in sorted(set[str]().union(*settings)):
+        values = {json.dumps(each.get(name), sort_keys=True) for each in settings}
+        if len(values) > 1:
+            different.append(name)
+    return different

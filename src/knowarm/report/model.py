@@ -38,16 +38,21 @@ class Evaluation:
     def joint_angles(self) -> dict[int, np.ndarray]:
         """Read the angles of each joint [rad] at all steps from ``steps.parquet``."""
         columns = _complete(self.folder / "steps.parquet", {"step"})
-        found = ((re.fullmatch(r"joint_(\d{1,3})_rad", name), name) for name in columns)
-        joints = sorted((int(each[1]), name) for each, name in found if each)
-        return {joint: columns[name].astype(np.float64) for joint, name in joints}
+        joints = {}
+        for name, values in columns.items():
+            match = re.fullmatch(r"joint_(\d{1,3})_rad", name)
+            if match:
+                joints[int(match[1])] = values.astype(np.float64)
+        return dict(sorted(joints.items()))
 
     def films(self) -> dict[int, Path]:
         """Return the recorded films by episode number."""
-        found = sorted((self.folder / "films").glob("*.webp"))
-        numbered = [path for path in found if path.stem.isascii() and path.stem.isdigit()]
-        count = self.summary["episodes"]
-        return {int(path.stem): path for path in numbered if int(path.stem) < count}
+        films = {}
+        for path in sorted((self.folder / "films").glob("*.webp")):
+            name = path.stem
+            if name.isascii() and name.isdigit() and int(name) < self.summary["episodes"]:
+                films[int(name)] = path
+        return films
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +64,7 @@ class Evaluated:
 
     def scores(self, key: str) -> np.ndarray:
         """Return one number of the summary per evaluation, (n,) float64."""
-        return np.array([each.summary[key] for each in self.evaluations], dtype=np.float64)
+        return np.array([evaluation.summary[key] for evaluation in self.evaluations], np.float64)
 
     def level(self, key: str, group: str = "", value: str = "") -> Interval | None:
         """Estimate the mean of one number of the summary over the evaluations.
@@ -67,14 +72,12 @@ class Evaluated:
         The interval is that of `mean_of_runs`, and of a single evaluation the stored one over its
         episodes. ``group`` and ``value`` as in `Summary.of`; None without a number.
         """
-        intervals = [
-            each.summary.interval(key, group, value)
-            for each in self.evaluations
-            if key in each.summary.of(group, value)
-        ]
-        if len(intervals) < 2:
-            return intervals[0] if intervals else None
-        return mean_of_runs(intervals)
+        summaries = [evaluation.summary for evaluation in self.evaluations]
+        known = [summary for summary in summaries if key in summary.of(group, value)]
+        intervals = [summary.interval(key, group, value) for summary in known]
+        if not intervals:
+            return None
+        return mean_of_runs(intervals) if intervals[1:] else intervals[0]
 
 
 class Reference(Evaluated):
@@ -125,23 +128,30 @@ class RunData:
     @property
     def steps_done(self) -> float:
         """Environment steps of the run's last log row."""
-        return float(max((c["step"][-1] for c in (self.interim, self.metrics) if c), default=0))
+        ends = [curve["step"][-1] for curve in (self.interim, self.metrics) if curve]
+        return float(max(ends, default=0))
 
     @cached_property
     def best_step(self) -> float | None:
         """Step of the interim evaluation with the highest mean return: the evaluated model."""
-        returns = self.interim.get("return_mean", np.empty(0))
-        return float(self.interim["step"][int(np.nanargmax(returns))]) if returns.size else None
+        if "return_mean" not in self.interim:
+            return None
+        best = np.nanargmax(self.interim["return_mean"])
+        return float(self.interim["step"][best])
 
     @property
-    def has_success_curve(self) -> bool:
-        """Whether interim success is known at every interim evaluation."""
-        known = bool(self.interim) and np.isfinite(self.interim.get("success", np.nan)).all()
-        return bool(known) and bool(self.interim["step"][-1] > 0)
+    def success_until(self) -> float:
+        """Step until which success is known at every interim evaluation; 0 if it is not."""
+        success = self.interim.get("success", np.nan)
+        if not np.isfinite(success).all():
+            return 0.0
+        end = float(self.interim["step"][-1])
+        return self.config.total_steps if self.ended_early and end else end
 
     def lasts(self, until: float) -> bool:
         """Whether success is known until a step, give or take a rollout, or its rule ended it."""
-        return self.has_success_curve and (self.ended_early or self.steps_done >= 0.98 * until)
+        is_long_enough = self.ended_early or self.steps_done >= 0.98 * until
+        return is_long_enough and self.success_until > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +171,23 @@ class Group(Evaluated):
     def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
         evaluations = [run.evaluations[label] for run in runs if label in run.evaluations]
-        return cls(name, evaluations, runs[0].config.agent, runs[0].config.role, tuple(runs), label)
+        config = runs[0].config
+        return cls(name, evaluations, config.agent, config.role, tuple(runs), label)
+
+    @property
+    def success_curves(self) -> list[Curve]:
+        """Interim curves of the runs whose success is known."""
+        return [run.interim for run in self.runs if run.success_until]
 
     @property
     def scope(self) -> str:
         """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
         return self.runs[0].config.knows.scope
+
+    @property
+    def detail(self) -> int:
+        """How much of the objects the knowledge vector describes, from 1."""
+        return self.runs[0].config.knows.rank
 
     @property
     def has_content(self) -> bool:
@@ -177,7 +198,9 @@ class Group(Evaluated):
     def best_run(self) -> RunData | None:
         """The run with the highest mean return after training, the paper's choice."""
         runs = [run for run in self.runs if self.label in run.evaluations]
-        return runs[int(np.argmax(self.scores("return_mean")))] if runs else None
+        if not runs:
+            return None
+        return runs[int(np.argmax(self.scores("return_mean")))]
 
     @property
     def best(self) -> Evaluation | None:
@@ -223,9 +246,9 @@ class TaskData:
     def is_published(self) -> bool:
         """Whether the task is the paper's, and learned from its reward."""
         config = self.groups[0].runs[0].config
-        return not (
-            config.env.task.title or "teacher" in privileged_uses(to_dict(config.algorithm))
-        )
+        if config.env.task.title:
+            return False
+        return "teacher" not in privileged_uses(to_dict(config.algorithm))
 
     @cached_property
     def baseline(self) -> Group | None:
@@ -235,18 +258,18 @@ class TaskData:
     @cached_property
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: of each role and scope that with most detail."""
-        roles = ("knowledge", "privileged")
-        groups = [g for role in roles for g in self.groups if g.role == role and g.has_content]
-        first: dict[tuple[str | None, str], Group] = {}
-        for group in sorted(groups, key=lambda group: -group.runs[0].config.knows.rank):
-            first.setdefault((group.role, group.scope), group)
-        return tuple(group for group in groups if group in first.values())
+        most: dict[tuple[str, str], Group] = {}
+        for group in self.groups:
+            key = (group.role, group.scope)
+            if group.role in ("knowledge", "privileged") and group.has_content:
+                most[key] = max(most.get(key, group), group, key=lambda group: group.detail)
+        return tuple(group for group in self.groups if group in most.values())
 
     @cached_property
     def colours(self) -> dict[str, str]:
         """Palette class of every group and reference."""
-        chosen = palette((group.name, group.agent) for group in self.groups)
-        return chosen | {reference.name: "c-faint" for reference in self.references}
+        classes = palette((group.name, group.agent) for group in self.groups)
+        return classes | {reference.name: "c-faint" for reference in self.references}
 
     @property
     def horizon(self) -> float:
@@ -254,12 +277,8 @@ class TaskData:
 
         A run that its ``stop_when`` ended counts to ``total_steps``.
         """
-        runs = [[r for r in g.runs if r.has_success_curve] for g in self.groups]
-        ends = [
-            [r.config.total_steps if r.ended_early else r.interim["step"][-1] for r in each]
-            for each in runs
-        ]
-        return float(min((max(each) for each in ends if each), default=0.0))
+        longest = [max(run.success_until for run in group.runs) for group in self.groups]
+        return float(min(filter(None, longest), default=0.0))
 
 
 @dataclass(frozen=True)

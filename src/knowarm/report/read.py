@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain, compress
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from knowarm.experiment.summary import Summary
 from knowarm.reading import one_line
 from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
 
+GIVE = "Give run folders such as runs/irb120-full-fast/0."
+
 
 def read_folders(paths: Sequence[Path]) -> tuple[list[RunData], list[FolderProblem]]:
     """Read run folders, at any depth."""
@@ -26,22 +29,23 @@ def read_folders(paths: Sequence[Path]) -> tuple[list[RunData], list[FolderProbl
         with _attempt(path, "left out", problems):
             runs.append(read_run(path, problems))
     if not runs:
-        reasons = "; ".join(f"{p.path}: {p.what}" for p in problems[:3]) or "no folder was given"
-        give = "Give run folders such as runs/irb120-full-fast/0."
-        raise UserError(f"Nothing to report: {reasons}. {give}")
+        reasons = [f"{problem.path}: {problem.what}" for problem in problems[:3]]
+        reason = "; ".join(reasons) or "no folder was given"
+        raise UserError(f"Nothing to report: {reason}. {GIVE}")
     return runs, problems
 
 
 def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     """Read one run folder; defects of files other than its config become ``problems``."""
     folder = RunFolder.open(path)
-    config, provenance = folder.experiment(), Provenance()
+    config = folder.experiment()
+    provenance = Provenance()
     with _attempt(path, "kept; versions and parameters unknown", problems):
         provenance = folder.provenance()
     evaluations = {}
-    for each in sorted(each for each in (path / "evaluation").glob("*") if each.is_dir()):
-        with _attempt(each, "the evaluation is left out", problems):
-            evaluations[each.name] = Evaluation(each, Summary.read(each))
+    for evaluated in sorted(filter(Path.is_dir, (path / "evaluation").glob("*"))):
+        with _attempt(evaluated, "the evaluation is left out", problems):
+            evaluations[evaluated.name] = Evaluation(evaluated, Summary.read(evaluated))
     run = RunData(
         path=path,
         config=config,
@@ -51,25 +55,26 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
         metrics=read_curve(folder.metrics_path, problems),
         evaluations=evaluations,
     )
-    for found, what, where in (
-        (run.interim, "no interim evaluations", "learning curves"),
-        (evaluations, "no post-training evaluation", "tables of results"),
-    ):
-        if not found:
-            problems.append(FolderProblem(path, what, f"kept; missing from the {where}"))
+
+    def report(what: str, done: str) -> None:
+        problems.append(FolderProblem(path, what, f"kept; {done}"))
+
+    if not run.interim:
+        report("no interim evaluations", "missing from the learning curves")
+    if not evaluations:
+        report("no post-training evaluation", "missing from the tables of results")
     if run.best_step == 0 and evaluations:
-        what = "its best interim evaluation is that of step 0"
-        problems.append(FolderProblem(path, what, "kept; the evaluated network is untrained"))
+        report(
+            "its best interim evaluation is that of step 0", "the evaluated network is untrained"
+        )
     if 0 < run.steps_done < 0.98 * config.total_steps:
         what = f"stopped after {run.steps_done / config.total_steps:.0%} of its steps"
-        done = "kept; censored at its end"
-        if (rule := config.stop_when) and folder.ended_early_at(rule):
+        rule = config.stop_when
+        if rule and folder.ended_early_at(rule):
             what += f", as its stop_when says (success {rule.success:.0%} {rule.evaluations}x)"
-            done += ", its last success extended"
-            run = replace(run, ended_early=True)
-        else:
-            done += ", left out of means over longer trainings"
-        problems.append(FolderProblem(path, what, done))
+            report(what, "censored at its end, its last success extended")
+            return replace(run, ended_early=True)
+        report(what, "censored at its end, left out of means over longer trainings")
     return run
 
 
@@ -86,19 +91,18 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
     except (OSError, UserError) as error:
         problems.append(FolderProblem(path, f"cannot be read ({error})", "left out"))
         return {}
-    columns = [name for name in dict.fromkeys(name for row in rows for name in row) if name]
+    columns = [name for name in dict.fromkeys(chain.from_iterable(rows)) if name]
     values: dict[float, list[float]] = {}
     damaged = 0
     for row in rows:
-        numbers = {name: number_in(row, name) for name in columns}
-        step = numbers["step"]
+        numbers = [number_in(row, name) for name in columns]
+        step = number_in(row, "step")
         if step is None or step < 0:
             damaged += 1
             continue
-        damaged += any(
-            n is None and row.get(name) not in ("", "nan") for name, n in numbers.items()
-        )
-        values[step] = [np.nan if number is None else number for number in numbers.values()]
+        unknown = [name for name, number in zip(columns, numbers, strict=True) if number is None]
+        damaged += any(row.get(name) not in ("", "nan") for name in unknown)
+        values[step] = [np.nan if number is None else number for number in numbers]
     if is_truncated:
         problems.append(FolderProblem(path, "last line truncated", "the line is left out"))
     if damaged:
@@ -106,9 +110,10 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
         problems.append(FolderProblem(path, what, "the rows or cells are left out"))
     if not values:
         return {}
-    table = np.array([values[step] for step in sorted(values)])
-    known = np.isfinite(table).any(axis=0)  # a column without any number is as good as missing
-    return {name: table[:, i] for i, name in enumerate(columns) if known[i]}
+    table = np.transpose([values[step] for step in sorted(values)])
+    # A column without any number is as good as missing.
+    known = [np.isfinite(column).any() for column in table]
+    return dict(compress(zip(columns, table, strict=True), known))
 
 
 @contextmanager
@@ -124,12 +129,16 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
 def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[Path]:
     folders: dict[Path, Path] = {}
     for path in paths:
-        inside = [path] if (path / "config.json").is_file() else []
-        inside = inside or sorted(config.parent for config in path.rglob("config.json"))
+        if (path / "config.json").is_file():
+            inside = [path]
+        else:
+            inside = sorted(config.parent for config in path.rglob("config.json"))
         if not inside:
-            what = "holds no run folder" if path.exists() else "does not exist"
+            what = "does not exist"
             if path.is_file():
                 what = "is no folder; unpack a packed study first: knowarm study unpack"
+            elif path.exists():
+                what = "holds no run folder"
             problems.append(FolderProblem(path, what, "left out"))
         for folder in inside:
             folders.setdefault(folder.resolve(), folder)  # a folder given twice counts once

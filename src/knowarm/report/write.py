@@ -25,6 +25,7 @@ DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
 MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
+TEMPLATES = Path(__file__).parent / "templates"
 LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has all of them
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
@@ -54,8 +55,9 @@ def write_report(
         raise UserError(f"The report must be an .html file, got {out}.")
     with writing(out.parent):
         out.parent.mkdir(parents=True, exist_ok=True)
-    paths = [run_paths] if isinstance(run_paths, str | Path) else run_paths
-    study = collect([Path(path) for path in paths])
+    if isinstance(run_paths, str | Path):
+        run_paths = [run_paths]
+    study = collect([Path(path) for path in run_paths])
     pages = build_pages(study)
     page = _render(study, pages, out)
     _write_data(study, pages, out)
@@ -66,44 +68,65 @@ def write_report(
 
 def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     """Write the tables as CSV and JSON; paths in them are relative to the page."""
-    folder, start = out.with_name(f"{out.stem}-data"), out.parent
-    tables = {table.name: table for page in pages for table in page.tables()}
-    assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
+    folder = out.with_name(f"{out.stem}-data")
+    start = out.parent
+    tables = {}
+    for page in pages:
+        for table in page.tables():
+            assert table.name not in tables, "two tables of one name"
+            tables[table.name] = table
     _remove_earlier(out, folder, tables)
     with writing(folder):
         folder.mkdir(exist_ok=True)
-        for table in tables.values():
-            path = folder / f"{table.name}.csv"
-            with (
-                replacing(path) as temporary,
-                temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
-            ):
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(table.csv_columns())
-                for row in table.flat_rows:
-                    writer.writerow([_raw(row.get(key), start) for key in table.csv_columns()])
-    report: dict[str, Any] = {
-        **{"format": FORMAT, "knowarm": version("knowarm")},
+        contents = {name: _write_table(table, folder, start) for name, table in tables.items()}
+    problems = [problem._asdict() for problem in study.problems]
+    report = {
+        "format": FORMAT,
+        "knowarm": version("knowarm"),
         "tasks": [task.title for task in study.tasks],
         "runs": [_relative(run.path, start) for run in study.runs],
-        "problems": [p._asdict() | {"path": _relative(p.path, start)} for p in study.problems],
-        "verdicts": [
-            {"page": page.name, "kind": block.kind, "sentence": block.sentence}
-            | {"reasons": list(block.reasons)}
-            for page in pages
-            for block in flat(page.blocks)
-            if isinstance(block, Verdict)
-        ],
-        "tables": {},
+        "problems": [_plain_row(problem, start) for problem in problems],
+        "verdicts": _verdicts(pages),
+        "tables": contents,
     }
-    for table in tables.values():
-        keys = table.csv_columns()
-        report["tables"][table.name] = {
-            **{"title": table.title, "note": table.note, "csv": f"{folder.name}/{table.name}.csv"},
-            "sources": [_relative(path, start) for path in table.sources],
-            "rows": [{key: _plain(row.get(key), start) for key in keys} for row in table.flat_rows],
-        }
     write_json(out.with_suffix(".json"), report)
+
+
+def _write_table(table: DataTable, folder: Path, start: Path) -> dict[str, Any]:
+    """Write one table as CSV; return what the JSON holds of it."""
+    columns = table.csv_columns()
+    rows = [{key: row.get(key) for key in columns} for row in table.flat_rows]
+    path = folder / f"{table.name}.csv"
+    with (
+        replacing(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in rows:
+            writer.writerow([_raw(value, start) for value in row.values()])
+    return {
+        "title": table.title,
+        "note": table.note,
+        "csv": f"{folder.name}/{path.name}",
+        "sources": [_relative(source, start) for source in table.sources],
+        "rows": [_plain_row(row, start) for row in rows],
+    }
+
+
+def _verdicts(pages: Sequence[Page]) -> list[dict[str, Any]]:
+    verdicts = []
+    for page in pages:
+        for block in flat(page.blocks):
+            if isinstance(block, Verdict):
+                values = {
+                    "page": page.name,
+                    "kind": block.kind,
+                    "sentence": block.sentence,
+                    "reasons": list(block.reasons),
+                }
+                verdicts.append(values)
+    return verdicts
 
 
 def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
@@ -113,18 +136,23 @@ def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
     if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
         what = f"{report} exists and is no report of KnowArm, whose JSON would replace it"
         raise UserError(f"{what}. {MOVE}")
-    own = {f"{name}.csv" for name in earlier.get("tables", ()) if Path(name).name == name}
-    files = [folder] if folder.is_symlink() else [folder / f"{name}.csv" for name in names]
-    if strange := [path for path in files if path.name not in own and path.exists()]:
-        raise UserError(f"{strange[0]} exists, and no report wrote it. {MOVE}")
+    tables = earlier.get("tables", ())
+    earlier_files = {f"{name}.csv" for name in tables if Path(name).name == name}
+    files = [folder / f"{name}.csv" for name in names]
+    if folder.is_symlink():
+        files = [folder]
+    for path in files:
+        if path.exists() and path.name not in earlier_files:
+            raise UserError(f"{path} exists, and no report wrote it. {MOVE}")
     with writing(folder):
-        for name in own:
+        for name in earlier_files:
             (folder / name).unlink(missing_ok=True)
 
 
 def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
     """Fill the HTML template; links are relative to the page."""
-    start, tasks = out.parent, study.tasks
+    start = out.parent
+    tasks = study.tasks
     environment = Environment(
         loader=PackageLoader("knowarm.report"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -134,8 +162,8 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
     )
 
     def source_links(table: DataTable) -> list[tuple[str, str]]:
-        shown = dict.fromkeys(_relative(path, start) for path in table.sources)
-        return [(quote(path), path) for path in shown]
+        paths = dict.fromkeys(_relative(path, start) for path in table.sources)
+        return [(quote(path), path) for path in paths]
 
     environment.filters["raw"] = lambda value: _raw(value, start)
     environment.globals.update(
@@ -148,15 +176,16 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
         folded_rows=FOLDED_ROWS,
         most_sources=MOST_SOURCES,
     )
-    templates = Path(__file__).parent / "templates"
-    several = f"{len(tasks)} tasks, {counted(len(study.runs), 'run')}"
+    title = tasks[0].title
+    if len(tasks) > 1:
+        title = f"{len(tasks)} tasks, {counted(len(study.runs), 'run')}"
     return environment.get_template("report.html.j2").render(
-        title=tasks[0].title if len(tasks) == 1 else several,
+        title=title,
         pages=pages,
         tasks=tasks,
         many_tasks=len(tasks) > 1,
         style=Markup(style_sheet()),
-        script=Markup((templates / "script.js").read_text(encoding="utf-8")),
+        script=Markup((TEMPLATES / "script.js").read_text(encoding="utf-8")),
         version=version("knowarm"),
         json_link=quote(out.with_suffix(".json").name),
     )
@@ -170,7 +199,8 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
         return Markup('<a href="{}">{}</a>').format(quote(path), path)
     form = FORMATS[column.format]
     text = form(value)
-    low, high = row.get(f"{column.key}_low"), row.get(f"{column.key}_high")
+    low = row.get(f"{column.key}_low")
+    high = row.get(f"{column.key}_high")
     has_interval = column.interval and low is not None and high is not None and low < high
     if not has_interval or text == MISSING:
         return escape(text)
@@ -182,6 +212,10 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
 def _relative(path: Path, start: Path) -> str:
     """Return a path relative to the page's folder, with forward slashes."""
     return Path(os.path.relpath(path, start)).as_posix()
+
+
+def _plain_row(row: Row, start: Path) -> Row:
+    return {key: _plain(value, start) for key, value in row.items()}
 
 
 def _plain(value: Any, start: Path) -> Any:
@@ -196,4 +230,6 @@ def _plain(value: Any, start: Path) -> Any:
 def _raw(value: Any, start: Path) -> str:
     """Return a value as the CSV and the page's ``data-v`` attributes hold it."""
     plain = _plain(value, start)
-    return "" if plain is None else repr(plain) if isinstance(plain, float) else str(plain)
+    if plain is None:
+        return ""
+    return repr(plain) if isinstance(plain, float) else str(plain)

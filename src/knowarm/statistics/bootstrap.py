@@ -80,11 +80,11 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
     mean = float(values.mean())
     quantile = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1)
     half = quantile * scipy.stats.sem(values)
-    low = np.mean([run.low for run in runs])
-    high = np.mean([run.high for run in runs])
-    below = float(max(half, mean - low))
-    above = float(max(half, high - mean))
-    return Interval(mean, mean - below, mean + above, runs=tuple(values.tolist()))
+    mean_low = np.mean([run.low for run in runs])
+    mean_high = np.mean([run.high for run in runs])
+    low = mean - float(max(half, mean - mean_low))
+    high = mean + float(max(half, mean_high - mean))
+    return Interval(mean, low, high, runs=tuple(values.tolist()))
 
 
 REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles
@@ -116,7 +116,8 @@ def bootstrap(
     estimate = float(statistic(scores, axis=-1))
     if scores.size < 2:
         return Interval(estimate, estimate, estimate)
-    return Interval(estimate, *_percentiles([scores], statistic, repetitions))
+    low, high = _percentiles([scores], statistic, repetitions)
+    return Interval(estimate, low, high)
 
 
 def probability_of_improvement(first: Floats, second: Floats) -> Interval:
@@ -134,10 +135,12 @@ def probability_of_improvement(first: Floats, second: Floats) -> Interval:
     def wins(a: Floats, b: Floats, *, axis: int) -> Floats:
         a = a[..., :, None]
         b = b[..., None, :]
-        return ((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1))
+        points = (a > b) + 0.5 * (a == b)
+        return points.mean(axis=(-2, -1))
 
     estimate = float(wins(*samples, axis=-1))
-    return Interval(estimate, *_percentiles(samples, wins, REPETITIONS))
+    low, high = _percentiles(samples, wins, REPETITIONS)
+    return Interval(estimate, low, high)
 
 
 def performance_profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Floats, Floats]:
@@ -153,9 +156,11 @@ def performance_profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Flo
     above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
     runs = len(above)
     # How often each run occurs in each resample.
-    counts = np.random.default_rng(0).multinomial(runs, np.full(runs, 1 / runs), REPETITIONS)
+    chances = np.full(runs, 1 / runs)
+    counts = np.random.default_rng(0).multinomial(runs, chances, REPETITIONS)
+    fractions = counts @ above / runs
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(counts @ above / runs, [tail, 1 - tail], axis=0)
+    low, high = np.quantile(fractions, [tail, 1 - tail], axis=0)
     return above.mean(axis=0), low, high
 
 

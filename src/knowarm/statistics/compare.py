@@ -41,7 +41,8 @@ def welch(first: Floats, second: Floats) -> Comparison:
     second = np.asarray(second, np.float64)
     if min(first.size, second.size) < 2:
         raise ValueError("a difference between methods needs at least two runs of each")
-    spread = math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
+    variance = (first.var(ddof=1) + second.var(ddof=1)) / 2
+    spread = math.sqrt(variance)
     return _t_test(scipy.stats.ttest_ind, first, second, spread, equal_var=False)
 
 
@@ -75,9 +76,9 @@ def one_way_anova(groups: Sequence[Floats]) -> tuple[float, float]:
     Returns:
         F value and p-value of equal means.
     """
-    if all(np.ptp(group) == 0 for group in groups):  # 0 / 0: no variance within to divide by
-        equal = len({float(np.mean(group)) for group in groups}) == 1
-        return (0.0, 1.0) if equal else (math.inf, 0.0)
+    if not any(map(np.ptp, groups)):  # 0 / 0: no variance within to divide by
+        means = {float(np.mean(group)) for group in groups}
+        return (0.0, 1.0) if len(means) == 1 else (math.inf, 0.0)
     result = scipy.stats.f_oneway(*groups)
     return float(result.statistic), float(result.pvalue)
 
@@ -138,14 +139,17 @@ def _t_test(
 ) -> Comparison:
     """Run one of SciPy's t tests; without any spread the difference is exact."""
     difference = float(first.mean() - second.mean())
-    rounding = 1e-12 * max(np.abs(first).max(), np.abs(second).max())
-    if not spread > rounding:  # also of values that are NaN
-        exact = Interval(difference, difference, difference)
-        p_value = 0.0 if abs(difference) > rounding else 1.0
-        return Comparison(exact, p_value, None, first.size, second.size)
-    with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
-        warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
-        result = test(first, second, **options)
-    low, high = result.confidence_interval(CONFIDENCE)
-    interval = Interval(difference, float(low), float(high))
-    return Comparison(interval, float(result.pvalue), difference / spread, first.size, second.size)
+    largest = max(np.abs(first).max(), np.abs(second).max())
+    rounding = 1e-12 * largest
+    interval = Interval(difference, difference, difference)
+    p_value = 0.0 if abs(difference) > rounding else 1.0
+    effect_size = None
+    if spread > rounding:  # False also of values that are NaN
+        with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
+            warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
+            result = test(first, second, **options)
+        low, high = result.confidence_interval(CONFIDENCE)
+        interval = Interval(difference, float(low), float(high))
+        p_value = float(result.pvalue)
+        effect_size = difference / spread
+    return Comparison(interval, p_value, effect_size, first.size, second.size)

@@ -31,18 +31,15 @@ def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | No
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
-    def first_at_most_half(fractions: Floats) -> float | None:
-        filled = np.where(np.isnan(fractions), curve.probabilities, fractions)
-        below = filled <= 0.5 + 1e-12  # products are rounded
-        if not below.any():
-            return None
-        return float(curve.quantiles[below.argmax()])
+    def first_at_most_half(bound: Any) -> float | None:
+        fractions = bound.probabilities
+        fractions = np.where(np.isnan(fractions), curve.probabilities, fractions)
+        return _first(curve.quantiles, fractions <= 0.5 + 1e-12)  # products are rounded
 
-    return (
-        first_at_most_half(curve.probabilities),
-        first_at_most_half(ends.low.probabilities),
-        first_at_most_half(ends.high.probabilities),
-    )
+    estimate = first_at_most_half(curve)
+    low = first_at_most_half(ends.low)
+    high = first_at_most_half(ends.high)
+    return estimate, low, high
 
 
 def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interval:
@@ -61,23 +58,41 @@ def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interva
     reached = np.asarray(reached, bool) & (np.asarray(steps) <= until)
     counted = np.minimum(steps, until, dtype=np.float64)
     curve = _below_threshold(counted, reached)
+    heights = np.append(1.0, curve.probabilities)
     widths = np.diff(curve.quantiles, prepend=0.0, append=until)
-    areas = np.append(1.0, curve.probabilities) * widths
-    estimate = float(areas.sum())
-    right = np.cumsum(areas[::-1])[::-1][1:]  # area from each step to `until`
-    _, index = np.unique(counted, return_inverse=True)
+    areas = heights * widths
+    right = _sum_from_right(areas)[1:]  # area from each step to `until`
+    _, index, runs = np.unique(counted, return_inverse=True, return_counts=True)
     crossings = np.bincount(index, weights=reached)
-    at_risk = np.bincount(index)[::-1].cumsum()[::-1]
+    at_risk = _sum_from_right(runs)
     left = at_risk - crossings
-    terms = np.divide(crossings, at_risk * left, out=np.zeros(len(left)), where=left > 0)
-    error = float(np.sqrt((right**2 * terms).sum()))
-    half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)) * error
-    return Interval(estimate, max(0.0, estimate - half), min(until, estimate + half))
+    pairs = at_risk * left
+    terms = np.divide(crossings, pairs, out=np.zeros(len(left)), where=left > 0)
+    variance = (right**2 * terms).sum()
+    quantile = scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)
+    half = float(quantile * np.sqrt(variance))
+    estimate = float(areas.sum())
+    low = max(0.0, estimate - half)
+    high = min(until, estimate + half)
+    return Interval(estimate, low, high)
+
+
+def _sum_from_right(values: np.ndarray) -> np.ndarray:
+    """Sum each value and all after it."""
+    return np.cumsum(values[::-1])[::-1]
+
+
+def _first(steps: Floats, condition: Mask) -> float | None:
+    """Return the first step at which a condition holds; None if it never does."""
+    if not condition.any():
+        return None
+    return float(steps[condition.argmax()])
 
 
 def _below_threshold(steps: Floats, reached: Mask) -> Any:
     """Estimate S(t) at every observed step."""
-    sample = scipy.stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))
+    is_censored = ~np.asarray(reached, bool)
+    sample = scipy.stats.CensoredData.right_censored(steps, is_censored)
     return scipy.stats.ecdf(sample).sf
 
 
@@ -95,10 +110,11 @@ def area_under_curve(steps: Floats, values: Floats, until: float) -> float:
         Area divided by ``until``, in the unit of ``values``.
     """
     inside = steps < until
-    xs = np.concatenate([[0.0], steps[inside], [until]])
     last = np.interp(until, steps, values)
+    xs = np.concatenate([[0.0], steps[inside], [until]])
     ys = np.concatenate([values[:1], values[inside], [last]])
-    return float(np.trapezoid(ys, xs) / until)
+    area = np.trapezoid(ys, xs)
+    return float(area / until)
 
 
 def first_crossing(steps: Floats, values: Floats, threshold: float) -> tuple[float, bool]:
@@ -113,10 +129,10 @@ def first_crossing(steps: Floats, values: Floats, threshold: float) -> tuple[flo
         The step of the first evaluation that reaches it and True, or the last step and False:
         the run is censored there.
     """
-    reached = values >= threshold
-    if not reached.any():
+    step = _first(steps, values >= threshold)
+    if step is None:
         return float(steps[-1]), False
-    return float(steps[reached.argmax()]), True
+    return step, True
 
 
 def trend(values: Floats, window: int) -> Floats:
@@ -128,5 +144,8 @@ def trend(values: Floats, window: int) -> Floats:
     """
     total = np.append(0.0, np.cumsum(values))
     index = np.arange(len(values))
-    reach = np.minimum(window // 2, np.minimum(index, index[::-1]))
-    return (total[index + reach + 1] - total[index - reach]) / (2 * reach + 1)
+    to_end = np.minimum(index, index[::-1])
+    reach = np.minimum(window // 2, to_end)
+    first = index - reach
+    end = index + reach + 1
+    return (total[end] - total[first]) / (end - first)

@@ -4,13 +4,14 @@ from contextlib import suppress
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.pictures import data_uri, encode
-from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Verdict, table_of
 from knowarm.report.charts import density_chart
+from knowarm.report.format import facet, signed
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.paper import published_comparison
 
@@ -21,71 +22,99 @@ MOST_AGENTS = 4  # shown per task: subjects and baseline first
 
 def joint_blocks(task: TaskData) -> list[Block]:
     """Compare joint angles of the first subject and the baseline (paper, sections 5.1, 5.2)."""
-    best = {group: group.best.folder for group in task.groups if group.best}
-    stored = [group for group, folder in best.items() if (folder / "steps.parquet").is_file()]
-    wanted = [group for group in (*task.subjects[:1], task.baseline) if group in stored]
-    pair = wanted if len(wanted) == 2 else stored
+    stored = [group for group in task.groups if _has_steps(group)]
+    pair = [group for group in (*task.subjects[:1], task.baseline) if group in stored]
+    if len(pair) < 2:
+        pair = stored[:2]
     if len(pair) < 2:
         return []
     try:
-        return [_joints(task, *pair[:2])]
+        return [_joints(task, *pair)]
     except UserError as error:
-        return [Verdict(sentence=str(error), tone="bad")]
+        return [Verdict(str(error), tone="bad")]
+
+
+def _has_steps(group: Group) -> bool:
+    return group.best is not None and (group.best.folder / "steps.parquet").is_file()
 
 
 def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
     one, other = (evaluation.joint_angles() for evaluation in evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
-    names = dict(enumerate(evaluations[0].summary.joints, start=1))
-    rows: list[Row] = []
+    names = evaluations[0].summary.joints
+    rows = []
     panels = []
-    for joint in [joint for joint in one if joint in other]:
-        row: Row = {"joint": joint}
-        for key, statistic in (("mean", np.mean), ("std", np.std)):
-            values = [float(statistic(each[joint])) for each in (one, other)]
-            row |= {f"first_{key}": values[0], f"second_{key}": values[1]}
-            row[f"{key}_change"] = values[0] - values[1]
-        rows.append(row | {"paper_std_change": published.get(str(joint))})
-        shown = {second.name: other[joint], first.name: one[joint]}
-        svg = density_chart(shown, task.colours, f"Angles of joint {joint}", "angle [rad]")
-        mean, std = (format.signed(row[f"{key}_change"]) for key in ("mean", "std"))
-        named = f"joint {joint} ({names[joint]})" if joint in names else f"joint {joint}"
-        title = f"{named}: difference of means {mean}, of std {std}"
-        panels.append(Panel(svg=svg, title=title))
-    columns = [Column("joint", "joint", "integer")]
-    for key in ("mean", "std"):
-        columns.append(Column(f"first_{key}", f"{first.name} {key}", "number"))
-        columns.append(Column(f"second_{key}", f"{second.name} {key}", "number"))
-        columns.append(Column(f"{key}_change", "difference", "signed"))
-    columns.append(Column("paper_std_change", "paper", "signed"))
+    for joint in one:
+        if joint not in other:
+            continue
+        row = _joint_row(joint, one[joint], other[joint])
+        row["paper_std_change"] = published.get(str(joint))
+        rows.append(row)
+        title = f"joint {joint}"
+        if 1 <= joint <= len(names):
+            title += f" ({names[joint - 1]})"
+        mean = signed(row["mean_change"])
+        std = signed(row["std_change"])
+        title += f": difference of means {mean}, of std {std}"
+        angles = {second.name: other[joint], first.name: one[joint]}
+        svg = density_chart(angles, task.colours, f"Angles of joint {joint}", "angle [rad]")
+        panels.append(Panel(svg, title))
+    columns = (
+        Column("joint", "joint", "integer"),
+        Column("first_mean", f"{first.name} mean", "number"),
+        Column("second_mean", f"{second.name} mean", "number"),
+        Column("mean_change", "difference", "signed"),
+        Column("first_std", f"{first.name} std", "number"),
+        Column("second_std", f"{second.name} std", "number"),
+        Column("std_change", "difference", "signed"),
+        Column("paper_std_change", "paper", "signed"),
+    )
     sources = [evaluation.folder / "steps.parquet" for evaluation in evaluations]
-    words = f"Joint angles of {first.name} and {second.name} [rad]"
+    title = f"Joint angles of {first.name} and {second.name} [rad]"
     return Figure(
-        table=table_of(task, "joints", words, columns, rows, sources),
-        caption=f"Differences: {first.name} minus {second.name} [rad]; std: standard deviation. "
+        table_of(task, "joints", title, columns, rows, sources),
+        f"Differences: {first.name} minus {second.name} [rad]; std: standard deviation. "
         "Dashed: means. One trained network per agent: another training seed may change them as "
         "much as the knowledge does.",
-        panels=panels,
-        legend=[(each.name, task.colours[each.name]) for each in (first, second)],
+        panels,
+        legend=[(group.name, task.colours[group.name]) for group in (first, second)],
     )
+
+
+def _joint_row(joint: int, first: Floats, second: Floats) -> Row:
+    """Return means and standard deviations of one joint's angles, and their differences."""
+    means = [float(angles.mean()) for angles in (first, second)]
+    stds = [float(angles.std()) for angles in (first, second)]
+    return {
+        "joint": joint,
+        "first_mean": means[0],
+        "second_mean": means[1],
+        "mean_change": means[0] - means[1],
+        "first_std": stds[0],
+        "second_std": stds[1],
+        "std_change": stds[0] - stds[1],
+    }
 
 
 def film_blocks(task: TaskData) -> list[Films]:
     """Show agents on the same episodes: the policy's images as a strip and as an animation."""
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
-    filmed = [(g.name, g.best) for g in groups if g.best and g.best.films()][:MOST_AGENTS]
-    filmed += [(r.name, r.evaluations[0]) for r in task.references if r.evaluations[0].films()]
+    filmed = [(group.name, group.best) for group in groups if group.best and group.best.films()]
+    filmed = filmed[:MOST_AGENTS]
+    for reference in task.references:
+        (evaluation,) = reference.evaluations
+        if evaluation.films():
+            filmed.append((reference.name, evaluation))
     if not filmed:
         return []
     common = set.intersection(*(set(evaluation.films()) for _, evaluation in filmed))
     blocks = []
     with suppress(UserError):
-        for number, shown in _first_of_each_target(filmed[0][1], sorted(common)):
-            title = f"Episode {number}, {shown}"
-            films = [_film(name, task.colours[name], each, number) for name, each in filmed]
-            blocks.append(Films(title=title, films=films))
+        for number, words in _first_of_each_target(filmed[0][1], sorted(common)):
+            films = [_film(name, task.colours[name], best, number) for name, best in filmed]
+            blocks.append(Films(f"Episode {number}, {words}", films))
     return blocks
 
 
@@ -94,10 +123,11 @@ def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tu
     episodes = evaluation.episodes()
     first: dict[str, tuple[int, str]] = {}
     for number in numbers:
-        shown = format.facet(str(episodes["facet"][number]))
+        words = facet(str(episodes["facet"][number]))
         if "query" in episodes:
-            shown = f"asked for \u201c{query_words(str(episodes['query'][number]))}\u201d ({shown})"
-        first.setdefault(str(episodes["target"][number]), (number, shown))
+            query = query_words(str(episodes["query"][number]))
+            words = f"asked for \u201c{query}\u201d ({words})"
+        first.setdefault(str(episodes["target"][number]), (number, words))
     return sorted(first.values())[:MOST_EPISODES]
 
 
@@ -109,22 +139,30 @@ def query_words(text: str) -> str:
 def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
     path = evaluation.films()[number]
     frames = read_film(path)
-    episodes = evaluation.episodes()
-    length = int(episodes["length"][number])
-    outcome = "reached after" if episodes["success"][number] else "not reached in"
-    if {"chosen", "choice_correct"} <= set(episodes) and not episodes["choice_correct"][number]:
-        outcome = f"chose the {format.facet(str(episodes['chosen'][number]))}, {outcome}"
-    places = np.unique(np.linspace(0, len(frames) - 1, min(STRIP_FRAMES, len(frames))).round())
+    last = len(frames) - 1
+    places = np.linspace(0, last, min(STRIP_FRAMES, len(frames))).round().astype(int)
     height, width = frames.shape[1:3]
     return Film(
-        name=name,
-        colour=colour,
-        strip=[(_png(frames[int(i)]), f"step {int(i)}") for i in places],
+        name,
+        strip=[(_png(frames[step]), f"step {step}") for step in places.tolist()],
         moving=data_uri("WEBP", path.read_bytes()),
-        poster=_png(frames[-1]),
+        poster=_png(frames[last]),
         size=(width, height),
-        text=f"{outcome} {length} steps; at the end {episodes['distance_m'][number] * 100:.1f} cm "
-        f"and {episodes['angle_deg'][number]:.0f}° from the grasp pose",
+        text=_outcome(evaluation, number),
+        colour=colour,
+    )
+
+
+def _outcome(evaluation: Evaluation, number: int) -> str:
+    """Describe how an episode ended."""
+    episode = {name: values[number] for name, values in evaluation.episodes().items()}
+    outcome = "reached after" if episode["success"] else "not reached in"
+    if "chosen" in episode and not episode.get("choice_correct", True):
+        outcome = f"chose the {facet(str(episode['chosen']))}, {outcome}"
+    distance = episode["distance_m"] * 100
+    return (
+        f"{outcome} {int(episode['length'])} steps; at the end {distance:.1f} cm "
+        f"and {episode['angle_deg']:.0f}° from the grasp pose"
     )
 
 

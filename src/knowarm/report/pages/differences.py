@@ -1,12 +1,22 @@
 """Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, Verdict, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Row,
+    Verdict,
+    estimate_column,
+    row_of,
+    table_of,
+)
 from knowarm.report.charts import SUCCESS_AXIS, Series, near, percent_axis
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
@@ -47,8 +57,10 @@ EXPLANATION = (
 )
 
 COMPARISON_COLUMNS = (
-    *("outcome", Column("first", "agent"), Column("second", "against")),
-    Column("difference", "difference [points]", "points", interval=True),
+    "outcome",
+    Column("first", "agent"),
+    Column("second", "against"),
+    estimate_column("difference", "difference [points]", "points"),
     Column("seeds", "seeds"),
     Column("effect_size", "effect size", "signed", hint="Cohen's d"),
     Column("p", "p", "p", hint="Welch's t, two-sided"),
@@ -56,38 +68,62 @@ COMPARISON_COLUMNS = (
     "verdict",
     Column("needed", "seeds needed", "integer", hint="per agent, for the observed difference"),
 )
-
+COMPARISON_CAPTION = "Difference of means in percentage points, with its 95 % interval."
 COMPARISON_NOTE = (
     "Interval: Welch's t, 95 %, not corrected. Seeds needed: for a difference as large as the "
     "observed one, 80 % power, two-sided 5 %, one comparison; too small for a difference that was "
     "selected because it is large. Undecided is no evidence of equality: the interval shows which "
     "differences remain possible. Described: not tested."
 )
-
+SCORES_NOTE = (
+    "P: probability that a run of the agent beats a run of the other. Mean during "
+    "training: area under the curve of interim success, divided by its length. Intervals: 95 % "
+    "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed."
+)
 PROFILE_LEVELS = np.linspace(0, 1, 101)  # of success, of the performance profile
+PROFILE_COLUMNS = ("agent", "level", estimate_column("share", "runs above"))
+PROFILE_CAPTION = (
+    "Share of training runs that end above each level of success; further right is "
+    "better. Band: 95 % bootstrap over seeds, pointwise."
+)
 FEWEST_RATES = 5  # evaluation seeds below which the analysis of variance is not shown
+VARIANCE_COLUMNS = (
+    Column("first", "network of"),
+    Column("second", "against that of"),
+    Column("rates", "evaluation seeds", "integer"),
+    Column("first_mean", "success", "percent"),
+    Column("second_mean", "success", "percent"),
+    Column("f", "F"),
+    Column("p", "p", "p"),
+    Column("paper_f", "paper's F", "number"),
+)
+VARIANCE_NOTE = (
+    "Tests whether these two trained networks differ over random episodes, and says nothing "
+    "about another training seed of the same method: with more evaluation seeds any two "
+    "networks differ significantly."
+)
 
 
 def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     """Show the statistics over training seeds and the paper's, each with what it tests."""
     if len(task.groups) < 2:
         return []
-    found = (_comparisons(task, decided), _scores(task), _profile(task), _variance(task))
-    return [block for block in found if block]
+    blocks = (_comparisons(task, decided), _scores(task), _profile(task), _variance(task))
+    return [block for block in blocks if block]
 
 
 def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
     """Show every difference that the report decides on."""
     claims = [claim for claim in decided if claim.task is task]
     if not any(claim.comparison for claim in claims):
-        return Verdict(
-            sentence="No differences are computed from single seeds.", reasons=[FEW_SEEDS]
-        )
-    rows, title = [_comparison_row(claim) for claim in claims], "Differences between agents"
+        return Verdict("No differences are computed from single seeds.", [FEW_SEEDS])
+    rows = [_comparison_row(claim) for claim in claims]
+    title = "Differences between agents"
     table = table_of(task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE)
-    caption = "Difference of means in percentage points, with its 95 % interval."
-    panels = {words: [c for c in claims if c.outcome == key] for key, words in OUTCOMES.items()}
-    return forest_figure(table, caption, panels)
+    panels: dict[str, list[Claim]] = {words: [] for words in OUTCOMES.values()}
+    for claim in claims:
+        panels[OUTCOMES[claim.outcome]].append(claim)
+    return forest_figure(table, COMPARISON_CAPTION, panels)
 
 
 def _comparison_row(claim: Claim) -> Row:
@@ -99,7 +135,8 @@ def _comparison_row(claim: Claim) -> Row:
         "verdict": claim.verdict,
         "adjusted_p": claim.adjusted_p,
     }
-    if compared := claim.comparison:
+    compared = claim.comparison
+    if compared:
         row |= {
             "difference": compared.difference,
             "seeds": f"{compared.first_count} / {compared.second_count}",
@@ -115,107 +152,114 @@ def _scores(task: TaskData) -> DataTable:
     """Show the success of each agent over training seeds; a single seed has no interval."""
     baseline = task.baseline or task.groups[0]
     base = scores(task, baseline, "success")
-    rows: list[Row] = []
+    rows = []
     for group in task.groups:
-        final, speed = scores(task, group, "success"), scores(task, group, "speed")
-        row: Row = {"agent": group.name, "seeds": len(final), "_colour": task.colours[group.name]}
-        measures = (("mean", final, np.mean), ("iqm", final, iqm), ("area", speed, np.mean))
-        for key, values, statistic in measures:
-            if values.size > 1:
-                row[key] = bootstrap(values, statistic)
-            elif values.size:
-                row[key] = float(values[0])
+        final = scores(task, group, "success")
+        row = row_of(task, group) | {
+            "seeds": len(final),
+            "mean": _with_interval(final, np.mean),
+            "iqm": _with_interval(final, iqm),
+            "area": _with_interval(scores(task, group, "speed"), np.mean),
+        }
         if group is not baseline and min(final.size, base.size) > 1:
             row["improvement"] = probability_of_improvement(final, base)
         rows.append(row)
-    columns: list[str | Column] = [
-        *("agent", "seeds", Column("mean", "mean", "percent", interval=True)),
-        Column("iqm", "interquartile mean", "percent", interval=True),
-        Column("improvement", f"P(better than {baseline.name})", "percent", interval=True),
-        Column("area", "mean during training", "percent", interval=True),
-    ]
-    note = (
-        "P: probability that a run of the agent beats a run of the other. Mean during "
-        "training: area under the curve of interim success, divided by its length. Intervals: 95 % "
-        "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed."
+    columns = (
+        "agent",
+        "seeds",
+        estimate_column("mean", "mean"),
+        estimate_column("iqm", "interquartile mean"),
+        estimate_column("improvement", f"P(better than {baseline.name})"),
+        estimate_column("area", "mean during training"),
     )
-    return table_of(task, "scores", "Success over training seeds", columns, rows, note=note)
+    title = "Success over training seeds"
+    return table_of(task, "scores", title, columns, rows, note=SCORES_NOTE)
+
+
+def _with_interval(values: Floats, statistic: Callable[..., Floats]) -> Interval | float | None:
+    """Return a statistic of several values with its interval, and a single value as it is."""
+    if values.size > 1:
+        return bootstrap(values, statistic)
+    return float(values[0]) if values.size else None
 
 
 def _profile(task: TaskData) -> Figure | None:
     """Draw performance profiles of agents with enough seeds."""
     finals = {group.name: scores(task, group, "success") for group in task.groups}
-    finals = {name: each for name, each in finals.items() if each.size >= FEWEST_SEEDS}
+    finals = {name: final for name, final in finals.items() if final.size >= FEWEST_SEEDS}
     if not finals:
         return None
     axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
     drawn = min(axis.range or (0.0,)) <= PROFILE_LEVELS
-    series, rows = [], []
+    series = []
+    rows = []
     for agent, final in finals.items():
         colour = task.colours[agent]
         share, low, high = performance_profile(final, PROFILE_LEVELS)
         line = Series(
-            name=agent, colour=colour, x=PROFILE_LEVELS[drawn], y=share[drawn], stairs=True
+            name=agent,
+            colour=colour,
+            x=PROFILE_LEVELS[drawn],
+            y=share[drawn],
+            band=(low[drawn], high[drawn]),
+            stairs=True,
         )
-        series.append(replace(line, band=(low[drawn], high[drawn])))
+        series.append(line)
         for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
-            row = {"agent": agent, "level": level, "share": Interval(*values)}
-            rows.append(row | {"_colour": colour})
+            share_above = Interval(*values)
+            rows.append({"agent": agent, "level": level, "share": share_above, "_colour": colour})
     name = f"Share of runs above each level of success on {task.title}"
-    share_column = Column("share", "runs above", "percent", interval=True)
-    columns: list[str | Column] = ["agent", Column("level", "success", "percent"), share_column]
     return Figure(
-        table=table_of(task, "profile", "Performance profile", columns, rows),
-        caption="Share of training runs that end above each level of success; further right is "
-        "better. Band: 95 % bootstrap over seeds, pointwise.",
-        panels=sized_panels(series, name, axis, percent_axis("runs above")),
-        legend=[(each.name, each.colour) for each in series],
+        table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows),
+        PROFILE_CAPTION,
+        sized_panels(series, name, axis, percent_axis("runs above")),
+        legend=[(line.name, line.colour) for line in series],
     )
 
 
 def _variance(task: TaskData) -> DataTable | None:
     """Run the paper's one-way ANOVA (section 5.3) on success rates over evaluation seeds."""
-    rows: list[Row] = []
+    rows = []
     sources = []
     for first, second, _ in pairs(task):
-        both = [rates for group in (first, second) if (rates := success_rates(group))]
-        if len(both) < 2:
+        evaluated = success_rates(first)
+        other_evaluated = success_rates(second)
+        if not evaluated or not other_evaluated:
             continue
-        (_, one), (_, other) = both
-        f_value, p_value = one_way_anova([one, other])
-        row: Row = {"first": first.name, "second": second.name, "rates": len(one)}
-        row |= {"first_mean": float(one.mean()), "second_mean": float(other.mean())}
-        row |= {"f": round(f_value, 2), "p": p_value}
-        rows.append(row | {"paper_f": published_comparison(task, first, second).get("anova_f")})
-        sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in both]
+        evaluation, rates = evaluated
+        other_evaluation, other_rates = other_evaluated
+        f_value, p_value = one_way_anova([rates, other_rates])
+        row = {
+            "first": first.name,
+            "second": second.name,
+            "rates": len(rates),
+            "first_mean": float(rates.mean()),
+            "second_mean": float(other_rates.mean()),
+            "f": round(f_value, 2),
+            "p": p_value,
+            "paper_f": published_comparison(task, first, second).get("anova_f"),
+        }
+        rows.append(row)
+        sources.append(evaluation.folder / "episodes.parquet")
+        sources.append(other_evaluation.folder / "episodes.parquet")
     if not rows:
         return None
-    columns: list[str | Column] = [
-        *(Column("first", "network of"), Column("second", "against that of")),
-        Column("rates", "evaluation seeds", "integer"),
-        *(Column(f"{each}_mean", "success", "percent") for each in ("first", "second")),
-        *(Column("f", "F"), Column("p", "p", "p"), Column("paper_f", "paper's F", "number")),
-    ]
-    note = (
-        "Tests whether these two trained networks differ over random episodes, and says nothing "
-        "about another training seed of the same method: with more evaluation seeds any two "
-        "networks differ significantly."
-    )
     title = "The paper's analysis of variance over evaluation seeds"
-    return table_of(task, "anova", title, columns, rows, sources, note)
+    return table_of(task, "anova", title, VARIANCE_COLUMNS, rows, sources, VARIANCE_NOTE)
 
 
-def success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
+def success_rates(group: Group) -> tuple[Evaluation, Floats] | None:
     """Return the success rate per evaluation seed of the best run, where there are enough seeds."""
-    best = group.best_run
-    for evaluation in best.evaluations.values() if best else ():
+    if group.best_run is None:
+        return None
+    for evaluation in group.best_run.evaluations.values():
         if evaluation.summary.config.seeds < FEWEST_RATES:
             continue
         try:
             episodes = evaluation.episodes()
         except UserError:
             continue
-        seeds, success = episodes["evaluation_seed"], episodes["success"]
-        rates = np.array([success[seeds == seed].mean() for seed in np.unique(seeds)])
-        return (evaluation, rates) if len(rates) > 1 else None
+        seeds = episodes["evaluation_seed"]
+        rates = [episodes["success"][seeds == seed].mean() for seed in np.unique(seeds)]
+        return (evaluation, np.array(rates)) if len(rates) > 1 else None
     return None

@@ -1,23 +1,12 @@
 """Page "Inputs": the knowledge vector of each agent, its sentences, and network sizes."""
 
-from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.learn.algorithms import privileged_uses
-from knowarm.report.blocks import (
-    Block,
-    Column,
-    DataTable,
-    Row,
-    Tone,
-    Verdict,
-    shared,
-    table_of,
-)
+from knowarm.report.blocks import Block, Column, DataTable, Row, Tone, Verdict, shared, table_of
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
 
@@ -25,15 +14,21 @@ KINDS = (
     (
         "every episode has the same vector. For the network such an input is a bias with its own "
         "learning rate and additional capacity; it cannot tell episodes apart.",
-        *("the knowledge vector is a constant input, which is a bias", "capacity_control", "scene"),
+        "The knowledge vector is a constant input, which is a bias.",
+        "capacity_control",
+        "scene",
     ),
     (
         "the vector describes the query of the episode.",
-        *("the knowledge vector describes the query of the episode", "content_control", "query"),
+        "The knowledge vector describes the query of the episode.",
+        "content_control",
+        "query",
     ),
     (
         "the vector identifies the target of the episode, which no camera observed.",
-        *("some knowledge vectors are privileged", "content_control", "target"),
+        "Some knowledge vectors are privileged.",
+        "content_control",
+        "target",
     ),
 )
 """Kinds of vectors: of some agents, of the task, and role and scope of the controls. The last kind
@@ -53,26 +48,40 @@ PRIVILEGED_NOTE = (
 )
 
 
+COLUMNS = (
+    "agent",
+    "source",
+    Column("slots", "slots", "integer"),
+    Column("numbers", "dimensions", "integer"),
+    Column("norm", "norm", "number"),
+    Column("coverage", "words with a vector", "percent"),
+    "constant",
+    "privileged",
+    Column("training", "simulator's state in training"),
+    "note",
+)
+PARAMETERS_NOTE = "A longer vector makes a larger LSTM: compare agents of equal size."
+
+
 def input_blocks(task: TaskData) -> list[Block]:
     """Show what each agent's vector says, and how many parameters receive it."""
     blocks: list[Block] = [_kind_of_input(task), _overview(task)]
     stems = slugs(group.name for group in task.groups)
-    listed_sentences = list[Mapping[str, Any]]()
+    listed_before = []
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
         knowledge = _knowledge_of(group.runs[0])
         sentences = knowledge.sentences if knowledge else {}
-        if any(sentences.values()) and sentences not in listed_sentences:
-            listed_sentences.append(sentences)
-            blocks.append(
-                DataTable(
-                    name=f"sentences-{task.name}-{stems[group.name]}",
-                    title=f"Sentence of each slot: {group.name}",
-                    columns=shared("slot", "sentence"),
-                    rows=[{"slot": slot, "sentence": each} for slot, each in sentences.items()],
-                    sources=[group.runs[0].path / "provenance.json"],
-                )
+        if any(sentences.values()) and sentences not in listed_before:
+            listed_before.append(sentences)
+            table = DataTable(
+                f"sentences-{task.name}-{stems[group.name]}",
+                f"Sentence of each slot: {group.name}",
+                shared("slot", "sentence"),
+                [{"slot": slot, "sentence": sentence} for slot, sentence in sentences.items()],
+                [group.runs[0].path / "provenance.json"],
             )
+            blocks.append(table)
     return [*blocks, *_parameters(task)]
 
 
@@ -86,23 +95,32 @@ def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
 
 def _kind_of_input(task: TaskData) -> Verdict:
     """State which agents have a constant vector and which a privileged one."""
-    knowledge = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
-    sentence, reasons = "no agent received a knowledge vector", []
-    for words, said, role, scope in KINDS:
-        if scope == "query":
-            agents = [g.name for g in task.groups if g.scope == scope and knowledge[g.name]]
-        else:
-            flag = "constant" if scope == "scene" else "privileged"
-            agents = [name for name, each in knowledge.items() if each and getattr(each, flag)]
+    sentence = "No agent received a knowledge vector."
+    reasons = []
+    knowledge = [(group, _knowledge_of(group.runs[0])) for group in task.groups]
+    for about, about_task, role, scope in KINDS:
+        agents = [group.name for group, facts in knowledge if _is(scope, group, facts)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
             controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
-            reasons.append(f"{', '.join(agents)}: {words} {controls}")
-            sentence = said
+            reasons.append(f"{', '.join(agents)}: {about} {controls}")
+            sentence = about_task
     tone: Tone = "open" if reasons else "note"
-    if trained := [group.name for group in task.groups if _privileged_uses(group)]:
+    trained = [group.name for group in task.groups if _privileged_uses(group)]
+    if trained:
         reasons.append(PRIVILEGED_TRAINING.format(agents=", ".join(trained)))
-    return Verdict(sentence=f"{sentence[0].upper()}{sentence[1:]}.", reasons=reasons, tone=tone)
+    return Verdict(sentence, reasons, tone=tone)
+
+
+def _is(scope: str, group: Group, knowledge: EmbeddingFacts | None) -> bool:
+    """Return whether a group's vector is constant (scene), of the query, or privileged (target)."""
+    if not knowledge:
+        return False
+    if scope == "scene":
+        return knowledge.constant
+    if scope == "target":
+        return knowledge.privileged
+    return group.scope == scope
 
 
 def _privileged_uses(group: Group) -> list[str]:
@@ -116,43 +134,47 @@ def _privileged_uses(group: Group) -> list[str]:
 
 def _overview(task: TaskData) -> DataTable:
     """List the source, size and norm of each agent's vector."""
-    rows: list[Row] = []
-    for group in task.groups:
-        row: Row = {"agent": group.name, "training": ", ".join(_privileged_uses(group))}
-        row |= {"slots": 0, "numbers": 0, "constant": False, "privileged": False}
-        if knowledge := _knowledge_of(group.runs[0]):
-            row |= {"slots": len(knowledge.slots), "numbers": knowledge.dim, "norm": knowledge.norm}
-            row |= {
-                "constant": knowledge.constant,
-                "privileged": knowledge.privileged,
-                "note": knowledge.note,
-            }
-            if knowledge.slots:
-                row |= {"source": knowledge.source}
-                row |= {"coverage": knowledge.coverage["share"]}
-        rows.append(row)
-    columns: list[str | Column] = [
-        *("agent", "source", Column("slots", "slots", "integer")),
-        *(Column("numbers", "dimensions", "integer"), Column("norm", "norm", "number")),
-        Column("coverage", "words with a vector", "percent"),
-        *("constant", "privileged"),
-        *(Column("training", "simulator's state in training"), "note"),
-    ]
+    rows = [_overview_row(group) for group in task.groups]
     sources = [group.runs[0].path / "provenance.json" for group in task.groups]
-    note = PRIVILEGED_NOTE if any(map(_privileged_uses, task.groups)) else ""
-    return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources, note)
+    note = PRIVILEGED_NOTE if any(row["training"] for row in rows) else ""
+    return table_of(task, "knowledge", "Knowledge vectors", COLUMNS, rows, sources, note)
+
+
+def _overview_row(group: Group) -> Row:
+    training = ", ".join(_privileged_uses(group))
+    row: Row = {"agent": group.name, "training": training}
+    knowledge = _knowledge_of(group.runs[0])
+    if not knowledge:
+        return row | {"slots": 0, "numbers": 0, "constant": False, "privileged": False}
+    row |= {
+        "slots": len(knowledge.slots),
+        "numbers": knowledge.dim,
+        "norm": knowledge.norm,
+        "constant": knowledge.constant,
+        "privileged": knowledge.privileged,
+        "note": knowledge.note,
+    }
+    if knowledge.slots:
+        row["source"] = knowledge.source
+        row["coverage"] = knowledge.coverage["share"]
+    return row
 
 
 def _parameters(task: TaskData) -> list[Block]:
     """List the trainable parameters by part; nothing if no run stored its counts."""
-    stored = [(group, group.runs[0]) for group in task.groups]
-    stored = [(group, run) for group, run in stored if run.provenance.parameter_counts]
-    rows: list[Row] = [{"agent": g.name, **run.provenance.parameter_counts} for g, run in stored]
-    parts = dict.fromkeys(part for row in rows for part in row if row[part] and part != "agent")
-    if not parts:
+    rows = []
+    sources = []
+    columns = {"agent": Column("agent", "agent")}
+    for group in task.groups:
+        run = group.runs[0]
+        counts = run.provenance.parameter_counts
+        if counts:
+            rows.append({"agent": group.name, **counts})
+            sources.append(run.path / "provenance.json")
+        for part, count in counts.items():
+            if count:
+                columns[part] = Column(part, part, "integer")
+    if len(columns) == 1:
         return []
-    columns: list[str | Column] = ["agent", *(Column(part, part, "integer") for part in parts)]
-    sources = [run.path / "provenance.json" for _, run in stored]
-    note = "A longer vector makes a larger LSTM: compare agents of equal size."
     title = "Trainable parameters by part of the network"
-    return [table_of(task, "parameters", title, columns, rows, sources, note)]
+    return [table_of(task, "parameters", title, columns.values(), rows, sources, PARAMETERS_NOTE)]

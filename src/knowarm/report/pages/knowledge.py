@@ -4,15 +4,24 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.report import format
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    estimate_column,
+    row_of,
+    table_of,
+)
 from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.format import slugs
+from knowarm.report.format import integer, slugs
 from knowarm.report.model import Evaluated, Group, TaskData
 from knowarm.report.pages.results import conditions
-from knowarm.report.verdicts.claims import TOLERANCE, Claim, size_of
+from knowarm.report.verdicts.claims import TOLERANCE, Claim, claims_on, size_of
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch
 
@@ -21,17 +30,29 @@ EXPLANATION = (
     "network it is a bias. It can still change learning, because it makes the network larger and "
     "because its weights have a gradient of their own. An advantage over the baseline alone is "
     "therefore no evidence for knowledge. What counts is the advantage over controls that differ "
-    "in the knowledge only."
+    "in the knowledge only.",
+)
+
+
+CONTROLS_CAPTION = (
+    "Success after training in percentage points, with the 95 % interval over training seeds. "
+    "Right of the line: {subject} is ahead."
+)
+ELSEWHERE_NOTE = (
+    "Evaluations stored under another label: held-out colours, other thresholds, sampled "
+    "actions. 95 % intervals over training seeds, not corrected."
 )
 
 
 def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     """Compare each subject with every other agent, and under other conditions."""
     blocks: list[Block] = []
-    for subject in task.subjects if len(task.groups) > 1 else ():
-        stem = "" if subject is task.subjects[0] else f"-{slugs([subject.name])[subject.name]}"
-        mine = [claim for claim in decided if claim.task is task and claim.first is subject]
-        final = [claim for claim in mine if claim.outcome == "success"]
+    if len(task.groups) == 1:
+        return blocks
+    for subject in task.subjects:
+        name = subject.name
+        stem = "" if subject is task.subjects[0] else f"-{slugs([name])[name]}"
+        final = claims_on(decided, task, subject, "success")
         blocks += [
             finding(task, decided, "success", subject).verdict(),
             finding(task, decided, "speed", subject).verdict(),
@@ -43,87 +64,90 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
 
 def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
+    name = subject.name
     size = size_of(subject, "parameters")
-    rows: list[Row] = []
+    rows = []
     for claim in final:
-        if (other := claim.second) is None:
+        other = claim.second
+        if other is None:
             continue
         parameters = size_of(other, "parameters")
         row: Row = {
             "control": other.name,
             "role": other.role.replace("_", " "),
-            "about": AGENTS[other.agent].about if other.agent in AGENTS else None,
             "parameters": parameters,
             "equal": size and parameters and abs(parameters / size - 1) <= TOLERANCE,
             "adjusted_p": claim.adjusted_p,
             "verdict": claim.verdict,
         }
+        if other.agent in AGENTS:
+            row["about"] = AGENTS[other.agent].about
         if claim.comparison:
             row["difference"] = claim.comparison.difference
         rows.append(row)
-    columns: list[str | Column] = [
-        *(Column("control", "agent"), "role", "about", "parameters"),
-        Column("equal", f"as many as {subject.name}", hint=f"within {TOLERANCE:.0%}"),
-        Column("difference", "success [points]", "points", interval=True),
-        *(Column("adjusted_p", "adjusted p", "p"), Column("verdict", f"{subject.name} is")),
-    ]
-    note = f"{subject.name} has {format.integer(size)} trainable parameters."
-    title = f"{subject.name} against each other agent"
-    table = table_of(task, "controls", title, columns, rows, note=note, stem=stem)
-    caption = (
-        "Success after training in percentage points, with the 95 % interval over training seeds. "
-        f"Right of the line: {subject.name} is ahead."
+    columns = (
+        Column("control", "agent"),
+        "role",
+        "about",
+        "parameters",
+        Column("equal", f"as many as {name}", hint=f"within {TOLERANCE:.0%}"),
+        estimate_column("difference", "success [points]", "points"),
+        Column("adjusted_p", "adjusted p", "p"),
+        Column("verdict", f"{name} is"),
     )
-    return forest_figure(table, caption, {"": final})
+    note = f"{name} has {integer(size)} trainable parameters."
+    title = f"{name} against each other agent"
+    table = table_of(task, "controls", title, columns, rows, note=note, stem=stem)
+    return forest_figure(table, CONTROLS_CAPTION.format(subject=name), {"": final})
 
 
 def forest_figure(table: DataTable, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
     """Draw the intervals of the claims around zero, by title; the table alone if there are none."""
     drawn = []
     for title, claims in panels.items():
-        dots = [
-            Dot(
-                name=f"{claim.first.name} \u2212 {claim.against}",
-                colour=claim.task.colours[claim.against],
-                value=claim.comparison.difference,
-            )
-            for claim in claims
-            if claim.comparison
-        ]
+        dots = []
+        for claim in claims:
+            if claim.comparison:
+                pair = f"{claim.first.name} \u2212 {claim.against}"
+                colour = claim.task.colours[claim.against]
+                dots.append(Dot(pair, colour, claim.comparison.difference))
         if dots:
             name = f"{table.title}, {title}" if title else table.title
             svg = dot_chart(dots, name, POINTS_AXIS, zero=True, width=390, left=132)
-            drawn.append(Panel(svg=svg, title=title))
+            drawn.append(Panel(svg, title))
     if not drawn:
         return table
-    return Figure(table=table, caption=caption, panels=drawn, open_table=True)
+    return Figure(table, caption, drawn, open_table=True)
 
 
-def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
+def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTable]:
     """Show the evaluations under other labels, such as held-out colours or sampled actions."""
-    sets = {key: each for key, each in evaluation_sets(task).items() if key[0] != task.label}
-    rules = Counter(label for label, _ in sets)
-    rows: list[Row] = []
+    sets = evaluation_sets(task)
+    labels = Counter(label for label, _ in sets)
+    rows = []
     sources = []
-    for (label, _), alike in sets.items():
-        own = Evaluated(subject.name, alike.get(subject, [])).scores("success")
-        for group, evaluations in alike.items():
-            values = Evaluated(group.name, evaluations).scores("success")
-            name = f"{label}: {conditions(evaluations[0])}" if rules[label] > 1 else label
-            row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
-            row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}
-            if group is not subject and min(len(own), len(values)) > 1:
-                row["difference"] = welch(own, values).difference
+    for (label, _), evaluations in sets.items():
+        if label == task.label:
+            continue
+        subject_scores = Evaluated(subject.name, evaluations.get(subject, [])).scores("success")
+        for group, alike in evaluations.items():
+            agent = Evaluated(group.name, alike)
+            scores = agent.scores("success")
+            row = row_of(task, agent)
+            row["label"] = f"{label}: {conditions(alike[0])}" if labels[label] > 1 else label
+            row["success"] = float(scores.mean())
+            if group is not subject and min(len(subject_scores), len(scores)) > 1:
+                row["difference"] = welch(subject_scores, scores).difference
             rows.append(row)
-            sources += [evaluation.folder for evaluation in evaluations]
+            sources += [evaluation.folder for evaluation in alike]
     if not rows:
         return []
-    columns: list[str | Column] = [
-        *(Column("label", "evaluation"), "agent", "seeds", Column("success", "success", "percent")),
-        Column("difference", f"{subject.name} minus it [points]", "points", interval=True),
-    ]
-    note = (
-        "Evaluations stored under another label: held-out colours, other thresholds, sampled "
-        "actions. 95 % intervals over training seeds, not corrected."
+    columns = (
+        Column("label", "evaluation"),
+        "agent",
+        "seeds",
+        Column("success", "success", "percent"),
+        estimate_column("difference", f"{subject.name} minus it [points]", "points"),
     )
-    return [table_of(task, "elsewhere", "Other conditions", columns, rows, sources, note, stem)]
+    title = "Other conditions"
+    return [table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)]

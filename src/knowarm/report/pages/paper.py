@@ -14,8 +14,8 @@ from knowarm.report.blocks import (
     DataTable,
     Figure,
     Panel,
-    Row,
     Text,
+    estimate_column,
     row_of,
     shared,
 )
@@ -28,10 +28,22 @@ RESULTS = Path(__file__).parents[1] / "paper_results.json"  # ``about`` in it ex
 
 ACCURACY_AXIS = percent_axis("accuracy")
 
-COLUMNS = (
+COLUMNS = shared(
+    "task",
+    "agent",
+    "seeds",
+    "accuracy",
     Column("paper_accuracy", "paper", "percent"),
-    Column("best_step", "best model at", "steps", interval=True),
+    estimate_column("best_step", "best model at", "steps"),
     Column("paper_step", "paper", "steps"),
+)
+NOTE = (
+    "Paper: Boosting Deep Reinforcement Learning with Semantic Knowledge for Robotic "
+    "Manipulators, Robotics 2025, 14, 86, doi.org/10.3390/robotics14070086, section 5.2."
+)
+CAPTION = (
+    "Dot and line: this report, with its 95 % interval. Small dots: training seeds. "
+    "Ring: the paper, with another simulator, other start poses and another algorithm."
 )
 
 EXPLANATION = (
@@ -50,19 +62,22 @@ def _published() -> dict[str, Any]:
 
 def published_result(task: TaskData, agent: str) -> Mapping[str, float] | None:
     """Return the published accuracy and step of the best model of an agent."""
-    key = (*task.key, agent)
-    results = _published()["results"] if task.is_published else []
-    found = (r for r in results if (r["robot"], r["colours"], r["agent"]) == key)
-    return next(found, None)
+    return _find(task, "results", agent=agent)
 
 
 def published_comparison(task: TaskData, first: Group, second: Group) -> Mapping[str, Any]:
     """Return the published F value and changes in joint angles of two agents; empty if none."""
-    for each in _published()["comparisons"] if task.is_published else []:
-        agents = (each["first"], each["second"])
-        if (each["robot"], each["colours"]) == task.key and agents == (first.agent, second.agent):
-            return each
-    return {}
+    return _find(task, "comparisons", first=first.agent, second=second.agent) or {}
+
+
+def _find(task: TaskData, kind: str, **agents: str) -> Mapping[str, Any] | None:
+    """Return what the paper publishes of agents on a task, if it is one of the paper's."""
+    if not task.is_published:
+        return None
+    robot, colours = task.key
+    wanted = {"robot": robot, "colours": colours} | agents
+    matching = (entry for entry in _published()[kind] if wanted.items() <= entry.items())
+    return next(matching, None)
 
 
 def time_saved(steps: float | None, baseline_steps: float | None) -> float | None:
@@ -70,44 +85,38 @@ def time_saved(steps: float | None, baseline_steps: float | None) -> float | Non
 
     As in the paper: 20 % for TIAGo in fixed colours (it states 25 %, 60 / 48 - 1).
     """
-    return 1 - steps / baseline_steps if steps and baseline_steps else None
+    if not steps or not baseline_steps:
+        return None
+    return 1 - steps / baseline_steps
 
 
 def paper_blocks(study: StudyData) -> list[Block]:
     """Show accuracy, step of the best model and learning time, measured and published."""
-    tasks = [t for t in study.tasks if any(published_result(t, g.agent) for g in t.groups)]
-    return [_figure(tasks), Text(paragraphs=[EXPLANATION])] if tasks else []
-
-
-def _figure(tasks: list[TaskData]) -> Figure:
-    rows: list[Row] = []
+    rows = []
     panels = []
-    for task in tasks:
+    sources = []
+    for task in study.tasks:
         dots = []
         for group in task.groups:
-            if published := published_result(task, group.agent):
-                row: Row = {"task": task.title, "best_step": _best_steps(group)}
-                row |= row_of(task, group, "accuracy")
-                row["paper_accuracy"] = published["accuracy"]
-                rows.append(row | {"paper_step": published["best_step"]})
-                dots.append(group_dot(group, "accuracy", task.colours, published["accuracy"]))
-        name = f"Accuracy on {task.title}, measured and published"
-        panels.append(Panel(svg=dot_chart(dots, name, ACCURACY_AXIS), title=task.title))
-    return Figure(
-        table=DataTable(
-            name="paper",
-            title="Accuracy and learning time",
-            columns=shared("task", "agent", "seeds", "accuracy", *COLUMNS),
-            rows=rows,
-            sources=[run.path for task in tasks for run in task.runs],
-            note="Paper: Boosting Deep Reinforcement Learning with Semantic Knowledge for Robotic "
-            "Manipulators, Robotics 2025, 14, 86, doi.org/10.3390/robotics14070086, section 5.2.",
-        ),
-        caption="Dot and line: this report, with its 95 % interval. Small dots: training seeds. "
-        "Ring: the paper, with another simulator, other start poses and another algorithm.",
-        panels=panels,
-        open_table=True,
-    )
+            published = published_result(task, group.agent)
+            if published:
+                accuracy = published["accuracy"]
+                row = row_of(task, group, "accuracy") | {
+                    "task": task.title,
+                    "paper_accuracy": accuracy,
+                    "best_step": _best_steps(group),
+                    "paper_step": published["best_step"],
+                }
+                rows.append(row)
+                dots.append(group_dot(task, group, "accuracy", accuracy))
+        if dots:
+            name = f"Accuracy on {task.title}, measured and published"
+            panels.append(Panel(dot_chart(dots, name, ACCURACY_AXIS), task.title))
+            sources += [run.path for run in task.runs]
+    if not panels:
+        return []
+    table = DataTable("paper", "Accuracy and learning time", COLUMNS, rows, sources, NOTE)
+    return [Figure(table, CAPTION, panels, open_table=True), Text([EXPLANATION])]
 
 
 def _best_steps(group: Group) -> Interval | None:

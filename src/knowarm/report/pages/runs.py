@@ -20,114 +20,124 @@ from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS, near
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData
-from knowarm.report.pages.results import conditions
+from knowarm.report.pages.results import conditions, first_evaluation
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 from knowarm.report.verdicts.query import query_summary
 
 VERSIONS = ("knowarm", "torch", "mujoco")
-FOLDER = Column("folder", "folder", "path")
+RUN_COLUMNS = shared(
+    "task",
+    "agent",
+    "seed",
+    Column("folder", "folder", "path"),
+    "commit",
+    *VERSIONS,
+    "machine",
+)
+PROBLEM_COLUMNS = (
+    Column("path", "folder or file", "path"),
+    Column("what", "found"),
+    Column("done", "handled as"),
+)
+MEASURES = ("success", "choice", "accuracy", "return_mean")  # of the table, where known
+SUMMARY_NOTE = (
+    "{conditions}. {agents}. Success: distance and angle within the "
+    "thresholds at once. Accuracy: final distance within the threshold, as in the paper. "
+    "Depends on vision: success minus that of the better agent that sees nothing."
+)
+SUMMARY_CAPTION = (
+    "Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
+    "several, over episodes where there is one. Small dots: single seeds."
+)
 
 
 def run_blocks(study: StudyData) -> list[Block]:
     """List every remark on a folder, and every run with its versions and machine."""
-    runs = DataTable(
-        name="runs",
-        title="Runs",
-        columns=shared("task", "agent", "seed", FOLDER, "commit", *VERSIONS, "machine"),
-        rows=[
-            {"task": task.title, "agent": group.name, "seed": run.config.seed, "folder": run.path}
-            | _origin(run)
-            for task in study.tasks
-            for group in task.groups
-            for run in group.runs
-        ],
-        sources=[run.path / "provenance.json" for run in study.runs],
-    )
+    rows = []
+    sources = []
+    for task in study.tasks:
+        for group in task.groups:
+            for run in group.runs:
+                rows.append({"task": task.title, "agent": group.name, **_origin(run)})
+                sources.append(run.path / "provenance.json")
+    runs = DataTable("runs", "Runs", RUN_COLUMNS, rows, sources)
     if not study.problems:
-        return [Text(paragraphs=["Nothing is missing or damaged in the folders."]), runs]
-    path = Column("path", "folder or file", "path")
-    problems = DataTable(
-        name="problems",
-        title="Remarks on the folders",
-        columns=[path, Column("what", "found"), Column("done", "handled as")],
-        rows=[problem._asdict() for problem in study.problems],
-    )
-    return [problems, runs]
+        return [Text(["Nothing is missing or damaged in the folders."]), runs]
+    remarks = [problem._asdict() for problem in study.problems]
+    return [DataTable("problems", "Remarks on the folders", PROBLEM_COLUMNS, remarks), runs]
 
 
 def _origin(run: RunData) -> Row:
-    """Return the commit, the versions and the machine of a run."""
+    """Return the seed, the folder, the commit, the versions and the machine of a run."""
     provenance = run.provenance
-    versions = {name: provenance.versions.get(name) for name in VERSIONS}
-    return {
+    row = {
+        "seed": run.config.seed,
+        "folder": run.path,
         "commit": (provenance.commit or "")[:10],
         "machine": provenance.machine.get("processor"),
-    } | versions
-
-
-KEYS = ("success", "choice", "accuracy", "return_mean")  # numbers of the table, where known
+    }
+    for name in VERSIONS:
+        row[name] = provenance.versions.get(name)
+    return row
 
 
 def summary_blocks(
     study: StudyData, decided: list[Claim], understood: Sequence[Finding]
 ) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
-    every: list[Finding] = []
+    findings: list[Finding] = []
     reasons: list[Block] = []
     doubts: list[Block] = []
     for task in study.tasks:
-        every += (mine := tested_findings(task, decided))
-        reasons += [each.verdict(shown_reasons=1) for each in mine]
-        reasons += query_summary([each for each in understood if each.task is task])
-        for verdict in filter(None, (learning_verdict(task), vision_verdict(task))):
-            (reasons if verdict.tone == "good" else doubts).append(verdict)
-    blocks = [answer([*every, *understood], len(study.tasks)), *doubts]
+        tested = tested_findings(task, decided)
+        findings += tested
+        reasons += [finding.verdict(shown_reasons=1) for finding in tested]
+        reasons += query_summary([finding for finding in understood if finding.task is task])
+        for verdict in (learning_verdict(task), vision_verdict(task)):
+            if verdict:
+                (reasons if verdict.tone == "good" else doubts).append(verdict)
+    blocks = [answer([*findings, *understood], len(study.tasks)), *doubts]
     if any(task.label for task in study.tasks):
         blocks.append(_results(study))
     if study.problems:
         remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
         sentence = f"Before these numbers are used, read the {remarks}."
         reason = "The page Runs lists what is missing or damaged, and how it was handled."
-        blocks.append(Verdict(tone="bad", sentence=sentence, reasons=[reason]))
+        blocks.append(Verdict(sentence, [reason], tone="bad"))
     return [*blocks, Folded(title="Reasons, task by task", blocks=reasons)]
 
 
 def _results(study: StudyData) -> Figure:
-    rows: list[Row] = []
-    panels: list[Panel] = []
-    alone = len(study.tasks) == 1
-    compared = [(task, (*task.groups, *task.references)) for task in study.tasks]
-    reached = [s for _, lines in compared for each in lines for s in each.scores("success")]
-    measures = {"success": near(SUCCESS_AXIS, reached)} | (
-        {"return_mean": RETURN_AXIS} if alone else {}
-    )
-    for task, lines in compared:
-        keys = (*KEYS, "vision_gain")
-        rows += [{"task": task.title} | row_of(task, each, *keys) for each in lines]
-        for key, axis in measures.items():
-            dots = [group_dot(each, key, task.colours) for each in lines]
+    scores: list[float] = []
+    rows = []
+    panels = []
+    several = len(study.tasks) > 1
+    for task in study.tasks:
+        for agent in (*task.groups, *task.references):
+            rows.append(row_of(task, agent, *MEASURES, "vision_gain") | {"task": task.title})
+            scores += agent.scores("success").tolist()
+    axes = {"success": near(SUCCESS_AXIS, scores)}
+    if not several:
+        axes["return_mean"] = RETURN_AXIS
+    for task in study.tasks:
+        for key, axis in axes.items():
+            dots = [group_dot(task, agent, key) for agent in (*task.groups, *task.references)]
             name = f"{axis.title} of each agent on {task.title}"
-            title = axis.title if alone else task.title
-            panels.append(Panel(svg=dot_chart(dots, name, axis, left=124), title=title))
-    first = next((e for task in study.tasks for g in task.groups for e in g.evaluations), None)
-    agents = dict.fromkeys(group.agent for task in study.tasks for group in task.groups)
-    known = [f"{name}: {AGENTS[name].about}" for name in agents if name in AGENTS]
-    measured = [key for key in KEYS if any(row[key] is not None for row in rows)]
-    return Figure(
-        table=DataTable(
-            name="summary",
-            title="Success, accuracy and return after training",
-            columns=shared(*["task"] * (not alone), "agent", *measured, "vision_gain", "seeds"),
-            rows=rows,
-            sources=[run.path for run in study.runs],
-            note=f"{conditions(first)}. {'; '.join(known)}. Success: distance and angle within the "
-            "thresholds at once. Accuracy: final distance within the threshold, as in the paper. "
-            "Depends on vision: success minus that of the better agent that sees nothing.",
-        ),
-        caption="Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
-        "several, over episodes where there is one. Small dots: single seeds.",
-        panels=panels,
-        open_table=True,
+            svg = dot_chart(dots, name, axis, left=124)
+            panels.append(Panel(svg, task.title if several else axis.title))
+    groups = [group for task in study.tasks for group in task.groups]
+    names = dict.fromkeys(group.agent for group in groups)
+    abouts = [f"{name}: {AGENTS[name].about}" for name in names if name in AGENTS]
+    measured = [key for key in MEASURES if any(row[key] is not None for row in rows)]
+    columns = shared("agent", *measured, "vision_gain", "seeds")
+    if several:
+        columns = shared("task", *columns)
+    note = SUMMARY_NOTE.format(
+        conditions=conditions(first_evaluation(groups)), agents="; ".join(abouts)
     )
+    title = "Success, accuracy and return after training"
+    sources = [run.path for run in study.runs]
+    table = DataTable("summary", title, columns, rows, sources, note)
+    return Figure(table, SUMMARY_CAPTION, panels, open_table=True)

@@ -5,9 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
+from knowarm.arrays import Floats, Mask
 from knowarm.experiment.csv_log import training_seconds
-from knowarm.report import format
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    estimate_column,
+    row_of,
+    shared,
+    table_of,
+)
 from knowarm.report.charts import (
     BOXES,
     RETURN_AXIS,
@@ -17,6 +28,7 @@ from knowarm.report.charts import (
     Series,
     line_chart,
 )
+from knowarm.report.format import steps
 from knowarm.report.model import CONTROLS, Curve, Group, RunData, TaskData
 from knowarm.report.pages.paper import time_saved
 from knowarm.statistics import (
@@ -34,10 +46,30 @@ MOST_POINTS = 120  # of a single seed's curve
 MEASURES = {"return_mean": RETURN_AXIS, "success": SUCCESS_AXIS}
 LEVELS = (0.5, 0.7, 0.8)  # levels of success whose first crossing is estimated
 
+CURVE_NOTE = "Moving averages of the interim evaluations."
 CAPTION = (
     "Line: moving average over a tenth of the curve, averaged over training seeds. "
     "Band: 95 % bootstrap interval over several seeds. Thin lines: the values of each seed, the "
     "last one extended where stop_when ended it. Dashed: controls. Click a name to hide its line."
+)
+
+
+SPEED_COLUMNS = (
+    "agent",
+    "seed",
+    Column("steps", "steps trained", "steps"),
+    Column("best_step", "best model at", "steps"),
+    Column("hours", "time [h]", "number"),
+    Column("steps_per_s", "steps/s", "integer"),
+    "parameters",
+)
+SPEED_NOTE = "The best model is that of the interim evaluation with the highest mean return."
+THRESHOLDS_NOTE = (
+    "Descriptive. A run that ended below a level is censored at its end and never counts "
+    "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
+    "(log-log); empty where the runs do not determine it. Restricted mean: mean steps, at most "
+    "{until} per run, as far as every agent has a run; it is defined however "
+    "many runs are censored. Saved: of the restricted mean, by agents that reached the level."
 )
 
 
@@ -46,7 +78,8 @@ def training_blocks(task: TaskData) -> list[Block]:
     blocks: list[Block] = []
     if any(run.interim for run in task.runs):
         blocks.append(curve_figure(task, MEASURES, "training", "Learning curves"))
-    if groups := [g for g in task.groups if any(run.has_success_curve for run in g.runs)]:
+    groups = [group for group in task.groups if group.success_curves]
+    if groups:
         blocks.append(_thresholds(task, groups))
     return [*blocks, _speed(task)]
 
@@ -57,27 +90,29 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
     panels: list[Panel] = []
     legend: dict[str, str] = {}
     for key, axis in measures.items():
-        series = []
+        lines = []
         for group in task.groups:
             curves = [_extended(run) for run in group.runs if key in run.interim]
             if curves:
                 line = group_series(group, curves, key, task.colours[group.name])
-                series.append(line)
+                lines.append(line)
                 legend[line.name] = line.colour
                 _add_rows(rows, line, key)
-        words = f"{axis.title} over environment steps on {task.title}"
-        panels += sized_panels(series, words, STEPS_AXIS, axis) if series else []
-    columns: list[str | Column] = ["agent", "seeds", Column("step", "steps", "steps"), *measures]
-    note = "Moving averages of the interim evaluations."
-    table = table_of(task, name, title, columns, list(rows.values()), _logs(task), note)
-    return Figure(table=table, caption=CAPTION, panels=panels, legend=list(legend.items()))
+        if lines:
+            words = f"{axis.title} over environment steps on {task.title}"
+            panels += sized_panels(lines, words, STEPS_AXIS, axis)
+    columns = shared("agent", "seeds", Column("step", "steps", "steps"), *measures)
+    table = table_of(task, name, title, columns, list(rows.values()), _logs(task), CURVE_NOTE)
+    return Figure(table, CAPTION, panels, legend=list(legend.items()))
 
 
 def _extended(run: RunData) -> Curve:
     """Return the interim curve; where ``stop_when`` ended a run its last values go on."""
-    longer = {name: np.append(values, values[-1]) for name, values in run.interim.items()}
-    ends = {"step": np.append(run.interim["step"], run.config.total_steps)}
-    return longer | ends if run.ended_early else run.interim
+    if not run.ended_early:
+        return run.interim
+    curve = {name: np.append(values, values[-1]) for name, values in run.interim.items()}
+    curve["step"][-1] = run.config.total_steps
+    return curve
 
 
 def _logs(task: TaskData) -> list[Path]:
@@ -86,10 +121,11 @@ def _logs(task: TaskData) -> list[Path]:
 
 def sized_panels(series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis) -> list[Panel]:
     """Draw one line chart for large and one for small screens."""
-    return [
-        Panel(svg=line_chart(series, name, x_axis, y_axis, box=box), only=only)
-        for only, box in BOXES.items()
-    ]
+    panels = []
+    for only, box in BOXES.items():
+        svg = line_chart(series, name, x_axis, y_axis, box=box)
+        panels.append(Panel(svg, only=only))
+    return panels
 
 
 def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -> Series:
@@ -102,116 +138,120 @@ def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -
         good = np.isfinite(curve[key])
         values = trend(curve[key][good], max(1, int(good.sum()) // 10))
         table[i] = np.interp(grid, curve["step"][good], values, np.nan, np.nan)
-    present = np.isfinite(table)
-    counts = present.sum(axis=0)
-    totals = np.where(present, table, 0.0).sum(axis=0)
+    known = np.ma.masked_invalid(table)
     return Series(
         name=group.name,
         colour=colour,
         x=grid,
-        y=np.divide(totals, counts, out=np.full(len(grid), np.nan), where=counts > 0),
-        band=_band(table, present) if len(curves) > 1 else None,
+        y=known.mean(axis=0).filled(np.nan),
+        band=_band(table) if len(curves) > 1 else None,
         faint=[_thinned(curve, key) for curve in curves],
         dashed=group.role in CONTROLS,
     )
 
 
-def _band(table: np.ndarray, present: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _band(table: Floats) -> tuple[Floats, Floats]:
     """Bootstrap the mean over seeds pointwise, (G,) each; NaN below two seeds."""
+    seeds, points = table.shape
     generator = np.random.default_rng(0)
-    draws = generator.multinomial(len(table), np.full(len(table), 1 / len(table)), 1_000)
+    draws = generator.multinomial(seeds, np.full(seeds, 1 / seeds), 1_000)
+    present = np.isfinite(table)
     totals = draws @ np.where(present, table, 0.0)
-    weights = draws @ present.astype(float)
+    counts = draws @ present.astype(float)
+    with np.errstate(invalid="ignore"):  # NaN of resamples without any value
+        means = totals / counts
     enough = present.sum(axis=0) > 1
-    means = np.divide(totals, weights, out=np.full(totals.shape, np.nan), where=weights > 0)
-    ends = np.full((2, table.shape[1]), np.nan)
+    ends = np.full((2, points), np.nan)
     if enough.any():
         ends[:, enough] = np.nanquantile(means[:, enough], [0.025, 0.975], axis=0)
-    return ends[0], ends[1]
+    low, high = ends
+    return low, high
 
 
-def _thinned(curve: Curve, key: str) -> tuple[np.ndarray, np.ndarray]:
+def _thinned(curve: Curve, key: str) -> tuple[Floats, Floats]:
+    """Return at most `MOST_POINTS` of a curve's points."""
     count = len(curve["step"])
-    places = np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int))
+    places = np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)
     return curve["step"][places], curve[key][places]
 
 
 def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> None:
     """Add the values of a line to the rows of its agent and steps."""
-    for i, (x, y) in enumerate(zip(line.x.tolist(), line.y.tolist(), strict=True)):
-        seeds = sum(bool(steps[0] <= x <= steps[-1]) for steps, _ in line.faint)
-        first = {"agent": line.name, "seeds": seeds, "step": x, "_colour": line.colour}
-        row = rows.setdefault((line.name, x), first)
-        row[key] = Interval(y, *(float(end[i]) for end in line.band)) if line.band else y
+    columns = [line.x, line.y, *(line.band or ())]
+    for step, value, *ends in np.transpose(columns).tolist():
+        row = rows.setdefault((line.name, step), {"agent": line.name, "_colour": line.colour})
+        row["step"] = step
+        row.setdefault("seeds", sum(bool(xs[0] <= step <= xs[-1]) for xs, _ in line.faint))
+        row[key] = Interval(value, *ends) if ends else value
 
 
 def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
     """Estimate the steps until an interim evaluation first reaches each level of success."""
     baseline = task.baseline if task.baseline in groups else None
     until = task.horizon
-    rows: list[Row] = []
-    for wanted in LEVELS:
-        base = restricted_mean_steps(*_crossings(baseline, wanted), until) if baseline else None
+    rows = []
+    for level in LEVELS:
+        base = None
+        if baseline:
+            base = restricted_mean_steps(*_crossings(baseline, level), until)
         for group in groups:
-            steps, reached = _crossings(group, wanted)
-            middle, low, high = median_steps(steps, reached)
-            mean = restricted_mean_steps(steps, reached, until)
-            saved = None
+            first_steps, reached = _crossings(group, level)
+            middle, low, high = median_steps(first_steps, reached)
+            mean = restricted_mean_steps(first_steps, reached, until)
+            row = row_of(task, group) | {
+                "level": level,
+                "reached": f"{reached.sum()} of {len(reached)}",
+                "median": middle,
+                "median_low": low,
+                "median_high": high,
+                "mean": mean,
+            }
             if base and group is not baseline and reached.any():
-                saved = time_saved(mean.estimate, base.estimate)
-            reached_by = f"{int(reached.sum())} of {len(reached)}"
-            row = {"level": wanted, "agent": group.name, "reached": reached_by, "saved": saved}
-            row |= {"median": middle, "median_low": low, "median_high": high}
-            rows.append(row | {"mean": mean, "_colour": task.colours[group.name]})
-    columns: list[str | Column] = [
-        *(
-            Column("level", "success", "percent"),
-            "agent",
-            Column("reached", "runs that reached it"),
-        ),
-        Column("median", "median steps", "steps", interval=True),
-        Column("mean", "restricted mean", "steps", interval=True),
+                row["saved"] = time_saved(mean.estimate, base.estimate)
+            rows.append(row)
+    columns = (
+        "level",
+        "agent",
+        Column("reached", "runs that reached it"),
+        estimate_column("median", "median steps", "steps"),
+        estimate_column("mean", "restricted mean", "steps"),
         Column("saved", f"saved against {baseline.name}" if baseline else "saved", "percent"),
-    ]
-    note = (
-        "Descriptive. A run that ended below a level is censored at its end and never counts "
-        "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
-        "(log-log); empty where the runs do not determine it. Restricted mean: mean steps, at most "
-        f"{format.steps(until)} per run, as far as every agent has a run; it is defined however "
-        "many runs are censored. Saved: of the restricted mean, by agents that reached the level."
     )
+    note = THRESHOLDS_NOTE.format(until=steps(until))
     title = "Steps to a level of success"
     return table_of(task, "thresholds", title, columns, rows, _logs(task), note)
 
 
-def _crossings(group: Group, wanted: float) -> tuple[np.ndarray, np.ndarray]:
+def _crossings(group: Group, level: float) -> tuple[Floats, Mask]:
     """Return the step of the first crossing, or of the end, and whether it crossed, per run."""
-    curves = [run.interim for run in group.runs if run.has_success_curve]
-    found = [first_crossing(each["step"], each["success"], wanted) for each in curves]
-    return np.array([step for step, _ in found]), np.array([crossed for _, crossed in found])
+    curves = group.success_curves
+    crossings = [first_crossing(curve["step"], curve["success"], level) for curve in curves]
+    first_steps, reached = zip(*crossings, strict=True)
+    return np.array(first_steps), np.array(reached)
 
 
 def _speed(task: TaskData) -> DataTable:
-    rows: list[Row] = []
+    rows = []
     for group in task.groups:
         for run in group.runs:
-            seconds, speed = (_finite(run, key) for key in ("wall_time_s", "steps_per_s"))
-            row: Row = {"agent": group.name, "_colour": task.colours[group.name]}
-            row |= {"seed": run.config.seed, "steps": run.steps_done, "best_step": run.best_step}
-            row["hours"] = training_seconds(seconds) / 3600 if seconds.size else None
-            row["steps_per_s"] = float(np.median(speed)) if speed.size else None
-            rows.append(row | {"parameters": run.provenance.parameter_counts.get("total")})
-    columns: list[str | Column] = [
-        *("agent", "seed", Column("steps", "steps trained", "steps")),
-        *(Column("best_step", "best model at", "steps"), Column("hours", "time [h]", "number")),
-        *(Column("steps_per_s", "steps/s", "integer"), "parameters"),
-    ]
-    note = "The best model is that of the interim evaluation with the highest mean return."
+            row = row_of(task, group) | {
+                "seed": run.config.seed,
+                "steps": run.steps_done,
+                "best_step": run.best_step,
+                "parameters": run.provenance.parameter_counts.get("total"),
+            }
+            seconds = _finite(run, "wall_time_s")
+            if seconds.size:
+                row["hours"] = training_seconds(seconds) / 3600
+            speed = _finite(run, "steps_per_s")
+            if speed.size:
+                row["steps_per_s"] = float(np.median(speed))
+            rows.append(row)
     logs = [run.path / "metrics.csv" for run in task.runs]
-    return table_of(task, "training-runs", "Training runs", columns, rows, logs, note)
+    return table_of(task, "training-runs", "Training runs", SPEED_COLUMNS, rows, logs, SPEED_NOTE)
 
 
-def _finite(run: RunData, key: str) -> np.ndarray:
+def _finite(run: RunData, key: str) -> Floats:
     """Return the finite values of a column of the metrics, else of the interim evaluations."""
     curve = run.metrics if key in run.metrics else run.interim
     values = curve.get(key, np.empty(0))

@@ -1,16 +1,16 @@
 """Claims, the differences between agents that a report decides on; findings they add up to."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.experiment.agents import Role, controls_of
 from knowarm.experiment.provenance import Provenance
-from knowarm.report import format
 from knowarm.report.blocks import Tone, Verdict
-from knowarm.report.format import counted, listed
+from knowarm.report.format import counted, ends, listed, p_value, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData
 from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
@@ -33,6 +33,7 @@ CHANCE = "chance"  # name of the choice at random among the objects of an episod
 # Against the baseline; tested only once the gate is passed; never tested; one of the comparisons
 # that together decide whether a query was understood (`verdicts.query`).
 Stage = Literal["gate", "after gate", "described", "query"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
 Decision = Literal["better", "worse", "undecided", "too few seeds", "not tested", "described"]
 
 ENDINGS: dict[Decision, str] = {
@@ -57,6 +58,11 @@ class Claim:
     seeds: int  # training seeds of the agent that has fewer
     comparison: Comparison | None = None  # over training seeds; None below two seeds per agent
     adjusted_p: float | None = None  # see `claims`, `verdicts.query`; None: nothing is tested
+
+    @property
+    def topic(self) -> tuple[TaskData, Group, str]:
+        """Task, first agent and outcome, which the claims of one finding share."""
+        return self.task, self.first, self.outcome
 
     @property
     def against(self) -> str:
@@ -88,19 +94,24 @@ class Claim:
 
     def sentence(self) -> str:
         """Return the difference in words, with its interval and the decision."""
-        who = f"{self.first.name} against {self.against}"
-        if self.comparison is None:
+        pair = f"{self.first.name} against {self.against}"
+        compared = self.comparison
+        if compared is None:
             seeds = counted(self.seeds, "training seed")
-            return f"{who}: {seeds}, too few for a comparison of the methods."
-        ending = "" if self.stage == "query" else f": {ENDINGS[self.verdict]}"
+            return f"{pair}: {seeds}, too few for a comparison of the methods."
+        details = ends(compared.difference, points)
+        if self.second:
+            details += f"; {compared.first_count} and {compared.second_count} seeds"
+        if self.adjusted_p is not None:
+            details += f", adjusted p {p_value(self.adjusted_p)}"
+        sentence = f"{pair}: {points(compared.difference.estimate)} points ({details})"
+        if self.stage != "query":
+            sentence += f": {ENDINGS[self.verdict]}"
         if self.stage == "described" and self.second:
             reason = mismatch(self.second, self.first)
-            ending += f", because they differ in more than content ({reason})" if reason else ""
-        compared, difference = self.comparison, self.comparison.difference
-        shown = f"{format.points(difference.estimate)} points"
-        seeds = f"; {compared.first_count} and {compared.second_count} seeds" if self.second else ""
-        p = f", adjusted p {format.p_value(self.adjusted_p)}" if self.adjusted_p is not None else ""
-        return f"{who}: {shown} ({format.ends(difference, format.points)}{seeds}{p}){ending}."
+            if reason:
+                sentence += f", because they differ in more than content ({reason})"
+        return f"{sentence}."
 
 
 def claims(study: StudyData) -> list[Claim]:
@@ -113,27 +124,55 @@ def claims(study: StudyData) -> list[Claim]:
     own number, because `verdicts.knowledge` requires that every control of a kind is beaten (an
     intersection-union test): without any effect, a false claim requires a falsely passed gate.
     """
-    undecided = [
-        _claim(task, first, second, outcome, stage)
-        for task in study.tasks
-        for first, second, stage in pairs(task)
-        for outcome in OUTCOMES
-    ]
-    gates = [c for c in undecided if c.stage == "gate" and c.testable]
-    adjusted = holm([c.comparison.p_value for c in gates if c.comparison])
-    passed = {id(gate): float(p) for gate, p in zip(gates, adjusted, strict=True)}
-    return [_decide(claim, gates, passed) for claim in undecided]
+    undecided = []
+    for task in study.tasks:
+        for first, second, stage in pairs(task):
+            for outcome in OUTCOMES:
+                values = scores(task, first, outcome)
+                others = scores(task, second, outcome)
+                undecided.append(claim_of(task, first, second, outcome, stage, values, others))
+    gates = [claim for claim in undecided if claim.stage == "gate" and claim.testable]
+    adjusted = holm([gate.comparison.p_value for gate in gates if gate.comparison])
+    gate_values = dict(zip(gates, adjusted.tolist(), strict=True))
+    return [_decide(claim, gate_values) for claim in undecided]
 
 
-def _decide(claim: Claim, gates: Sequence[Claim], passed: dict[int, float]) -> Claim:
-    if id(claim) in passed:
-        return replace(claim, adjusted_p=passed[id(claim)])
+def claims_on(
+    decided: Sequence[Claim], task: TaskData, subject: Group | None, outcome: str
+) -> list[Claim]:
+    """Return the claims on one subject of a task."""
+    topic = (task, subject, outcome)
+    return [claim for claim in decided if claim.topic == topic]
+
+
+def _decide(claim: Claim, gate_values: Mapping[Claim, float]) -> Claim:
+    """Return a claim with its adjusted p, given those of the gates."""
+    if claim in gate_values:
+        return replace(claim, adjusted_p=gate_values[claim])
     if claim.stage != "after gate" or not claim.testable or claim.comparison is None:
         return claim
-    key = (claim.task, claim.first, claim.outcome)
-    own = min((passed[id(g)] for g in gates if (g.task, g.first, g.outcome) == key), default=1.0)
-    adjusted = max(own, min(1.0, claim.comparison.p_value * len(passed)))
-    return claim if own > ALPHA else replace(claim, adjusted_p=adjusted)
+    own_gates = [p for gate, p in gate_values.items() if gate.topic == claim.topic]
+    gate_p = min(own_gates, default=1.0)
+    if gate_p > ALPHA:
+        return claim
+    adjusted = min(1.0, claim.comparison.p_value * len(gate_values))
+    return replace(claim, adjusted_p=max(gate_p, adjusted))
+
+
+def claim_of(
+    task: TaskData,
+    first: Group,
+    second: Group | None,
+    outcome: str,
+    stage: Stage,
+    values: Floats,
+    others: Floats,
+    test: Callable[[Floats, Floats], Comparison] = welch,
+) -> Claim:
+    """Compare two agents by one score per training seed; nothing is tested below two seeds."""
+    seeds = min(values.size, others.size)
+    comparison = test(values, others) if seeds >= 2 else None
+    return Claim(task, first, second, outcome, stage, seeds, comparison)
 
 
 def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
@@ -141,21 +180,22 @@ def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
 
     A subject is tested against the baseline, then against the agents that match it (`mismatch`).
     """
-    baseline, compared = task.baseline, list[tuple[Group, Group, Stage]]()
-    for subject in task.subjects:
-        for group in task.groups:
-            if group is subject or (subject, group) in ((b, a) for a, b, _ in compared):
-                continue
-            if mismatch(group, subject) is not None:
-                stage: Stage = "described"
-            else:
-                stage = "gate" if group is baseline or baseline is None else "after gate"
-            compared.append((subject, group, stage))
-    first = baseline or task.groups[0]
-    if baseline or not task.subjects:
+    compared: list[tuple[Group, Group, Stage]] = []
+    for i, subject in enumerate(task.subjects, start=1):
+        others = [group for group in task.groups if group not in task.subjects[:i]]
+        compared += [(subject, group, _stage(task, subject, group)) for group in others]
+    first = task.baseline or task.groups[0]
+    if task.baseline or not task.subjects:
         others = [group for group in task.groups if group not in (*task.subjects, first)]
         compared += [(group, first, "described") for group in others]
-    return sorted(compared, key=lambda pair: ("gate", "after gate", "described").index(pair[2]))
+    return sorted(compared, key=lambda pair: STAGES.index(pair[2]))
+
+
+def _stage(task: TaskData, subject: Group, group: Group) -> Stage:
+    """Return how the comparison of a subject with another agent enters the verdict."""
+    if mismatch(group, subject) is not None:
+        return "described"
+    return "gate" if task.baseline in (group, None) else "after gate"
 
 
 def mismatch(group: Group, subject: Group) -> str | None:
@@ -174,11 +214,12 @@ def mismatch(group: Group, subject: Group) -> str | None:
     for name in SIZES:
         if name == "norm" and group.role != "content_control":
             continue
-        own, other = size_of(group, name), size_of(subject, name)
-        if own is None or other is None:
+        size = size_of(group, name)
+        wanted = size_of(subject, name)
+        if size is None or wanted is None:
             return f"{name} unknown"
-        if abs(own - other) > TOLERANCE * abs(other):
-            return f"{name} {own:,.6g} instead of {other:,.6g}"
+        if abs(size - wanted) > TOLERANCE * abs(wanted):
+            return f"{name} {size:,.6g} instead of {wanted:,.6g}"
     return None
 
 
@@ -187,8 +228,8 @@ def size_of(group: Group, name: str) -> float | None:
     return SIZES[name](group.runs[0].provenance)
 
 
-def scores(task: TaskData, group: Group, outcome: str) -> np.ndarray:
-    """Return one score in 0..1 per training run, (n,) float64.
+def scores(task: TaskData, group: Group, outcome: str) -> Floats:
+    """Return one score in 0..1 per training run, (n,).
 
     A curve extends to the same step for all agents of a task; runs that were stopped before it are
     left out, and of those that ``stop_when`` ended the last value is extended.
@@ -197,31 +238,47 @@ def scores(task: TaskData, group: Group, outcome: str) -> np.ndarray:
         return group.scores("success")
     until = task.horizon
     curves = [run.interim for run in group.runs if run.lasts(until)]
-    return np.array([area_under_curve(each["step"], each["success"], until) for each in curves])
+    areas = [area_under_curve(curve["step"], curve["success"], until) for curve in curves]
+    return np.array(areas)
 
 
-def compare(first: np.ndarray, second: np.ndarray) -> Comparison | None:
-    """Compare two agents over training seeds; None below two seeds of one of them."""
-    return welch(first, second) if min(first.size, second.size) >= 2 else None
+Kind = Literal[
+    # on a knowledge vector
+    "no baseline",
+    "no advantage",
+    "worse",
+    "size not excluded",
+    "size may explain it",
+    "input without meaning",
+    "knowledge matters",
+    # on a query
+    "no control",
+    "not above chance",
+    "not above the best control",
+    "understood",
+    # on either
+    "nothing to compare",
+    "too few seeds",
+    "meaning not tested",
+]
+"""Findings."""
 
-
-def _claim(task: TaskData, first: Group, second: Group, outcome: str, stage: Stage) -> Claim:
-    one, other = scores(task, first, outcome), scores(task, second, outcome)
-    seeds = min(one.size, other.size)
-    return Claim(task, first, second, outcome, stage, seeds, compare(one, other))
-
-
-# Findings on a knowledge vector, then those on a query; some are common.
-KnowledgeKind = Literal["no baseline", "no advantage", "worse", "knowledge matters"]
-SizeKind = Literal["size not excluded", "size may explain it", "input without meaning"]
-QueryKind = Literal["no control", "not above chance", "not above the best control", "understood"]
-CommonKind = Literal["nothing to compare", "too few seeds", "meaning not tested"]
-Kind = KnowledgeKind | SizeKind | QueryKind | CommonKind
-
-TONES: dict[Kind, Tone] = {  # the others are undecided
-    **{"worse": "bad", "knowledge matters": "good", "understood": "good"},
-    **{"nothing to compare": "note", "no baseline": "note", "no control": "note"},
+TONES: dict[Kind, Tone] = {
+    "worse": "bad",
+    "knowledge matters": "good",
+    "understood": "good",
+    "nothing to compare": "note",
+    "no baseline": "note",
+    "no control": "note",
 }
+"""Tones of findings; the others are undecided."""
+
+
+def tone_of(kinds: Iterable[Kind]) -> Tone:
+    """Return the tone that findings share; without one they are undecided."""
+    tones = {TONES.get(kind, "open") for kind in kinds}
+    return tones.pop() if len(tones) == 1 else "open"
+
 
 FEW_SEEDS = (
     f"At least {FEWEST_SEEDS} seeds of each agent are required: two networks of one method that "
@@ -244,14 +301,15 @@ class Finding:
     def verdict(self, *, shown_reasons: int = 99) -> Verdict:
         """Return the finding as a block of a page."""
         reasons = [*self.notes, *(claim.sentence() for claim in self.claims)]
-        block = Verdict(sentence=self.sentence, reasons=reasons, shown_reasons=shown_reasons)
-        return replace(block, tone=TONES.get(self.kind, "open"), kind=self.kind)
+        tone = tone_of([self.kind])
+        return Verdict(self.sentence, reasons, shown_reasons, tone, self.kind)
 
 
 def few_seeds(count: int) -> str:
     """Return why nothing can be decided."""
-    seeds = f"from {counted(count, 'training seed')} per agent" if count else "without results"
-    return f"cannot be decided {seeds}."
+    if not count:
+        return "cannot be decided without results."
+    return f"cannot be decided from {counted(count, 'training seed')} per agent."
 
 
 def hint(role: Role, subject: Group) -> str:

@@ -1,38 +1,40 @@
 """Findings on knowledge vectors, and the answer of a report from these and those on queries."""
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
+from knowarm.experiment.agents import Role
 from knowarm.report.blocks import Verdict
 from knowarm.report.format import listed
 from knowarm.report.model import CONTROLS, Group, TaskData
 from knowarm.report.verdicts.claims import (
     FEW_SEEDS,
     OUTCOMES,
-    TONES,
     Claim,
     Finding,
     Kind,
+    claims_on,
     few_seeds,
     hint,
     mismatch,
+    tone_of,
 )
+
+UNTESTED: tuple[Kind, ...] = ("nothing to compare", "too few seeds")
 
 
 def findings(task: TaskData, decided: Sequence[Claim], outcome: str = "success") -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
-    return [finding(task, decided, outcome, each) for each in task.subjects or (None,)]
+    return [finding(task, decided, outcome, subject) for subject in task.subjects or (None,)]
 
 
 def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
     """Return the findings on all outcomes; of others than success only those with a test."""
-    return findings(task, decided) + [
-        each
-        for outcome in OUTCOMES
-        if outcome != "success"
-        for each in findings(task, decided, outcome)
-        if each.kind not in ("nothing to compare", "too few seeds")
-    ]
+    tested = findings(task, decided)
+    for outcome in OUTCOMES:
+        if outcome != "success":
+            others = findings(task, decided, outcome)
+            tested += [other for other in others if other.kind not in UNTESTED]
+    return tested
 
 
 def finding(
@@ -46,60 +48,57 @@ def finding(
     Controls of another size (`claims.mismatch`) do not count; the sentence names them.
     """
     subject = subject or next(iter(task.subjects), None)
-    mine = [c for c in decided if c.task is task and c.outcome == outcome and c.first is subject]
-    tested = [claim for claim in mine if claim.stage != "described"]
-    kind: Kind
+    compared = claims_on(decided, task, subject, outcome)
+    tested = [claim for claim in compared if claim.stage != "described"]
     if subject is None or not tested:
-        kind = "nothing to compare"
-        of = f"nothing to compare {subject.name} with" if subject else "no agent with knowledge"
-        sentence = f"{task.title}: {of} among these runs."
-        return Finding(task, subject, outcome, kind, sentence)
-    notes: tuple[str, ...] = ()
+        missing = "no agent with knowledge"
+        if subject:
+            missing = f"nothing to compare {subject.name} with"
+        sentence = f"{task.title}: {missing} among these runs."
+        return Finding(task, subject, outcome, "nothing to compare", sentence)
+    start = f"{task.title}, {OUTCOMES[outcome]}: "
     if all(claim.verdict == "too few seeds" for claim in tested):
-        kind, notes = "too few seeds", (FEW_SEEDS,)
-        words = f"whether the knowledge of {subject.name} helps "
-        words += few_seeds(min(claim.seeds for claim in tested))
-    else:
-        kind, words = _judge(subject, tested)
-        words += _not_counted(task, subject)
-    sentence = f"{task.title}, {OUTCOMES[outcome]}: {words}"
-    return Finding(task, subject, outcome, kind, sentence, mine, notes)
+        seeds = few_seeds(min(claim.seeds for claim in tested))
+        sentence = f"{start}whether the knowledge of {subject.name} helps {seeds}"
+        return Finding(task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS])
+    kind, words = _judge(subject, tested)
+    sentence = f"{start}{words}{_not_counted(task, subject)}"
+    return Finding(task, subject, outcome, kind, sentence, compared)
 
 
 def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
     """Return the finding on a subject and its sentence; both name only agents that ran."""
     name = subject.name
-    by_role = {
-        role: [claim for claim in tested if claim.second and claim.second.role == role]
-        for role in ("baseline", *CONTROLS)
-    }
-    gate = next(iter(by_role["baseline"]), None)
-    if gate is None:
+    gates = _against("baseline", tested)
+    if not gates:
         return "no baseline", f"there is no baseline to compare {name} with."
-    baseline = gate.against
-    if gate.verdict == "worse":
-        return "worse", f"{name} was worse than the baseline {baseline}."
-    if gate.verdict != "better":
-        return "no advantage", f"no advantage of {name} over the baseline {baseline} is shown."
-    better = f"{name} was better than the baseline {baseline}"
-    capacity, content = (by_role[role] for role in CONTROLS)
+    baseline = f"the baseline {gates[0].against}"
+    if gates[0].verdict == "worse":
+        return "worse", f"{name} was worse than {baseline}."
+    if gates[0].verdict != "better":
+        return "no advantage", f"no advantage of {name} over {baseline} is shown."
+    better = f"{name} was better than {baseline}"
+    capacity = _against("capacity_control", tested)
     if not capacity:
         return "size not excluded", (
             f"{better}, but its network is larger, too: without a capacity control this is no "
             f"evidence for knowledge.{hint('capacity_control', subject)}"
         )
-    if missed := _not_beaten(capacity):
+    missed = _not_beaten(capacity)
+    if missed:
         return "size may explain it", (
             f"{better}, but not significantly better than {missed} without knowledge: the size of "
             "the network may explain the advantage."
         )
     better = f"{better}, than {_names(capacity)} (as large, without knowledge)"
+    content = _against("content_control", tested)
     if not content:
         return "meaning not tested", (
             f"{better}; whether the content of the vector matters was not tested."
             f"{hint('content_control', subject)}"
         )
-    if missed := _not_beaten(content):
+    missed = _not_beaten(content)
+    if missed:
         return "input without meaning", (
             f"an input vector helps, but its meaning is not shown to matter: {name} was not "
             f"significantly better than {missed}."
@@ -109,18 +108,27 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
     )
 
 
+def _against(role: Role, claims: Sequence[Claim]) -> list[Claim]:
+    """Return the comparisons with agents of a role."""
+    return [claim for claim in claims if claim.second and claim.second.role == role]
+
+
 def _names(claims: Sequence[Claim]) -> str:
     return listed([claim.against for claim in claims])
 
 
 def _not_beaten(claims: Sequence[Claim]) -> str:
-    return listed([c.against for c in claims if c.verdict != "better"], "or")
+    return listed([claim.against for claim in claims if claim.verdict != "better"], "or")
 
 
 def _not_counted(task: TaskData, subject: Group) -> str:
     """Return a sentence that names the controls of the subject's scope that do not match it."""
-    controls = [g for g in task.groups if g.role in CONTROLS and g.scope == subject.scope]
-    reasons = [f"{g.name} ({reason})" for g in controls if (reason := mismatch(g, subject))]
+    reasons = []
+    for group in task.groups:
+        if group.role in CONTROLS and group.scope == subject.scope:
+            reason = mismatch(group, subject)
+            if reason:
+                reasons.append(f"{group.name} ({reason})")
     return f" Not counted as controls: {listed(reasons)}." if reasons else ""
 
 
@@ -143,39 +151,53 @@ WORDS: dict[Kind, str] = {
 """What a finding says about its agent, in a few words."""
 
 
+Places = dict[str, list[str]]
+"""Splits on which a finding holds, by the title of the task; none for other outcomes."""
+
+
 def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     """Return the answer of a report of some tasks, agent by agent."""
-    said: dict[str, dict[str, dict[str, dict[str, list[str]]]]] = defaultdict(
-        lambda: defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
-    )
+    said: dict[str, dict[str, dict[str, Places]]] = {}
     for finding in findings:
-        is_split = finding.outcome not in OUTCOMES
         name = finding.subject.name if finding.subject else "agents with knowledge"
-        by_task = said[name]["" if is_split else finding.outcome][WORDS[finding.kind]]
-        by_task[finding.task.title] += [finding.outcome] * is_split
-    parts = []
+        outcome = finding.outcome if finding.outcome in OUTCOMES else ""
+        clauses = said.setdefault(name, {}).setdefault(outcome, {})
+        places = clauses.setdefault(WORDS[finding.kind], {})
+        splits = places.setdefault(finding.task.title, [])
+        if not outcome:
+            splits.append(finding.outcome)
+    sentences = []
     for name, outcomes in said.items():
         if outcomes.get("success") == outcomes.get("speed"):
             outcomes.pop("speed", None)
-        clauses = [
-            (f"{OUTCOMES[outcome]}: " if "speed" in outcomes and outcome else "")
-            + "; ".join(f"{_where(splits, tasks)}{words}" for words, splits in each.items())
-            for outcome, each in outcomes.items()
-        ]
-        parts.append(f"{name}: {'; '.join(clauses)}.")
-    tones = {TONES.get(each.kind, "open") for each in findings}
-    sentence = f"Does the knowledge help? {' '.join(parts) or 'There is nothing to compare.'}"
-    return Verdict(sentence=sentence, tone=tones.pop() if len(tones) == 1 else "open")
+        parts = []
+        for outcome, clauses in outcomes.items():
+            part = "; ".join(f"{_where(where, tasks)}{what}" for what, where in clauses.items())
+            if outcome and "speed" in outcomes:
+                part = f"{OUTCOMES[outcome]}: {part}"
+            parts.append(part)
+        sentences.append(f"{name}: {'; '.join(parts)}.")
+    answer = " ".join(sentences) or "There is nothing to compare."
+    tone = tone_of(finding.kind for finding in findings)
+    return Verdict(f"Does the knowledge help? {answer}", tone=tone)
 
 
-def _where(splits: Mapping[str, Sequence[str]], tasks: int) -> str:
-    """Return where a finding holds, given splits by task; nothing for all of a single task."""
-    titles: dict[tuple[str, ...], list[str]] = defaultdict(list)
-    for title, each in splits.items():
-        titles[tuple(each)].append(title)
-    places = []
-    for each, found in titles.items():
-        every = "both tasks" if tasks == 2 else f"all {tasks} tasks"
-        named = every if len(found) == tasks else listed(found)
-        places.append(" of ".join([listed(each)] * bool(each) + [named] * (tasks > 1)))
-    return f"on {listed(places)} " if any(places) else ""
+def _where(places: Mapping[str, Sequence[str]], tasks: int) -> str:
+    """Return where a finding holds; nothing for all of a single task."""
+    titles: dict[tuple[str, ...], list[str]] = {}
+    for title, splits in places.items():
+        titles.setdefault(tuple(splits), []).append(title)
+    phrases = []
+    for splits, same_splits in titles.items():
+        phrase = [listed(splits)] if splits else []
+        if tasks > 1:
+            phrase.append(_tasks(same_splits, tasks))
+        phrases.append(" of ".join(phrase))
+    return f"on {listed(phrases)} " if any(phrases) else ""
+
+
+def _tasks(titles: Sequence[str], tasks: int) -> str:
+    """Name tasks of a report that has some number of tasks."""
+    if len(titles) < tasks:
+        return listed(titles)
+    return "both tasks" if tasks == 2 else f"all {tasks} tasks"

@@ -1,8 +1,7 @@
 """Findings on training: whether agents learned, and how much of their success depends on vision."""
 
-from knowarm.report import format
 from knowarm.report.blocks import Tone, Verdict
-from knowarm.report.format import listed
+from knowarm.report.format import ends, listed, percent, points
 from knowarm.report.model import Evaluated, Group, TaskData
 from knowarm.statistics import Interval, share_difference
 
@@ -15,12 +14,12 @@ def learned(task: TaskData, group: Group) -> bool | None:
     That is, than every untrained policy and than never, both by at least `CLEAR` and with an
     interval that excludes equality, and than the blind agents. None if it was not evaluated.
     """
-    own = _success(group)
-    if own is None:
+    success = _success(group)
+    if success is None:
         return None
-    floors = [level for each in task.references if (level := _success(each))]
-    for floor in floors or [Interval(0.0, 0.0, 0.0)]:
-        difference = share_difference(own, floor)
+    floors = filter(None, map(_success, task.references))
+    for floor in list(floors) or [Interval(0.0, 0.0, 0.0)]:
+        difference = share_difference(success, floor)
         if difference.low <= 0 or difference.estimate < CLEAR:
             return False
     vision = group.level("vision_gain")
@@ -29,65 +28,73 @@ def learned(task: TaskData, group: Group) -> bool | None:
 
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
-    untrained = [each for each in task.references if each.level("success")]
-    outcomes = {
-        group: found for group in task.groups if (found := learned(task, group)) is not None
-    }
-    if not untrained or not outcomes:
+    untrained = [policy for policy in task.references if policy.level("success")]
+    outcomes = {group: learned(task, group) for group in task.groups}
+    evaluated = [group for group, outcome in outcomes.items() if outcome is not None]
+    if not untrained or not evaluated:
         return None
-    better = [group.name for group, found in outcomes.items() if found]
-    others = [group.name for group, found in outcomes.items() if not found]
-    blind = any(group.level("vision_gain") for group in outcomes)
+    better = [group.name for group in evaluated if outcomes[group]]
+    others = [group.name for group in evaluated if not outcomes[group]]
     more = "succeeded clearly more often than an untrained policy"
-    more += " and policies without vision" if blind else ""
-    if better:
-        rest = f"; {listed(others)} did not" if others else ""
-        sentence = f"training succeeded: {listed(better)} {more}{rest}."
-    else:
+    if any(group.level("vision_gain") for group in evaluated):
+        more += " and policies without vision"
+    tone: Tone
+    if not better:
+        tone = "bad"
         sentence = f"training did not succeed: none of {listed(others)} {more}."
-    tone: Tone = "good" if not others else "open" if better else "bad"
-    shown = "; ".join(f"{each.name} {_shown(each)}" for each in (*outcomes, *untrained))
-    reason = f"Success on the same episodes: {shown}."
-    return Verdict(sentence=f"{task.title}: {sentence}", reasons=[reason], tone=tone)
+    elif others:
+        tone = "open"
+        sentence = f"training succeeded: {listed(better)} {more}; {listed(others)} did not."
+    else:
+        tone = "good"
+        sentence = f"training succeeded: {listed(better)} {more}."
+    successes = "; ".join(map(_named_success, (*evaluated, *untrained)))
+    reason = f"Success on the same episodes: {successes}."
+    return Verdict(f"{task.title}: {sentence}", [reason], tone=tone)
 
 
 def vision_verdict(task: TaskData) -> Verdict | None:
     """State how much of each agent's success depends on vision."""
-    measured = [
-        (group.name, vision, success)
-        for group in task.groups
-        if (vision := group.level("vision_gain")) and (success := group.level("success"))
-    ]
-    if not measured:
-        return None
-    seeing = [name for name, vision, _ in measured if vision.low > 0]
-    others = [name for name, vision, _ in measured if vision.low <= 0]
-    sentence = f"the success of {listed(seeing or others)} "
-    sentence += "depends on vision" if seeing else "is not shown to depend on vision"
-    sentence += f"; for {listed(others)} this is not shown." if seeing and others else "."
+    seeing: list[str] = []
+    others: list[str] = []
     reasons = []
-    for name, vision, success in measured:
-        total, blind = (
-            format.percent(each) for each in (success.estimate, success.estimate - vision.estimate)
-        )
-        ends = format.ends(vision, format.points)
+    for group in task.groups:
+        vision = group.level("vision_gain")
+        success = group.level("success")
+        if not vision or not success:
+            continue
+        (seeing if vision.low > 0 else others).append(group.name)
+        blind = percent(success.estimate - vision.estimate)
+        gain = f"difference {points(vision.estimate)} points, {ends(vision, points)}"
         reasons.append(
-            f"{name}: success {total}; the better of a fixed list of actions and black images "
-            f"reaches {blind} (difference {format.points(vision.estimate)} points, {ends})."
+            f"{group.name}: success {percent(success.estimate)}; the better of a fixed list of "
+            f"actions and black images reaches {blind} ({gain})."
         )
+    if not reasons:
+        return None
     tone: Tone = "open" if others else "good"
-    return Verdict(sentence=f"{task.title}: {sentence}", reasons=reasons, tone=tone)
+    if not seeing:
+        sentence = f"the success of {listed(others)} is not shown to depend on vision."
+    elif others:
+        sentence = (
+            f"the success of {listed(seeing)} depends on vision; "
+            f"for {listed(others)} this is not shown."
+        )
+    else:
+        sentence = f"the success of {listed(seeing)} depends on vision."
+    return Verdict(f"{task.title}: {sentence}", reasons, tone=tone)
 
 
-def _success(each: Evaluated) -> Interval | None:
+def _success(agent: Evaluated) -> Interval | None:
     """Return the success with its interval; that over episodes where all seeds are equal."""
-    level = each.level("success")
+    level = agent.level("success")
     if level is None or level.low < level.high:
         return level
-    return each.evaluations[0].summary.interval("success")
+    return agent.evaluations[0].summary.interval("success")
 
 
-def _shown(each: Evaluated) -> str:
-    level = each.level("success")
-    form = format.percent
-    return f"{form(level.estimate)} ({format.ends(level, form)})" if level else ""
+def _named_success(agent: Evaluated) -> str:
+    level = agent.level("success")
+    if not level:
+        return f"{agent.name} "
+    return f"{agent.name} {percent(level.estimate)} ({ends(level, percent)})"

@@ -7,21 +7,20 @@ import numpy as np
 
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.knowledge.queries.splits import SPLITS
-from knowarm.report import format
 from knowarm.report.blocks import Verdict
 from knowarm.report.collect import split_groups
-from knowarm.report.format import listed
+from knowarm.report.format import ends, listed, p_value, percent, points
 from knowarm.report.model import CONTROLS, Group, SplitGroup, StudyData, TaskData
 from knowarm.report.verdicts.claims import (
     ALPHA,
-    TONES,
     Claim,
     Finding,
     Kind,
-    compare,
+    claim_of,
     few_seeds,
     hint,
     mismatch,
+    tone_of,
 )
 from knowarm.statistics import holm, paired
 
@@ -33,33 +32,36 @@ def query_findings(study: StudyData) -> list[Finding]:
     control that ran. Each finding requires all its comparisons (an intersection-union test), so
     only the findings are corrected for their number, by Holm over all tasks, agents and splits.
     """
-    subjects = [
-        (subject, _claims(task, subject, groups))
-        for task in study.tasks
-        for groups in split_groups(task).values()
-        for subject in groups
-        if subject.group.role == "knowledge" and subject.group.scope != "scene"
-    ]
-    tested = [claims for _, claims in subjects if all(c.testable for c in claims) and claims[1:]]
-    adjusted = holm([_p_value(claims) for claims in tested])
-    values = {id(claims): float(p) for claims, p in zip(tested, adjusted, strict=True)}
-    return [_finding(subject, claims, values.get(id(claims))) for subject, claims in subjects]
+    subjects = []
+    for task in study.tasks:
+        for agents in split_groups(task).values():
+            told = [agent for agent in agents if _is_subject(agent.group)]
+            subjects += [(agent, _claims(task, agent, agents)) for agent in told]
+    p_values = [_p_value(claims) for _, claims in subjects]
+    adjusted = iter(holm([p for p in p_values if p is not None]).tolist())
+    findings = []
+    for (agent, claims), p in zip(subjects, p_values, strict=True):
+        findings.append(_finding(agent, claims, None if p is None else next(adjusted)))
+    return findings
 
 
-def _claims(task: TaskData, subject: SplitGroup, groups: Sequence[SplitGroup]) -> list[Claim]:
+def _claims(task: TaskData, subject: SplitGroup, agents: Sequence[SplitGroup]) -> list[Claim]:
     """Compare an agent with chance, then with its controls, the best one first."""
-    controls = [each for each in groups if _is_control(each.group, subject.group)]
-    controls.sort(key=lambda each: (-float(each.scores("choice").mean()), each.name))
-    own = subject.scores("choice")
-    chance = paired(own, np.full(len(own), subject.chance)) if len(own) > 1 else None
-    claims = [Claim(task, subject.group, None, subject.split, "query", len(own), chance)]
+    group = subject.group
+    split = subject.split
+    right = subject.scores("choice")
+    chance = np.full(len(right), subject.chance)
+    claims = [claim_of(task, group, None, split, "query", right, chance, paired)]
+    controls = [agent for agent in agents if _is_control(agent.group, group)]
+    controls.sort(key=lambda control: (-float(control.scores("choice").mean()), control.name))
     for control in controls:
-        other = control.scores("choice")
-        seeds, comparison = min(len(own), len(other)), compare(own, other)
-        claims.append(
-            Claim(task, subject.group, control.group, subject.split, "query", seeds, comparison)
-        )
+        others = control.scores("choice")
+        claims.append(claim_of(task, group, control.group, split, "query", right, others))
     return claims
+
+
+def _is_subject(group: Group) -> bool:
+    return group.role == "knowledge" and group.scope != "scene"
 
 
 def _is_control(group: Group, subject: Group) -> bool:
@@ -68,62 +70,71 @@ def _is_control(group: Group, subject: Group) -> bool:
         return True
     if group.role not in CONTROLS or mismatch(group, subject) is not None:
         return False
-    registered = subject.agent in AGENTS and group.agent in AGENTS
-    return not registered or group.agent in controls_of(subject.agent, AGENTS[group.agent].role)
+    if subject.agent not in AGENTS or group.agent not in AGENTS:
+        return True
+    return group.agent in controls_of(subject.agent, AGENTS[group.agent].role)
 
 
-def _p_value(claims: Sequence[Claim]) -> float:
-    """Return the largest p of all comparisons; 1 if one of them is not in the agent's favour."""
-    compared = [claim.comparison for claim in claims if claim.comparison]
-    if min(each.difference.estimate for each in compared) <= 0:
+def _p_value(claims: Sequence[Claim]) -> float | None:
+    """Return the largest p of all comparisons; 1 if one of them is not in the agent's favour.
+
+    None if there is no control, or too few seeds for one of the comparisons.
+    """
+    compared = [claim.comparison for claim in claims if claim.comparison and claim.testable]
+    if len(claims) == 1 or len(compared) < len(claims):
+        return None
+    if min(comparison.difference.estimate for comparison in compared) <= 0:
         return 1.0
-    return max(each.p_value for each in compared)
+    return max(comparison.p_value for comparison in compared)
 
 
 def _finding(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -> Finding:
-    kind, words = _judge(subject, claims, adjusted_p)
-    sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
     chance, *controls = claims
-    shown = [*controls, chance] if controls and chance.comparison else []
-    note = f"Adjusted p of all comparisons: {format.p_value(adjusted_p)}."
-    notes = [] if adjusted_p is None else [note]
-    return Finding(chance.task, subject.group, subject.split, kind, sentence, shown, notes)
+    kind, words = _judge(subject, chance, controls, adjusted_p)
+    sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
+    reasons = [*controls, chance] if controls and chance.comparison else []
+    notes = []
+    if adjusted_p is not None:
+        notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
+    return Finding(chance.task, subject.group, subject.split, kind, sentence, reasons, notes)
 
 
-def _judge(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -> tuple[Kind, str]:
+def _judge(
+    subject: SplitGroup, chance: Claim, controls: Sequence[Claim], adjusted_p: float | None
+) -> tuple[Kind, str]:
     """Return the finding on an agent and its sentence."""
-    name, (above_chance, *controls) = subject.name, claims
+    name = subject.name
     missing = hint("content_control", subject.group)
     if not controls:
         return "no control", f"nothing to compare the choice of {name} with.{missing}"
     if adjusted_p is None:
-        seeds = few_seeds(min(claim.seeds for claim in claims))
+        seeds = few_seeds(min(claim.seeds for claim in (chance, *controls)))
         return "too few seeds", f"whether {name} understood the query {seeds}"
-    share = float(subject.scores("choice").mean())
-    chose = f"it chose the wanted object in {format.percent(share)} of the episodes"
-    chance = format.percent(subject.chance)
+    share = percent(float(subject.scores("choice").mean()))
+    chose = f"it chose the wanted object in {share} of the episodes"
+    at_random = percent(subject.chance)
     not_shown = f"{name} is not shown to understand the query: {chose}"
-    if not above_chance.is_above:
+    if not chance.is_above:
         return "not above chance", (
-            f"{not_shown}, not significantly more often than at random ({chance})."
+            f"{not_shown}, not significantly more often than at random ({at_random})."
         )
-    names = [claim.against for claim in controls]
-    best = names[0]
-    if compared := controls[0].comparison:
-        gap, form = compared.difference, format.points
-        best += f" ({form(gap.estimate)} points, {format.ends(gap, form)})"
+    best, *others = (control.against for control in controls)
+    compared = controls[0].comparison
+    if compared:
+        gap = compared.difference
+        best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
     if adjusted_p > ALPHA:
-        missed = [claim.against for claim in controls if not claim.is_above]
-        rest = [each for each in names if each not in missed]
-        beaten = f" It was better than {listed(rest)}." if rest and missed else ""
+        missed = listed([control.against for control in controls if not control.is_above], "or")
+        beaten = listed([control.against for control in controls if control.is_above])
+        also = f" It was better than {beaten}." if beaten and missed else ""
         return "not above the best control", (
             f"{not_shown}, not significantly more often than "
-            f"{listed(missed, 'or') or 'every control after the correction'}; "
-            f"the best control is {best}.{beaten}"
+            f"{missed or 'every control after the correction'}; the best control is {best}.{also}"
         )
-    better = f"{chose} (at random: {chance}), more often than the best control {best}"
-    better += f" and than {listed(names[1:])}" if names[1:] else ""
-    if not any(claim.second and claim.second.role == "content_control" for claim in controls):
+    better = f"{chose} (at random: {at_random}), more often than the best control {best}"
+    if others:
+        better += f" and than {listed(others)}"
+    if not any(control.second and control.second.role == "content_control" for control in controls):
         return "meaning not tested", (
             f"{name} uses the query: {better}; whether by its meaning was not tested.{missing}"
         )
@@ -133,13 +144,12 @@ def _judge(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -
 def query_summary(findings: Sequence[Finding]) -> list[Verdict]:
     """Return one sentence per task and agent: on which splits it understood the query."""
     by_agent: dict[tuple[str, str], dict[Kind, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for each in findings:
-        name = each.subject.name if each.subject else ""
-        by_agent[each.task.title, name][each.kind].append(each.outcome)
+    for finding in findings:
+        name = finding.subject.name if finding.subject else ""
+        by_agent[finding.task.title, name][finding.kind].append(finding.outcome)
     verdicts = []
     for (title, name), kinds in by_agent.items():
         parts = [f"{kind} on {listed(splits)}" for kind, splits in kinds.items()]
-        tone = TONES.get(next(iter(kinds)), "open") if len(kinds) == 1 else "open"
         sentence = f"{title}, the query received by {name}: {'; '.join(parts)}."
-        verdicts.append(Verdict(sentence=sentence, tone=tone))
+        verdicts.append(Verdict(sentence, tone=tone_of(kinds)))
     return verdicts
