@@ -215,16 +215,14 @@ class LiftProbe(BaseProbe):
     2 s.
     """
 
-    label: ClassVar[str] = "lift"
-    about: ClassVar[str] = (
-        "Lift the object where an episode succeeds, in a simulation with solid objects."
-    )
-    measures: ClassVar[tuple[Measure, ...]] = _MEASURES
+    label = "lift"
+    about = "Lift the object where an episode succeeds, in a simulation with solid objects."
+    measures = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
         "lift_rise_m": "rise of the object's centre of mass in the lift [m]",
     }
-    table: ClassVar[ReportTable | None] = ReportTable(
+    table = ReportTable(
         name="lifts",
         title="How many successes are grasps",
         measures=tuple(measure.name for measure in _MEASURES),
