@@ -282,8 +282,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         if len(ids) == self.num_envs:
             self.shown = shown
         else:
-            merged = []
-            for old, new in zip(self.shown, shown, strict=True):
+            merged: list[Any] = []
+            pairs: Any = zip(self.shown, shown, strict=True)
+            for old, new in pairs:
                 merged.append(old if new is None else _put(old, ids, new))
             self.shown = Shown(*merged)
         return shown.distractor_position

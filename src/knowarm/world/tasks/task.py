@@ -59,7 +59,9 @@ class Task:
         skill = kind_of(type(self.skill))
         if asked == DEFAULT_ASKED:
             return skill
-        return asked if skill == DEFAULT_SKILL else f"{asked}-{skill}"
+        if skill == DEFAULT_SKILL:
+            return asked
+        return f"{asked}-{skill}"
 
     @property
     def title(self) -> str:
@@ -249,7 +251,9 @@ class Task:
             return lost
         nearest = self.nearest(state)
         wrong = self.skill.done_to(state, nearest) & (nearest != 0)
-        return wrong if lost is None else wrong | lost
+        if lost is None:
+            return wrong
+        return wrong | lost
 
     def infos(self, state: EpisodeState) -> NamedArrays:
         """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""

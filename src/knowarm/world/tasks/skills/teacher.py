@@ -53,20 +53,22 @@ class GoalTable:
         self._cell = np.maximum(2 * half_size / (NODES - 1), 1e-9)
         arm = build_scene(robot, targets[:1])  # each object takes time and memory
         every = np.arange(len(targets))
-        position, matrix = state.goal_frames(every, np.tile(centre, (len(every), 1)))
-        home = np.tile(arm.home, (len(every), 1))
-        reference = InverseKinematics.of_task(arm, state).solve(position, matrix, home).joints
+        copies = (len(targets), 1)
+        position, matrix = state.goal_frames(every, np.tile(centre, copies))
+        solver = InverseKinematics.of_task(arm, state)
+        reference = solver.solve(position, matrix, np.tile(arm.home, copies)).joints
         x, y = self._low[:, None] + self._cell[:, None] * np.arange(NODES)
-        grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._objects = np.repeat(every, len(grid))
-        places = np.tile(grid, (len(every), 1))
+        nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._objects = np.repeat(every, len(nodes))
+        places = np.tile(nodes, copies)
         self._position, self._matrix = state.goal_frames(self._objects, places)
         self._solver = InverseKinematics.of_task(arm, state, starts=1)
         solution = self._solve(self._position, reference[self._objects])
-        missed = float((~solution.within(REACHED_M, self._solver.reached_deg)).mean())
+        is_reached = solution.within(REACHED_M, self._solver.reached_deg)
+        missed = float((~is_reached).mean())
         if missed > MISSED:
             log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
-        self._joints = solution.joints.reshape(len(every), NODES, NODES, -1)
+        self._joints = solution.joints.reshape(len(targets), NODES, NODES, -1)
 
     def shifted(self, shift: Floats) -> "GoalTable":
         """Return the table of goal frames moved by ``shift`` per object, (K, 3) [m]."""
@@ -82,10 +84,12 @@ class GoalTable:
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
         i, j = corner.T
         x, y = (scaled - corner).T[..., None]
-        table = self._joints
-        at_low_x = (1 - y) * table[objects, i, j] + y * table[objects, i, j + 1]
-        at_high_x = (1 - y) * table[objects, i + 1, j] + y * table[objects, i + 1, j + 1]
-        return (1 - x) * at_low_x + x * at_high_x
+        low = self._joints[objects, i]
+        high = self._joints[objects, i + 1]
+        rows = np.arange(len(objects))
+        at_low_x = interpolate(low[rows, j], low[rows, j + 1], y)
+        at_high_x = interpolate(high[rows, j], high[rows, j + 1], y)
+        return interpolate(at_low_x, at_high_x, x)
 
     def _solve(self, position: Floats, start: Floats) -> IKSolution:
         """Solve for all nodes from joint angles ``start``, without tries from elsewhere."""
@@ -128,14 +132,17 @@ class Teacher:
         joints = len(scene.robot.joints)  # Fingers start open.
         home = scene.home[:joints]
         draws = uniforms(streams ^ _STREAM, numbers, 3 + 2 * joints)
-        radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
-        noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints : -1])  # Box and Muller 1958
+        ends = np.cumsum([1, 1, joints, joints])
+        share, moved, radial, angular, choice = np.split(draws, ends, axis=1)
+        is_moved = moved < self.practice_share
+        # Normal draws (Box and Muller 1958)
+        radius = np.sqrt(-2 * np.log1p(-radial))
+        noise = radius * np.cos(2 * np.pi * angular)
         noise *= self._largest
-        start = (scene.home + episodes.joint_offsets)[:, :joints]
-        point = self.practice_point(episodes, start, draws[:, :1], noise, draws[:, -1:])
-        point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
-        is_moved = draws[:, 1:2] < self.practice_share
         offsets = episodes.joint_offsets.copy()
+        start = home + offsets[:, :joints]
+        point = self.practice_point(episodes, start, share, noise, choice)
+        point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
         offsets[:, :joints] = np.where(is_moved, point - home, offsets[:, :joints])
         return replace(episodes, joint_offsets=offsets)
 
@@ -149,6 +156,11 @@ class Teacher:
         """
         goals = self.goals(episodes.target, episodes.position)
         return towards(goals, start, share) + PRACTICE_NOISE * noise
+
+
+def interpolate(start: Floats, end: Floats, share: Floats) -> Floats:
+    """Return what is a share of the way from ``start`` to ``end``."""
+    return (1 - share) * start + share * end
 
 
 def towards(goals: Floats, start: Floats, share: Floats) -> Floats:

@@ -225,7 +225,8 @@ class _Shape:
         return {name: self._draw(between) for name, between in _SIZES[part].items()}
 
     def _draw(self, between: list[float]) -> float:
-        return float(self._rng.uniform(*between))
+        low, high = between
+        return self._rng.uniform(low, high)
 
 
 def _metres(*lengths: float) -> str:

@@ -98,12 +98,12 @@ def question_table(
     parts = table.parts
     if parts.shape[1] == 1:
         return table
-    shown = table.shown[parts].any(axis=1)
-    related = table.related[:, parts].any(axis=2)
-    related = related[parts].any(axis=1)
+    shown = np.any(table.shown[parts], axis=1)
+    related = np.any(table.related[:, parts], axis=2)
+    related = np.any(related[parts], axis=1)
     satisfied = table.satisfies[:, parts]
     askable = table.askable & (satisfied.sum(axis=2) == 1)
-    by_object = satisfied.any(axis=2)
+    by_object = np.any(satisfied, axis=2)
     askable = with_distractors(askable, by_object, related, shown, table.objects, count)
     return replace(table, askable=askable, related=related, shown=shown)
 

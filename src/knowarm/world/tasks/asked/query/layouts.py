@@ -46,7 +46,9 @@ class LayoutSource:
         self._centre = np.array(robot.rectangle_centre_m)
         self._half = np.array(robot.rectangle_half_size_m)
         angles = np.pi * np.arange(_AXES) / _AXES
-        axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AXES)], axis=1)
+        axes = np.zeros((_AXES, 3))
+        axes[:, 0] = np.cos(angles)
+        axes[:, 1] = np.sin(angles)
         self._axes = axes[:, :2].T
         forward = support(scene, axes)
         backward = support(scene, -axes)
@@ -54,8 +56,9 @@ class LayoutSource:
         self._forward = forward + GAP_M / 2
         self._backward = backward + GAP_M / 2
         right, up, _ = scene.camera_matrix.T
-        self._outline_low = support(scene, np.stack([-right, -up]))
-        self._outline_high = support(scene, np.stack([right, up]))
+        sides = np.stack([right, up])
+        self._outline_low = support(scene, -sides)
+        self._outline_high = support(scene, sides)
         # A point (x, y) of the support has the camera coordinates xy @ slope + offset.
         self._slope = scene.camera_matrix[:2].copy()
         height = np.array([0.0, 0.0, robot.support_height_m])
@@ -73,7 +76,7 @@ class LayoutSource:
         for attempt in range(1, ATTEMPTS):
             again, fits = self._attempt(drawn[:, attempt], objects)
             position = np.where(fitting[:, None, None], position, again)
-            fitting = fitting | fits
+            fitting |= fits
         return np.repeat(position, self._parts, axis=1), fitting
 
     def _attempt(self, uniforms: Floats, objects: Integers) -> Placed:
@@ -83,20 +86,21 @@ class LayoutSource:
         placed: list[Floats] = []
         hidden: list[Floats] = []  # Share of each placed object that others hide, (n, 1) each
         for j, new in enumerate(objects.T):
-            drawn = self._centre + (2 * uniforms[:, j] - 1) * self._half
+            signed = 2 * uniforms[:, j] - 1
+            drawn = self._centre + signed * self._half
             fits = np.ones(drawn.shape[:2], dtype=np.bool_)
             shares = []
             share_of_new = np.zeros(drawn.shape[:2])
             for k, old in enumerate(objects.T[:j]):
-                fits = fits & self._apart(drawn, new, placed[k], old)
+                fits &= self._apart(drawn, new, placed[k], old)
                 of_new, of_old = self._hidden(drawn, new, placed[k], old)
-                share_of_new = share_of_new + of_new
+                share_of_new += of_new
                 shares.append(hidden[k] + of_old)
-                fits = fits & (shares[k] <= MAX_HIDDEN)
             shares.append(share_of_new)
-            fits = fits & (share_of_new <= MAX_HIDDEN)
+            for share in shares:
+                fits &= share <= MAX_HIDDEN
             first = fits.argmax(axis=1)
-            fitting = fitting & fits[rows, first]
+            fitting &= fits[rows, first]
             placed.append(drawn[rows, first][:, None])
             hidden = [share[rows, first][:, None] for share in shares]
         return np.concatenate(placed, axis=1), fitting
@@ -104,9 +108,10 @@ class LayoutSource:
     def _apart(self, a: Floats, of_a: Integers, b: Floats, of_b: Integers) -> Mask:
         """Return whether objects at a (n, T, 2) and b (n, 1, 2) do not overlap, (n, T) bool."""
         way = (b - a) @ self._axes
-        ahead = (self._forward[of_a] + self._backward[of_b])[:, None]
-        behind = (self._backward[of_a] + self._forward[of_b])[:, None]
-        return ((way > ahead) | (-way > behind)).any(axis=-1)
+        ahead = self._forward[of_a] + self._backward[of_b]
+        behind = self._backward[of_a] + self._forward[of_b]
+        is_apart = (way > ahead[:, None]) | (-way > behind[:, None])
+        return is_apart.any(axis=-1)
 
     def _hidden(
         self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
@@ -114,12 +119,15 @@ class LayoutSource:
         """Return the share of a that b hides from the camera and the reverse, (n, T) each."""
         low_a, high_a, depth_a = self._in_image(a, of_a)
         low_b, high_b, depth_b = self._in_image(b, of_b)
-        common = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
-        overlap = _area(np.clip(common, 0, None))
+        low = np.maximum(low_a, low_b)
+        high = np.minimum(high_a, high_b)
+        overlap = _area(np.clip(high - low, 0, None))
         share_a = overlap / _area(high_a - low_a)
         share_b = overlap / _area(high_b - low_b)
-        a_is_nearer = depth_a < depth_b
-        return np.where(a_is_nearer, 0.0, share_a), np.where(a_is_nearer, share_b, 0.0)
+        is_nearer = depth_a < depth_b
+        share_a[is_nearer] = 0.0
+        share_b[~is_nearer] = 0.0
+        return share_a, share_b
 
     def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, Floats, Floats]:
         """Return corners (n, T, 2) of the rectangles around objects in the image, and depths."""

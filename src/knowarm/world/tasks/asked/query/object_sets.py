@@ -49,7 +49,7 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     drawn: list[Integers] = []
     for _ in range(_ROUNDS):
         sets = _all_parts(table, _draw_sets(table, objects, generator))
-        can_be_asked = _own_queries(table, sets).any(axis=2)
+        can_be_asked = np.any(_own_queries(table, sets), axis=2)
         drawn.append(sets[can_be_asked.all(axis=1)])
         if sum(map(len, drawn)) >= SETS:
             break

@@ -15,6 +15,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
@@ -53,16 +54,16 @@ class Lift(Skill):
     """
 
     area = "lift"
-    targets = ("mug", "bottle")
+    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps = 100
     moves_fingers = True
-    dynamics = ("dynamic",)  # Kinematics have no contacts.
+    dynamics: ClassVar[tuple[str, ...]] = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
         "gripped": "whether both fingers touched it at the end",
     }
 
-    probes = (LiftProbe,)
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = (LiftProbe,)
 
     kind: Literal["lift"] = "lift"
     """Tag of this skill in JSON."""
@@ -91,10 +92,9 @@ class Lift(Skill):
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Imitate for longer, with a teacher that lets the student make larger detours."""
-        if algorithm != "distil":
-            return {}
         limits = {"way_limit": 2.0, "stay_share": 0.2, "glimpse_until": 0.1}
-        return {"total_steps": 800_000, "algorithm": limits}
+        fields = {"distil": {"total_steps": 800_000, "algorithm": limits}}
+        return fields.get(algorithm, {})
 
     def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
         """Yield the middle of the rectangle, with the objects turned in several directions."""

@@ -80,7 +80,7 @@ def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Fl
         targets = [scene.targets[k] for k in visible[columns]]
         trial = LiftTrial(build_trial_scene(scene.robot, targets), len(rows))
         places = positions[rows][:, columns]
-        for _ in trial.play([paths[row] for row in rows], upward[rows], places):
+        for _ in trial.play([paths[row] for row in rows.tolist()], upward[rows], places):
             pass
         outcome[rows] = trial.outcome()
         rise[rows] = trial.rise
@@ -221,7 +221,7 @@ class LiftProbe(BaseProbe):
 
     label = "lift"
     about = "Lift the object where an episode succeeds, in a simulation with solid objects."
-    measures = _MEASURES
+    measures: ClassVar[tuple[Measure, ...]] = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
         "lift_rise_m": "rise of the object's centre of mass in the lift [m]",

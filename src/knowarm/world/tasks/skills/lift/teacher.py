@@ -6,10 +6,17 @@ from itertools import accumulate
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
+from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.lift.model import SQUEEZE_M
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
-from knowarm.world.tasks.skills.teacher import PRACTICE_NOISE, GoalTable, Teacher, towards
+from knowarm.world.tasks.skills.teacher import (
+    PRACTICE_NOISE,
+    GoalTable,
+    Teacher,
+    interpolate,
+    towards,
+)
 from knowarm.world.tasks.state import EpisodeState
 
 APPROACH_M = (0.035, 0.07)  # Distances of the poses of the approach from the grasp frame
@@ -49,11 +56,13 @@ class LiftTeacher(Teacher):
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
         shifts = [distance * back for distance in APPROACH_M]
         shifts.append(APPROACH_M[-1] * back + OVER_M * up)
-        # Each table is solved from the one before: those of the approach from its end.
-        self._approach = list(accumulate(shifts, GoalTable.shifted, initial=self.goals))
+        self._approach = self._moved(shifts)
         self._approach.reverse()
-        shifts = [height * up for height in RISE_M]
-        self._rise = list(accumulate(shifts, GoalTable.shifted, initial=self.goals))
+        self._rise = self._moved([height * up for height in RISE_M])
+
+    def _moved(self, shifts: Sequence[Floats]) -> list[GoalTable]:
+        """Return the table of the grasp frames and shifted ones, each solved from the last."""
+        return list(accumulate(shifts, GoalTable.shifted, initial=self.goals))
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""
@@ -64,24 +73,27 @@ class LiftTeacher(Teacher):
         closed_m = state.scene.joint_upper[-1]
         is_closed = fingers > closed_m / 2
         is_held = is_closed & self._simulator.touched(target)
-        have_met = self._simulator.joint_positions[:, -1] > closed_m - SQUEEZE_M - MET_M
+        met_m = closed_m - SQUEEZE_M - MET_M
+        have_met = self._simulator.joint_positions[:, -1] > met_m
         is_closing = is_closed & ~is_held & ~have_met
         # Open fingers follow an object that was pushed; closed ones keep to where it stood.
         now = self._simulator.place(target)
         places = np.where(is_closed[:, None], state.positions[:, 0], now)
         approach = _points(self._approach, target, places)
-        following = _next_point(_largest_errors(approach, joints) / self._largest)
+        error = _largest_errors(approach, joints) / self._largest
+        following = _next_point(error)
         rise = _points(self._rise, target, places)
         lowest = _largest_errors(rise, joints).argmin(axis=0)
         above = np.minimum(lowest + AHEAD, len(rise) - 1)
         rows = np.arange(len(joints))
-        pose = np.where(is_held[:, None], rise[above, rows], approach[following, rows])
+        pose = approach[following, rows]
+        pose = np.where(is_held[:, None], rise[above, rows], pose)
         pose = np.where(is_closing[:, None], joints, pose)
-        is_at_grasp = (state.distance < self._close_m) & (state.angle < self._close_deg)
+        is_at_grasp = is_success(state.distance, state.angle, self._close_m, self._close_deg)
         closes = is_held | is_closing | (~is_closed & is_at_grasp)
         finger_goals = np.where(closes, closed_m, 0.0)
-        way = np.column_stack([pose - joints, finger_goals - fingers])
-        return way / self._largest
+        goals = np.column_stack([pose, finger_goals])
+        return (goals - state.joint_targets) / self._largest
 
     def practice_point(
         self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
@@ -89,8 +101,10 @@ class LiftTeacher(Teacher):
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
         way = _points(self._approach, episodes.target, episodes.position)
         point = (share[:, 0] * len(way)).astype(np.int64)
-        spread = np.interp(point, (0, len(way) - 1), (PRACTICE_NOISE, NOISE_AT_GRASP))[:, None]
-        on_way = way[point, np.arange(len(point))] + spread * noise
+        ends = (0, len(way) - 1)
+        spread = np.interp(point, ends, (PRACTICE_NOISE, NOISE_AT_GRASP))[:, None]
+        rows = np.arange(len(point))
+        on_way = way[point, rows] + spread * noise
         before = towards(way[0], start, share) + PRACTICE_NOISE * noise
         return np.where(choice < ON_APPROACH, on_way, before)
 
@@ -99,7 +113,7 @@ def _points(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> F
     """Return ``POINTS`` points from each pose to the next, and the last pose, (W, n, J) [rad]."""
     poses = np.stack([table(objects, places) for table in tables])
     share = np.linspace(0.0, 1.0, POINTS, endpoint=False)[:, None, None]
-    points = (1 - share) * poses[:-1, None] + share * poses[1:, None]
+    points = interpolate(poses[:-1, None], poses[1:, None], share)
     return np.concatenate([*points, poses[-1:]])
 
 
@@ -112,7 +126,8 @@ def _next_point(error: Floats) -> Integers:
     """Return the point of the approach to aim at, (n,), from the error at each, (W, n)."""
     last = len(error) - 1
     nearest = error.argmin(axis=0)
-    is_passed = error < np.linspace(*PASSED, len(error))[:, None]
+    passed_below = np.linspace(*PASSED, len(error))
+    is_passed = error < passed_below[:, None]
     furthest = last - is_passed[::-1].argmax(axis=0)
     ahead = np.minimum(furthest + AHEAD, last)
     point = np.where(is_passed.any(axis=0), ahead, nearest)
