@@ -111,7 +111,7 @@ class LayoutSource:
         ahead = self._forward[of_a] + self._backward[of_b]
         behind = self._backward[of_a] + self._forward[of_b]
         is_apart = (way > ahead[:, None]) | (-way > behind[:, None])
-        return is_apart.any(axis=-1)
+        return np.any(is_apart, axis=-1)
 
     def _hidden(
         self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
