@@ -5,12 +5,14 @@ before its score says anything about vision.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
@@ -20,7 +22,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.sampling import Episodes, derive
-from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 from knowarm.world.tasks.state import ACTION_LEVELS
 
 BUDGET = 20_000  # Candidates that a search scores: 13 s on one core with three targets
@@ -41,11 +43,11 @@ MEMORY = 40
 LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 """How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
 
-REPLAYED_LISTS, REPLAYED_EPISODES = 12, 48
-"""Lists that are replayed where contacts matter, and episodes in which each is played."""
+REPLAYED_LISTS = 12  # Lists that are replayed where contacts matter
+REPLAYED_EPISODES = 48  # Episodes in which each of them is played
 
 REVISION = 1  # Part of the cache's key; to be increased with every change of the results
-Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
+Actions = Integers  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
 @lru_cache(maxsize=16)
@@ -64,41 +66,46 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     In a task without kinematic dynamics, where contacts matter, the candidates are the lists by
     which the oracle solves ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
-    others = seed, "open-loop episodes"  # that no evaluation of any seed has
-    if "kinematic" not in config.task.dynamics:
-        return _best_replayed(config, evaluation_episodes(config, REPLAYED_EPISODES, *others))
-    score = OpenLoopScore(config, evaluation_episodes(config, SEARCH_EPISODES, *others))
+    is_kinematic = "kinematic" in config.task.dynamics
+    count = SEARCH_EPISODES if is_kinematic else REPLAYED_EPISODES
+    # No evaluation of any seed has these episodes.
+    episodes = evaluation_episodes(config, count, seed, "open-loop episodes")
+    if not is_kinematic:
+        return _best_replayed(config, episodes)
+    score = OpenLoopScore(config, episodes)
     goal = _anchor_goals(score)
     file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
-    if (stored := read_arrays(file)) is not None:
+    stored = read_arrays(file)
+    if stored is not None:
         return stored["actions"].astype(np.int64)
-    found = _search(score, _waypoints(score, goal, seed), budget, seed)
-    write_arrays(file, {"actions": found})
-    return found
+    actions = _search(score, _waypoints(score, goal, seed), budget, seed)
+    write_arrays(file, {"actions": actions})
+    return actions
 
 
 def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
     """Return the list of the oracle's actions in one episode that solves most of all of them."""
     env = ArmVectorEnv(config, len(episodes))
     steps = play(OracleAgent(env), env, episodes[:REPLAYED_LISTS]).steps
-    best, most = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64), -1
+    best = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64)
+    most = -1
+    not_drawn = np.zeros(len(episodes), dtype=np.bool_)
     for i in range(REPLAYED_LISTS):
         played = steps.actions[steps.episode == i]
-        actions = np.zeros_like(best)
-        actions[: len(played)] = played
         env.reset(options={"episodes": episodes})
-        solved, unseen = (np.zeros(len(episodes), dtype=np.bool_) for _ in range(2))
-        for each in actions[: len(played)]:
-            _, _, terminated, _, infos = env.advance(np.tile(each, (len(solved), 1)), unseen)
-            solved |= terminated & infos["is_success"]
-        if solved.sum() > most:
-            best, most = actions, int(solved.sum())
+        is_solved = np.zeros_like(not_drawn)
+        for action in played:
+            actions = np.tile(action, (len(episodes), 1))
+            _, _, terminated, _, infos = env.advance(actions, not_drawn)
+            is_solved |= terminated & infos["is_success"]
+        if is_solved.sum() > most:
+            most = int(is_solved.sum())
+            best = np.zeros_like(best)
+            best[: len(played)] = played
     return best
 
 
-def _search(
-    score: OpenLoopScore, waypoints: NDArray[np.float64], budget: int, seed: int
-) -> Actions:
+def _search(score: OpenLoopScore, waypoints: Floats, budget: int, seed: int) -> Actions:
     """Build tours through the waypoints and improve them; see `search_open_loop`."""
     generator = np.random.default_rng(derive(seed, "open-loop mutations"))
     tours, spent = _search_tours(score, waypoints, budget // 3)
@@ -114,36 +121,39 @@ def _search(
     return climbs[0].best
 
 
-def _anchor_goals(score: OpenLoopScore) -> NDArray[np.float64]:
+def _anchor_goals(score: OpenLoopScore) -> Floats:
     """Grasp frames of one target per group at each anchor as transforms to world, (G A, 3, 4)."""
     robot = score.scene.robot
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
     places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
-    first = np.unique(_group_of(score), return_index=True)[1]
+    _, first = np.unique(_group_of(score), return_index=True)
     return score.goals(np.repeat(first, len(places)), np.tile(places, (len(first), 1)))
 
 
-def _group_of(score: OpenLoopScore) -> NDArray[np.int64]:
+def _group_of(score: OpenLoopScore) -> Integers:
     """Return the group of each target, (K,): its own, or one with neighbours of many."""
     targets = len(score.scene.targets)
     return np.arange(targets) * min(targets, MOST_GROUPS) // targets
 
 
-def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+def _waypoints(score: OpenLoopScore, goal: Floats, seed: int) -> Floats:
     """Joint angles (W, J) that grasp each target at each anchor.
 
     They are the nearest to the mean start, and the nearest to a grasp of each target.
     """
-    position, matrix = goal[..., 3].copy(), goal[..., :3].reshape(-1, 9).copy()
+    position = goal[..., 3].copy()
+    matrix = goal[..., :3].reshape(-1, 9).copy()
     arm = build_scene(score.scene.robot, score.scene.targets[:1])  # each object takes time
     solver = InverseKinematics(arm, seed=seed)
-    middle = score.start.mean(axis=0)
-    near_start = solver.solve(position, matrix, np.tile(middle, (len(goal), 1)))
+
+    def solve(start: Floats) -> IKSolution:
+        return solver.solve(position, matrix, np.tile(start, (len(goal), 1)))
+
+    near_start = solve(score.start.mean(axis=0))
     anchors = len(ANCHORS) ** 2
     grasps = near_start.joints[anchors // 2 :: anchors]
-    near_grasps = [solver.solve(position, matrix, np.tile(g, (len(goal), 1))) for g in grasps]
-    found = (near_start, *near_grasps)
-    rows = np.concatenate([each.joints[each.within(0.03, 10.0)] for each in found])
+    solutions = [near_start, *map(solve, grasps)]
+    rows = np.concatenate([one.joints[one.within(0.03, 10.0)] for one in solutions])
     _, first = np.unique(np.round(rows, 1), axis=0, return_index=True)
     return rows[np.sort(first)]
 
@@ -153,13 +163,13 @@ class _Tour:
     """The beginning of a list of actions."""
 
     actions: Actions  # (t, J)
-    joints: NDArray[np.float64]  # Angles of every search episode after them [rad], (E, J)
-    solved: NDArray[np.bool_]  # Which episodes are solved, (E,)
+    joints: Floats  # Angles of every search episode after them [rad], (E, J)
+    solved: Mask  # Which episodes are solved, (E,)
     last: int  # Index of the waypoint it ends at; -1 for none
 
 
 def _search_tours(
-    score: OpenLoopScore, waypoints: NDArray[np.float64], budget: int
+    score: OpenLoopScore, waypoints: Floats, budget: int
 ) -> tuple[list[Actions], int]:
     """Search lists by a beam over the number of steps, extended by straight moves to waypoints.
 
@@ -181,72 +191,80 @@ def _search_tours(
                 spent += 1
         beams[used] = _best(score, beams[used], 1)
     lists = []
-    for tour in _best(score, [tour for beam in beams for tour in beam], 1):
-        rest = np.zeros((limit - len(tour.actions), score.scene.num_joints), dtype=np.int64)
-        lists.append(np.concatenate([tour.actions, rest]))
+    for tour in _best(score, list(chain.from_iterable(beams)), 1):
+        still = _stand_still(score, limit - len(tour.actions))
+        lists.append(np.concatenate([tour.actions, still]))
     return lists, spent
+
+
+def _stand_still(score: OpenLoopScore, steps: int) -> Actions:
+    """Return actions without movement, (steps, J)."""
+    return np.zeros((steps, score.scene.num_joints), dtype=np.int64)
 
 
 def _extended(score: OpenLoopScore, tour: _Tour, actions: Actions, last: int) -> _Tour:
     """Play more actions (t, J) after a tour, to the waypoint ``last``."""
     first, end = score.play(actions, tour.joints, np.where(tour.solved, -1, 0))
-    return _Tour(np.concatenate([tour.actions, actions]), end, score.is_solved(first), last)
+    actions = np.concatenate([tour.actions, actions])
+    return _Tour(actions, end, score.is_solved(first), last)
 
 
-def _segment(
-    score: OpenLoopScore, start: NDArray[np.float64], goal: NDArray[np.float64], steps: int
-) -> Actions:
+def _segment(score: OpenLoopScore, start: Floats, goal: Floats, steps: int) -> Actions:
     """Move from joint angles to joint angles (J,) in a straight line, in at most so many steps.
 
     The slowest joint moves by MPI at every step, the others as near to the line as they can.
     """
     way = goal - start
     needed = max(1, math.ceil(np.abs(way).max() / score.increments.max() - 0.05))
-    actions = np.zeros((min(needed, steps), len(way)), dtype=np.int64)
-    now = start.copy()
+    actions = _stand_still(score, min(needed, steps))
+    joints = start
     for t in range(len(actions)):
-        line = start + way * (t + 1) / needed
-        actions[t] = np.abs((line - now)[:, None] - score.increments).argmin(axis=1)
-        now = now + score.increments[actions[t]]
+        error = start + way * (t + 1) / needed - joints
+        actions[t] = np.abs(error[:, None] - score.increments).argmin(axis=1)
+        joints = joints + score.increments[actions[t]]
     return actions
 
 
 def _first_moves(score: OpenLoopScore) -> list[_Tour]:
     """Begin tours: with nothing, or by moving start joints to a limit, where offsets vanish."""
-    scene, start = score.scene, score.start
+    scene = score.scene
+    start = score.start
     limit = score.config.max_episode_steps
-    unsolved = np.zeros(len(start), dtype=np.bool_)
-    tours = [_Tour(np.zeros((0, scene.num_joints), dtype=np.int64), start, unsolved, -1)]
-    varied = np.flatnonzero(np.ptp(start, axis=0) > 0)
-    for mask in range(1, 3 ** len(varied)):
-        actions = np.zeros((limit, scene.num_joints), dtype=np.int64)
+    no_moves = _Tour(_stand_still(score, 0), start, np.zeros(len(start), dtype=np.bool_), -1)
+    tours = [no_moves]
+    # Level 0 stays, level 1 moves to the upper limit, level 2 to the lower one.
+    ways = (
+        np.zeros(scene.num_joints),
+        scene.joint_upper - start.min(axis=0),
+        start.max(axis=0) - scene.joint_lower,
+    )
+    needed = np.ceil(np.stack(ways) / score.increments.max()).astype(np.int64)
+    varied = np.flatnonzero(np.ptp(start, axis=0) > 0)[::-1]
+    for levels in product(range(len(ways)), repeat=len(varied)):
+        actions = _stand_still(score, limit)
         steps = 0
-        for i, j in enumerate(varied):
-            side = mask // 3**i % 3  # 0: stay, 1: to the upper limit, 2: to the lower
-            ways = (0, scene.joint_upper[j] - start[:, j].min(), start[:, j].max())
-            far = ways[side] - (scene.joint_lower[j] if side == 2 else 0)
-            needed = math.ceil(far / score.increments.max())
-            actions[:needed, j] = side
-            steps = max(steps, needed)
+        for joint, level in zip(varied, levels, strict=True):
+            actions[: needed[level, joint], joint] = level
+            steps = max(steps, needed[level, joint])
         if 0 < steps <= limit // 2:
-            tours.append(_extended(score, tours[0], actions[:steps], -1))
+            tours.append(_extended(score, no_moves, actions[:steps], -1))
     return tours
 
 
 def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
     """Keep, for each set of targets visited, the tours that solve most; best first."""
     kept: list[_Tour] = []
-    sizes: dict[bytes, int] = {}
+    sizes: Counter[bytes] = Counter()
     seen: set[bytes] = set()
     group = _group_of(score)[score.target]
     episodes = np.bincount(group)
     for tour in sorted(tours, key=lambda tour: -int(tour.solved.sum())):
         shares = np.bincount(group, tour.solved, len(episodes)) / np.maximum(episodes, 1)
         key = (shares > VISITED_SHARE).tobytes()
-        same = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
-        if sizes.get(key, 0) < count and same not in seen:
-            sizes[key] = sizes.get(key, 0) + 1
-            seen.add(same)
+        fingerprint = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
+        if sizes[key] < count and fingerprint not in seen:
+            sizes[key] += 1
+            seen.add(fingerprint)
             kept.append(tour)
     return kept
 
@@ -256,9 +274,11 @@ class _Climb:
 
     def __init__(self, score: OpenLoopScore, actions: Actions) -> None:
         self._score = score
-        self._actions = self.best = actions
-        self._first = score.play(actions)[0]
-        self._solved = self.best_solved = int(score.is_solved(self._first).sum())
+        self._actions = actions
+        self._first, _ = score.play(actions)
+        self._solved = int(score.is_solved(self._first).sum())
+        self.best = actions
+        self.best_solved = self._solved
         self._memory = [self._solved] * MEMORY
         self._trials = 0
 
@@ -266,31 +286,35 @@ class _Climb:
         """Try so many mutations."""
         for _ in range(budget):
             candidate = _mutate(self._actions, generator)
-            differs = np.flatnonzero((candidate != self._actions).any(axis=1))
-            if not len(differs):
+            changed = np.flatnonzero((candidate != self._actions).any(axis=1))
+            if not len(changed):
                 continue
-            first, _ = self._score.play(candidate, None, self._first, int(differs[0]))
+            first, _ = self._score.play(candidate, None, self._first, int(changed[0]))
             solved = int(self._score.is_solved(first).sum())
-            place = self._trials % MEMORY
-            if solved >= min(self._solved, self._memory[place]):
-                self._actions, self._first, self._solved = candidate, first, solved
-            self._memory[place] = self._solved
+            oldest = self._trials % MEMORY
+            if solved >= min(self._solved, self._memory[oldest]):
+                self._actions = candidate
+                self._first = first
+                self._solved = solved
+            self._memory[oldest] = self._solved
             self._trials += 1
             if solved > self.best_solved:
-                self.best, self.best_solved = candidate, solved
+                self.best = candidate
+                self.best_solved = solved
 
 
 def _mutate(actions: Actions, generator: np.random.Generator) -> Actions:
     """Change one thing: one joint's actions in a window, or the time of an action."""
     actions = actions.copy()
     steps, joints = actions.shape
-    joint = slice(None) if generator.random() < 0.3 else [generator.integers(joints)]
+    moved = np.arange(joints) if generator.random() < 0.3 else [generator.integers(joints)]
     first, second = generator.integers(steps, size=2)
     if generator.random() < 0.5:  # move an action in time; what lies between shifts by one
-        moved = np.delete(actions[:, joint], first, axis=0)
-        actions[:, joint] = np.insert(moved, second, actions[first, joint], axis=0)
+        others = np.delete(actions[:, moved], first, axis=0)
+        actions[:, moved] = np.insert(others, second, actions[first, moved], axis=0)
     else:
         width = 1 + generator.geometric(0.4)
         level = generator.choice(len(ACTION_LEVELS), p=LEVEL_ODDS)
-        actions[first : first + width, generator.integers(joints)] = level
+        joint = generator.integers(joints)
+        actions[first : first + width, joint] = level
     return actions

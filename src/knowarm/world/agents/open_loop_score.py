@@ -30,14 +30,15 @@ class OpenLoopScore:
     """Exact kinematics of E episodes that play the same list of actions, T steps of J joints."""
 
     def __init__(self, config: EnvConfig, episodes: Episodes) -> None:
-        self.scene = scene = scene_of(config)
+        scene = scene_of(config)
+        self.scene = scene
         self.config = config
         self.increments = joint_increments(scene.robot, config)
         self.target = episodes.target
         start = scene.home + episodes.joint_offsets
         self.start = np.clip(start, scene.joint_lower, scene.joint_upper)
         varied = np.flatnonzero(np.ptp(self.start, axis=0) > 0)
-        self._chain = _joint_chain(scene, int(varied[-1]) + 1 if len(varied) else 0)
+        self._chain = _joint_chain(scene, int(varied.max(initial=-1)) + 1)
         self._goal = self.goals(episodes.target, episodes.position)
 
     def goals(self, target: Integers, position: Floats) -> Floats:
@@ -69,22 +70,26 @@ class OpenLoopScore:
         others no step before ``since`` solves.
         """
         config = self.config
+        if joints is None:
+            joints = self.start
+        if solved_at is None:
+            solved_at = np.full(len(self.start), since)
         return _play(
-            self.start if joints is None else joints,
+            joints,
             self.increments[actions],
             self._chain,
             self._goal,
             config.success_distance_m,
             float(np.cos(np.radians(config.success_angle_deg))),
             config.ignore_roll,
-            np.full(len(self.start), since) if solved_at is None else solved_at,
+            solved_at,
             since,
             config.max_episode_steps,
         )
 
     def is_solved(self, first: Integers) -> Mask:
         """Return which episodes a result of `play` solves, (E,)."""
-        return np.asarray(first < self.config.max_episode_steps)
+        return first < self.config.max_episode_steps
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,78 +110,99 @@ def _play(
     Joints from number ``varied`` on have the same angles in every episode: their part of the chain
     is computed once per step. Angles come last, as most gripper positions are too far away.
     """
-    lower, upper, links, slides, varied = chain
+    varied = chain.varied
     episodes, count = joints.shape
     steps = moves.shape[0]
+    first_axis = 2 if ignore_roll else 0  # Of the gripper; the angle is that of z alone, or of all
     end = joints.copy()
     same = joints[0].copy()
+    cosines = np.empty(count)
+    sines = np.empty(count)
     tail = np.empty((steps, 3, 4))
     for t in range(steps):
-        tail[t] = links[count]
-        for j in range(count - 1, varied - 1, -1):
-            same[j] = min(max(same[j] + moves[t, j], lower[j]), upper[j])
-            cos, sin = math.cos(same[j]), math.sin(same[j])
-            for c in range(4):
-                _carry(tail[t, :, c], same[j], cos, sin, slides[j], links[j], c == 3)
+        tail[t] = chain.links[count]
+        for j in range(varied, count):
+            same[j] = _clipped(same[j] + moves[t, j], chain, j)
+            cosines[j] = math.cos(same[j])
+            sines[j] = math.sin(same[j])
+        for c in range(4):
+            _carry(tail[t, :, c], same, cosines, sines, chain, varied, count, c == 3)
     end[:, varied:] = same[varied:]
-    move_cos, move_sin = np.cos(moves[:, :varied]), np.sin(moves[:, :varied])
-    cosines, sines = np.empty(varied), np.empty(varied)
+    move_cosines = np.cos(moves[:, :varied])
+    move_sines = np.sin(moves[:, :varied])
     first = np.full(episodes, never)
     gripper = np.empty((3, 4))
     for e in range(episodes):
-        done = solved_at[e] < since
-        if done:
+        is_solved = solved_at[e] < since
+        if is_solved:
             first[e] = solved_at[e]
         for t in range(steps):
             for j in range(varied):
                 angle = end[e, j] + moves[t, j]
-                end[e, j] = min(max(angle, lower[j]), upper[j])
+                end[e, j] = _clipped(angle, chain, j)
                 if t <= since or end[e, j] != angle:
-                    if not done and t >= since:
-                        cosines[j], sines[j] = math.cos(end[e, j]), math.sin(end[e, j])
+                    if not is_solved and t >= since:
+                        cosines[j] = math.cos(end[e, j])
+                        sines[j] = math.sin(end[e, j])
                 else:  # four products instead of cosine and sine
-                    cos, sin = cosines[j], sines[j]
-                    cosines[j] = cos * move_cos[t, j] - sin * move_sin[t, j]
-                    sines[j] = sin * move_cos[t, j] + cos * move_sin[t, j]
-            if done or t < since:
+                    cos = cosines[j]
+                    sin = sines[j]
+                    cosines[j] = cos * move_cosines[t, j] - sin * move_sines[t, j]
+                    sines[j] = sin * move_cosines[t, j] + cos * move_sines[t, j]
+            if is_solved or t < since:
                 continue
-            square = 0.0
             gripper[:, 3] = tail[t, :, 3]
-            for j in range(varied - 1, -1, -1):
-                _carry(gripper[:, 3], end[e, j], cosines[j], sines[j], slides[j], links[j], True)
+            _carry(gripper[:, 3], end[e], cosines, sines, chain, 0, varied, True)
+            square = 0.0
             for k in range(3):
                 square += (gripper[k, 3] - goal[e, k, 3]) ** 2
             if square >= distance_m**2:
                 continue
             gripper[:, :3] = tail[t, :, :3]
-            for c in range(2 if ignore_roll else 0, 3):
-                for j in range(varied - 1, -1, -1):
-                    _carry(
-                        gripper[:, c], end[e, j], cosines[j], sines[j], slides[j], links[j], False
-                    )
             trace = 0.0
-            for c in range(2 if ignore_roll else 0, 3):
+            for c in range(first_axis, 3):
+                _carry(gripper[:, c], end[e], cosines, sines, chain, 0, varied, False)
                 for k in range(3):
                     trace += gripper[k, c] * goal[e, k, c]
-            if (trace if ignore_roll else (trace - 1) / 2) > cosine:
+            aligned = trace if ignore_roll else (trace - 1) / 2
+            if aligned > cosine:
                 first[e] = t
-                done = True
+                is_solved = True
     return first, end
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _clipped(angle: float, chain: Chain, joint: int) -> float:
+    """Clip the angle of a joint to its limits."""
+    return min(max(angle, chain.lower[joint]), chain.upper[joint])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _carry(
-    column: Floats, value: float, cos: float, sin: float, slide: bool, link: Floats, is_point: bool
+    column: Floats,
+    angles: Floats,
+    cosines: Floats,
+    sines: Floats,
+    chain: Chain,
+    first: int,
+    after_last: int,
+    is_point: bool,
 ) -> None:
-    """Carry a column of a pose, in place, over one joint and the link before it."""
-    x, y, z = column[0], column[1], column[2]
-    if slide:
-        z += value if is_point else 0.0
-    else:
-        x, y = cos * x - sin * y, sin * x + cos * y
-    shift = 1.0 if is_point else 0.0
-    for k in range(3):
-        column[k] = link[k, 0] * x + link[k, 1] * y + link[k, 2] * z + link[k, 3] * shift
+    """Carry a column of a pose, in place, over some joints and the links before them."""
+    for j in range(after_last - 1, first - 1, -1):
+        x = column[0]
+        y = column[1]
+        z = column[2]
+        if not chain.slides[j]:
+            x = cosines[j] * column[0] - sines[j] * column[1]
+            y = sines[j] * column[0] + cosines[j] * column[1]
+        elif is_point:
+            z += angles[j]
+        link = chain.links[j]
+        for k in range(3):
+            column[k] = link[k, 0] * x + link[k, 1] * y + link[k, 2] * z
+            if is_point:
+                column[k] += link[k, 3]
 
 
 def _joint_chain(scene: Scene, varied: int) -> Chain:
@@ -187,7 +213,8 @@ def _joint_chain(scene: Scene, varied: int) -> Chain:
     tcp = np.eye(4)
     tcp[:3, :3] = data.site_xmat[scene.tcp_site].reshape(3, 3)
     tcp[:3, 3] = data.site_xpos[scene.tcp_site]
-    frames = [np.eye(4), *(_axis_frame(data.xanchor[j], data.xaxis[j]) for j in joints), tcp]
+    axes = [_axis_frame(data.xanchor[joint], data.xaxis[joint]) for joint in joints]
+    frames = [np.eye(4), *axes, tcp]
     links = [(np.linalg.inv(a) @ b)[:3] for a, b in pairwise(frames)]
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     return Chain(scene.joint_lower, scene.joint_upper, np.stack(links), slides, varied)

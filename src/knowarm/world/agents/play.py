@@ -1,6 +1,7 @@
 """Stepping loop: plays agents on lists of episodes, for evaluation, recording and viewing."""
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,10 +10,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.agents.protocol import AgentProtocol, Batch
+from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.state import NamedArrays
 
 REPORT_S = 5.0
 """Least time between two lines on the progress [s]."""
@@ -23,12 +27,12 @@ class PlayedStep:
     """State of n environments after a step; after the reset for step 0."""
 
     step: int  # Number of the step, from 1; 0 after the reset
-    played: NDArray[np.bool_]  # Environments whose episode was running before the step, (n,)
-    running: NDArray[np.bool_]  # Environments whose episode is still running, (n,)
-    images: NDArray[np.uint8]  # Observations, (n, H, W, 3); black where ``played`` is False
-    actions: NDArray[np.int64] | None  # Actions of the step, (n, J); None for step 0
-    reward: NDArray[np.float64]  # Reward of the step, (n,)
-    terminated: NDArray[np.bool_]  # Whether the task is solved or has failed, (n,)
+    played: Mask  # Environments whose episode was running before the step, (n,)
+    running: Mask  # Environments whose episode is still running, (n,)
+    images: Images  # Observations, (n, H, W, 3); black where ``played`` is False
+    actions: Integers | None  # Actions of the step, (n, J); None for step 0
+    reward: Floats  # Reward of the step, (n,)
+    terminated: Mask  # Whether the task is solved or has failed, (n,)
     infos: dict[str, Any]  # Infos of the environment
 
 
@@ -36,41 +40,41 @@ class PlayedStep:
 class StepTable:
     """One row per played step, ordered by episode and step; M rows, values after the step."""
 
-    episode: NDArray[np.int64]  # Number of the episode in the list, (M,)
-    step: NDArray[np.int64]  # Step within the episode, from 1, (M,)
-    joint_positions: NDArray[np.float64]  # Joint angles, (M, J) [rad]
-    actions: NDArray[np.int64]  # Chosen actions, indices into ``ACTION_LEVELS``, (M, J)
-    distance: NDArray[np.float64]  # Gripper to grasp point, (M,) [m]
-    angle: NDArray[np.float64]  # Angle between gripper and grasp frame, (M,) [deg]
-    reward: NDArray[np.float64]  # Reward of the step, (M,)
+    episode: Integers  # Number of the episode in the list, (M,)
+    step: Integers  # Step within the episode, from 1, (M,)
+    joint_positions: Floats  # Joint angles, (M, J) [rad]
+    actions: Integers  # Chosen actions, indices into ``ACTION_LEVELS``, (M, J)
+    distance: Floats  # Gripper to grasp point, (M,) [m]
+    angle: Floats  # Angle between gripper and grasp frame, (M,) [deg]
+    reward: Floats  # Reward of the step, (M,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeResults:
     """Results of N episodes; arrays are (N,)."""
 
-    episode_return: NDArray[np.float64]  # Sum of the rewards
-    length: NDArray[np.int64]  # Steps until the episode ended
+    episode_return: Floats  # Sum of the rewards
+    length: Integers  # Steps until the episode ended
     # Infos of the environment at the end of each episode, (N, ...) each
-    infos: dict[str, NDArray[Any]]
+    infos: NamedArrays
     steps: StepTable  # Every step
     # Observations of the first episodes, before each step and at the end: (T + 1, H, W, 3) each
-    images: tuple[NDArray[np.uint8], ...] = ()
+    images: tuple[Images, ...] = ()
     # What the agent reports of each episode in ``notes``, if it has any, (N, ...) each
-    notes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    notes: NamedArrays = field(default_factory=dict)
 
     @property
-    def distance(self) -> NDArray[np.float64]:
+    def distance(self) -> Floats:
         """Gripper to goal at the end [m], (N,)."""
         return self.infos["distance"]
 
     @property
-    def angle(self) -> NDArray[np.float64]:
+    def angle(self) -> Floats:
         """Angle between gripper and goal frame at the end [deg], (N,)."""
         return self.infos["angle"]
 
     @property
-    def success(self) -> NDArray[np.bool_]:
+    def success(self) -> Mask:
         """Whether the task was solved, (N,)."""
         return self.infos["is_success"]
 
@@ -86,13 +90,17 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
     """
     if not isinstance(env.single_observation_space, spaces.Box):
         raise UserError("Agents play environments that observe the image; leave out observe.")
-    n, count = env.num_envs, len(episodes)
+    n = env.num_envs
+    count = len(episodes)
     rows = np.minimum(np.arange(n), count - 1)
     images, infos = env.reset(options={"episodes": episodes[rows]})
     agent.reset(Batch.of(env))
-    played = running = np.arange(n) < count
-    step, actions = 0, None
-    reward, terminated = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    running = np.arange(n) < count
+    played = running
+    step = 0
+    actions = None
+    reward = np.zeros(n)
+    terminated = np.zeros(n, dtype=np.bool_)
     while True:
         yield PlayedStep(
             step=step,
@@ -106,7 +114,8 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
         )
         if not running.any():
             return
-        step, played = step + 1, running
+        step += 1
+        played = running
         targets = env.joint_targets.astype(np.float32)
         actions = np.asarray(agent.act({"image": images, "joint_targets": targets}))
         images, reward, terminated, truncated, infos = env.advance(actions, played)
@@ -130,51 +139,54 @@ def play(
         record_images: number of episodes, from the first, whose images are kept.
         report: receives a line on the progress every few seconds.
     """
-    said = time.monotonic()
-    count, n = len(episodes), env.num_envs
-    images: list[list[NDArray[np.uint8]]] = [[] for _ in range(min(count, record_images))]
-    ends: dict[str, NDArray[Any]] = {}
-    rows: list[dict[str, NDArray]] = []
-    notes: dict[str, list[NDArray[Any]]] = {}
+    reported = time.monotonic()
+    count = len(episodes)
+    n = env.num_envs
+    images: list[list[Images]] = [[] for _ in range(min(count, record_images))]
+    ends: NamedArrays = {}
+    rows: dict[str, list[NDArray[Any]]] = defaultdict(list)
+    notes: dict[str, list[NDArray[Any]]] = defaultdict(list)
     for first in range(0, count, n):
-        if time.monotonic() - said >= REPORT_S:
-            solved, said = ends["is_success"][:first].mean(), time.monotonic()
+        if time.monotonic() - reported >= REPORT_S:
+            solved = ends["is_success"][:first].mean()
+            reported = time.monotonic()
             report(f"{first:,} of {count:,} episodes, {100 * solved:.0f} % solved.")
         chunk = episodes[first : first + n]
         for moment in play_steps(agent, env, chunk):
-            ids, infos = np.flatnonzero(moment.played), moment.infos
+            infos = moment.infos
+            ids = np.flatnonzero(moment.played)
             for i in ids[first + ids < len(images)]:
                 images[first + i].append(moment.images[i].copy())
             if moment.actions is None:
                 continue
             ended = np.flatnonzero(moment.played & ~moment.running)
             for name, values in infos.items():
-                if not name.startswith("_"):
-                    kept = ends.setdefault(name, np.zeros((count, *values.shape[1:]), values.dtype))
-                    kept[first + ended] = values[ended]
-            rows.append(
-                {
-                    "episode": first + ids,
-                    "step": np.full(len(ids), moment.step, dtype=np.int64),
-                    "joint_positions": env.joint_positions[ids],
-                    "actions": moment.actions[ids],
-                    "distance": infos["distance"][ids],
-                    "angle": infos["angle"][ids],
-                    "reward": moment.reward[ids],
-                }
-            )
+                if name.startswith("_"):
+                    continue
+                if name not in ends:
+                    ends[name] = np.zeros((count, *values.shape[1:]), values.dtype)
+                ends[name][first + ended] = values[ended]
+            rows["episode"].append(first + ids)
+            rows["step"].append(np.full(len(ids), moment.step, dtype=np.int64))
+            rows["joint_positions"].append(env.joint_positions[ids])
+            rows["actions"].append(moment.actions[ids])
+            rows["distance"].append(infos["distance"][ids])
+            rows["angle"].append(infos["angle"][ids])
+            rows["reward"].append(moment.reward[ids])
         for name, values in getattr(agent, "notes", {}).items():
-            notes.setdefault(name, []).append(values[: len(chunk)])
-    columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+            notes[name].append(values[: len(chunk)])
+    columns = _concatenated(rows)
     order = np.lexsort((columns["step"], columns["episode"]))
-    columns = {name: column[order] for name, column in columns.items()}
-    steps = StepTable(**columns)
-    length = np.bincount(steps.episode, minlength=count)
+    steps = StepTable(**{name: column[order] for name, column in columns.items()})
     return EpisodeResults(
         episode_return=np.bincount(steps.episode, steps.reward, count).astype(np.float64),
-        length=length,
+        length=np.bincount(steps.episode, minlength=count),
         infos=ends,
         steps=steps,
         images=tuple(np.stack(frames) for frames in images),
-        notes={name: np.concatenate(values) for name, values in notes.items()},
+        notes=_concatenated(notes),
     )
+
+
+def _concatenated(columns: dict[str, list[NDArray[Any]]]) -> NamedArrays:
+    return {name: np.concatenate(pieces) for name, pieces in columns.items()}

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Names
 from knowarm.errors import UserError
 from knowarm.questions import find_rows
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
@@ -26,7 +26,7 @@ class Batch:
 
     env: EnvConfig
     """Robot and task."""
-    names: NDArray[np.str_]
+    names: Names
     """Facet or query of each episode, as the info ``task.knowledge_info`` gives it, (n,)."""
     joints: Mapping[str, Floats] = field(default_factory=dict)
     """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
@@ -49,21 +49,28 @@ class Batch:
     def rows(self) -> Integers:
         """Row of each episode's facet or query among ``task.knowledge_rows``, (n,)."""
         task = self.env.task
-        known = {name: row for row, name in enumerate(task.knowledge_rows(facets_of(self.env)))}
-        return find_rows(task.knowledge_info, self.names, known)
+        names = task.knowledge_rows(facets_of(self.env))
+        rows = {name: row for row, name in enumerate(names)}
+        return find_rows(task.knowledge_info, self.names, rows)
 
     @property
     def queries(self) -> tuple[str, ...] | None:
         """Query of each episode, such as ``usedFor drinking and hasColor blue``, or None."""
-        return None if questions_of(self.env) is None else tuple(self.names.tolist())
+        if questions_of(self.env) is None:
+            return None
+        return tuple(self.names.tolist())
 
     @property
     def conditions(self) -> tuple[tuple[tuple[str, str], ...], ...] | None:
         """The queries as (relation, value) pairs."""
-        if (table := questions_of(self.env)) is None:
+        table = questions_of(self.env)
+        if table is None:
             return None
-        pairs = [tuple((c.relation, c.value) for c in q.conditions) for q in table.queries]
-        return tuple(pairs[row] for row in self.rows)
+        pairs = []
+        for row in self.rows:
+            conditions = table.queries[row].conditions
+            pairs.append(tuple((part.relation, part.value) for part in conditions))
+        return tuple(pairs)
 
     @property
     def increments(self) -> Floats:
@@ -88,7 +95,7 @@ class AgentProtocol(Protocol):
     def reset(self, batch: Batch) -> None:
         """Forget everything: n new episodes start."""
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J), levels 0 to 6 of each joint.
 
         ``observations["image"]`` is (n, H, W, 3) uint8 RGB, ``observations["joint_targets"]`` the
@@ -108,7 +115,8 @@ class PrivilegedAgent:
     """What the agent uses, of `INPUTS`."""
 
     def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
-        self._env, self._seed = env, seed
+        self._env = env
+        self._seed = seed
 
     def reset(self, batch: Batch) -> None:
         """Check that the episodes are those of the environment.
@@ -116,7 +124,7 @@ class PrivilegedAgent:
         Raises:
             UserError: they started in another one.
         """
-        if not np.array_equal([*batch.joints.values()], self._env.joint_positions.T):
+        if not np.array_equal(list(batch.joints.values()), self._env.joint_positions.T):
             raise UserError(
                 f"This {type(self).__name__} was made for another environment; make one for this."
             )

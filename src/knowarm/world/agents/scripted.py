@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Integers
 from knowarm.world.agents.protocol import AgentProtocol, Batch, Observations, PrivilegedAgent
+from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
@@ -20,7 +21,7 @@ class ZeroAgent:
         """Read the shape of the actions."""
         self._shape = (batch.size, len(batch.joints))
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Return the action without movement, (n, J)."""
         return np.zeros(self._shape, dtype=np.int64)
 
@@ -37,7 +38,7 @@ class RandomAgent:
         """Read the shape of the actions."""
         self._shape = (batch.size, len(batch.joints))
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Draw actions (n, J)."""
         return self._generator.integers(len(ACTION_LEVELS), size=self._shape)
 
@@ -47,17 +48,19 @@ class OpenLoopAgent:
 
     inputs: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, actions: NDArray[np.int64]) -> None:
+    def __init__(self, actions: Integers) -> None:
         self._actions = actions
 
     def reset(self, batch: Batch) -> None:
         """Return to the beginning of the list."""
-        self._step, self._size = 0, batch.size
+        self._step = 0
+        self._size = batch.size
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Return the next action for every environment, (n, J)."""
+        action = self._actions[self._step]
         self._step += 1
-        return np.tile(self._actions[self._step - 1], (self._size, 1))
+        return np.tile(action, (self._size, 1))
 
 
 class OracleAgent(PrivilegedAgent):
@@ -82,7 +85,7 @@ class OracleAgent(PrivilegedAgent):
         super().reset(batch)
         self.guide.restart()
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
         return nearest_levels(self.guide.error())
 
@@ -104,13 +107,14 @@ class InformedAgent:
     def __init__(
         self, agent: AgentProtocol, change: Callable[[Batch], Batch] = lambda batch: batch
     ) -> None:
-        self._agent, self._change = agent, change
+        self._agent = agent
+        self._change = change
 
     def reset(self, batch: Batch) -> None:
         """Reset the agent with a changed batch."""
         self._agent.reset(self._change(batch))
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J)."""
         return self._agent.act(observations)
 
@@ -118,7 +122,7 @@ class InformedAgent:
 class BlindAgent(InformedAgent):
     """Plays an agent, which keeps its memory and its knowledge, on black images."""
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J) for black images."""
         return super().act({**observations, "image": np.zeros_like(observations["image"])})
 
@@ -129,9 +133,9 @@ class FrozenAgent(InformedAgent):
     def reset(self, batch: Batch) -> None:
         """Reset the agent and forget the images."""
         super().reset(batch)
-        self._first: NDArray[np.uint8] | None = None
+        self._first: Images | None = None
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J) for the first images since the reset."""
         if self._first is None:
             self._first = observations["image"].copy()

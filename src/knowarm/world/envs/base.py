@@ -7,11 +7,15 @@ from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.interface import Interface
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
+from knowarm.world.tasks.state import Indices, NamedArrays
+
+Images = NDArray[np.uint8]
 
 ArrayT = TypeVar("ArrayT")
 """What an environment returns: NumPy arrays or tensors."""
@@ -27,7 +31,8 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
             raise UserError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
         self.config = config
         self.num_envs = num_envs
-        self.scene = scene = scene_of(config)
+        scene = scene_of(config)
+        self.scene = scene
         self._interface = Interface(config, scene.num_joints, **interface)
         self.single_observation_space = self._interface.observation_space
         self.single_action_space = self._interface.action_space
@@ -72,11 +77,11 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self._ended[self.running.reset(seed, options)] = False
         return self._observe(), self._infos()
 
-    def get_state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> NamedArrays:
         """Copy all that determines the following steps, to the byte."""
         return self.running.get_state()
 
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+    def set_state(self, state: NamedArrays) -> None:
         """Restore a state of ``get_state``, of an environment with the same config and n.
 
         Raises:
@@ -92,27 +97,32 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         """Return the observations of all environments, new."""
         raise NotImplementedError
 
-    def _infos(self, where: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    def _infos(self, where: Mask | None = None) -> dict[str, Any]:
         """Return the infos of the current state, each with its mask: ``where``, or everywhere."""
+        if where is None:
+            where = np.ones(self.num_envs, dtype=np.bool_)
         infos = {name: self._out(values) for name, values in self.running.infos().items()}
-        mask = self._out(np.ones(self.num_envs, dtype=np.bool_) if where is None else where)
-        return infos | dict.fromkeys([f"_{name}" for name in infos], mask)
+        masks = [f"_{name}" for name in infos]
+        return infos | dict.fromkeys(masks, self._out(where))
 
     def _move(self, actions: Any) -> None:
         """Simulate one step of actions (n, J)."""
-        running = self.running
-        running.move(self._interface.steps(actions, self.num_envs, running.increments))
+        steps = self._interface.steps(actions, self.num_envs, self.running.increments)
+        self.running.move(steps)
 
 
 def draw_images(
-    renderer: Renderer, running: RunningEpisodes, ids: NDArray[np.intp] | slice = slice(None)
-) -> NDArray[np.uint8]:
+    renderer: Renderer, running: RunningEpisodes, ids: Indices | slice = slice(None)
+) -> Images:
     """Draw k environments, (k, H, W, 3) uint8, a new array."""
-    simulator, shown = running.simulator, running.shown
+    simulator = running.simulator
+    shown = running.shown
+    views = None if shown.views is None else shown.views[ids]
+    lamps = None if shown.lamps is None else shown.lamps[ids]
     return renderer.draw(
         simulator.geom_position[ids],
         simulator.geom_matrix[ids],
         shown.rgba[ids],
-        None if shown.views is None else shown.views[ids],
-        None if shown.lamps is None else shown.lamps[ids],
+        views,
+        lamps,
     )

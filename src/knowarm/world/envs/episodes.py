@@ -1,13 +1,12 @@
 """Drawing of episodes from streams of random numbers."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.world.config import EnvConfig, setting_of
-from knowarm.world.tasks.sampling import Episodes, derive, uniforms
+from knowarm.world.tasks.sampling import Episodes, Words, derive, uniforms
 
-_JOINTS = 4
-"""Number of the first draw of the joint offsets; those before it are the task's."""
+_FIRST = 4
+"""Number of the task's first draws; those of the joint offsets follow, then those of looks."""
 
 
 class EpisodeSource:
@@ -19,7 +18,8 @@ class EpisodeSource:
 
     def __init__(self, config: EnvConfig) -> None:
         setting = setting_of(config)
-        scene, robot = setting.scene, setting.scene.robot
+        scene = setting.scene
+        robot = scene.robot
         self._joints = scene.num_joints
         self._look_draws = config.randomization.draws
         self._moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
@@ -27,22 +27,21 @@ class EpisodeSource:
         self._objects = config.task.sampler(setting)
         self._names = np.array([target.name for target in scene.targets])
 
-    def __call__(self, streams: NDArray[np.uint64], indices: NDArray[np.uint64]) -> Episodes:
+    def __call__(self, streams: Words, indices: Words) -> Episodes:
         """Draw n episodes; each depends only on its stream's seed and its number in it."""
-        looks = _JOINTS + self._joints
-        rest = looks + self._look_draws
-        u = uniforms(streams, indices, rest + self._objects.draws)
-        offsets = np.where(self._moved, (2 * u[:, _JOINTS:looks] - 1) * self._reach, 0.0)
-        drawn = self._objects(u[:, :_JOINTS], u[:, rest:])
-        names = self._names[drawn.objects]
+        counts = (_FIRST, self._joints, self._look_draws, self._objects.draws)
+        u = uniforms(streams, indices, sum(counts))
+        first, joints, look, more = np.split(u, np.cumsum(counts[:-1]), axis=1)
+        drawn = self._objects(first, more)
         return Episodes(
-            joint_offsets=offsets, look=u[:, looks:rest], names=names, **drawn._asdict()
+            joint_offsets=np.where(self._moved, (2 * joints - 1) * self._reach, 0.0),
+            look=look,
+            names=self._names[drawn.objects],
+            **drawn._asdict(),
         )
 
 
-def draw_episodes(
-    config: EnvConfig, streams: NDArray[np.uint64], indices: NDArray[np.uint64]
-) -> Episodes:
+def draw_episodes(config: EnvConfig, streams: Words, indices: Words) -> Episodes:
     """Draw episodes of a config; see ``EpisodeSource``."""
     return EpisodeSource(config)(streams, indices)
 

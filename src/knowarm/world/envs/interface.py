@@ -10,7 +10,7 @@ from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.arguments import checked_actions, checked_steps
-from knowarm.world.tasks.state import ACTION_LEVELS
+from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays
 
 Action = Literal["levels", "continuous"]
 """Integers that index ``ACTION_LEVELS``; or joint steps in units of the MPI, -1 to 1."""
@@ -46,10 +46,8 @@ class Interface:
     ) -> None:
         names: tuple[str, ...] = (observe,) if isinstance(observe, str) else tuple(observe)
         for name in names:
-            if name not in get_args(Observed):
-                raise unknown_name("part of an observation", name, get_args(Observed))
-        if action not in get_args(Action):
-            raise unknown_name("kind of action", action, get_args(Action))
+            _check_name("part of an observation", name, get_args(Observed))
+        _check_name("kind of action", action, get_args(Action))
         self._names = names
         self._is_continuous = action == "continuous"
         self._table = _checked_table(config, names, knowledge)
@@ -62,17 +60,14 @@ class Interface:
         self.observation_space: spaces.Space[Any] = parts["image"]
         if observe != "image":
             self.observation_space = spaces.Dict({name: parts[name] for name in names})
-        self.action_space: spaces.Space[Any] = spaces.MultiDiscrete(
-            np.full(joints, len(ACTION_LEVELS))
-        )
+        levels = np.full(joints, len(ACTION_LEVELS))
+        self.action_space: spaces.Space[Any] = spaces.MultiDiscrete(levels)
         if self._is_continuous:
             self.action_space = spaces.Box(-1.0, 1.0, (joints,), np.float32)
 
-    def observe(
-        self, images: NDArray[np.uint8], joints: Floats, rows: Integers
-    ) -> dict[str, NDArray[Any]]:
+    def observe(self, images: NDArray[np.uint8], joints: Floats, rows: Integers) -> NamedArrays:
         """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,)."""
-        parts: dict[str, NDArray[Any]] = {"image": images, "joints": joints.astype(np.float32)}
+        parts: NamedArrays = {"image": images, "joints": joints.astype(np.float32)}
         if "knowledge" in self._names:
             parts["knowledge"] = self._table[rows]
         return {name: parts[name] for name in self._names}
@@ -89,6 +84,12 @@ class Interface:
         return increments[checked_actions(actions, shape, len(ACTION_LEVELS))]
 
 
+def _check_name(what: str, name: str, allowed: tuple[str, ...]) -> None:
+    """Check that a name is an allowed one."""
+    if name not in allowed:
+        raise unknown_name(what, name, allowed)
+
+
 def _checked_table(
     config: EnvConfig, names: tuple[str, ...], knowledge: ArrayLike | None
 ) -> NDArray[np.float32]:
@@ -101,7 +102,9 @@ def _checked_table(
             )
         return np.zeros((0, 0), dtype=np.float32)
     rows = config.task.knowledge_rows(facets_of(config))
-    table = np.asarray([] if knowledge is None else knowledge, dtype=np.float32)
+    if knowledge is None:
+        knowledge = []
+    table = np.asarray(knowledge, dtype=np.float32)
     if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
         raise UserError(
             f"knowledge must be a table with one row for each of the {len(rows)} values of the "

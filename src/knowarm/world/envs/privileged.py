@@ -29,9 +29,10 @@ def privileged_columns(state: RunningEpisodes) -> tuple[str, ...]:
     time                 1      steps played over the time limit, 0 to 1
     ===================  =====  ==============================================================
     """
-    return tuple(
-        f"{name}/{i}" for name, values in _quantities(state).items() for i in range(values.shape[1])
-    )
+    columns: list[str] = []
+    for name, values in _quantities(state).items():
+        columns += [f"{name}/{i}" for i in range(values.shape[1])]
+    return tuple(columns)
 
 
 def privileged_state(state: RunningEpisodes) -> Floats:

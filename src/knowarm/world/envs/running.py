@@ -1,12 +1,12 @@
 """Running episodes: state of n environments, and how a step changes it."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.questions import find_rows
 from knowarm.world.backend import MujocoSimulator
@@ -17,8 +17,8 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
 from knowarm.world.scene.scene import target_places
 from knowarm.world.tasks.reward import measure
-from knowarm.world.tasks.sampling import Episodes
-from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState
+from knowarm.world.tasks.sampling import Episodes, Words
+from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState, Indices, NamedArrays
 
 _STATE = (
     "streams",
@@ -34,7 +34,7 @@ _STATE = (
 """Arrays that, with the simulator's state and the task's memory, determine everything else."""
 
 
-def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
+def joint_increments(robot: Robot, config: EnvConfig) -> Floats:
     """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
     mpi_rad = robot.mpi_rad if config.mpi_rad is None else config.mpi_rad
     return mpi_rad * np.array(ACTION_LEVELS)
@@ -43,20 +43,20 @@ def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
 class Outcome(NamedTuple):
     """How a step went, (n,) each."""
 
-    reward: NDArray[np.float64]
+    reward: Floats
     """The task's reward."""
-    terminated: NDArray[np.bool_]
+    terminated: Mask
     """Whether the task is solved or has failed."""
-    truncated: NDArray[np.bool_]
+    truncated: Mask
     """Whether the time limit ends the episode; never where ``terminated``."""
 
     @property
-    def ended(self) -> NDArray[np.bool_]:
+    def ended(self) -> Mask:
         """Whether the episode has ended, (n,) bool."""
         return self.terminated | self.truncated
 
 
-ChangeEpisodes = Callable[[Episodes, NDArray[np.uint64], NDArray[np.uint64]], Episodes]
+ChangeEpisodes = Callable[[Episodes, Words, Words], Episodes]
 """Changes episodes (k,), given their streams and numbers."""
 
 
@@ -83,7 +83,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.scene = scene = self.setting.scene
         self.facets = self.setting.facets
         table = task.questions(self.facets)
-        queries = [""] if table is None else [query.name for query in table.queries]
+        queries = [""]
+        if table is not None:
+            queries = [query.name for query in table.queries]
         self._query_rows = {name: row for row, name in enumerate(queries)}
         self.query_names = np.array(queries)
         self.facet_names = np.array(["/".join(facet) for facet in self.facets])
@@ -93,7 +95,8 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         m = task.visible
         self._source = EpisodeSource(config)
         self._appearance = AppearanceSource(scene, config.randomization, task.paints_goal)
-        first = [[name for name, _ in self.facets].index(target.name) for target in scene.targets]
+        shown = [name for name, _ in self.facets]
+        first = [shown.index(target.name) for target in scene.targets]
         self.first_facet = np.array(first, dtype=np.int64)
         self.increments = joint_increments(scene.robot, config)
         self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
@@ -126,13 +129,11 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.thresholds = self.limits * factor
 
     @property
-    def knowledge_input(self) -> NDArray[np.int64]:
+    def knowledge_input(self) -> Integers:
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self.task.knowledge_input(self)
 
-    def goal_frames(
-        self, objects: NDArray[np.int64], places: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         grasp = target_places(self.scene, places) + self.scene.grasp_position[objects]
         return self.task.goal(self.scene, objects, grasp, self.grasp_rotation[objects])
@@ -145,35 +146,32 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Describe the goal of an environment's episode, as "red mug"."""
         return self.task.describe(self, self.setting, env_id)
 
-    def reset(
-        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
-    ) -> NDArray[np.intp]:
+    def reset(self, seed: int | list[int | None] | None, options: dict[str, Any] | None) -> Indices:
         """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
         options = options or {}
         ids = masked_ids(options.get("reset_mask"), self.num_envs)
         episodes = options.get("episodes")
         if episodes is not None:
             self._check(episodes, len(ids))
-        given, seeds = spread_seeds(seed, self.num_envs)
-        if len(seeded := ids[given[ids]]):
-            self.streams = _put(self.streams, seeded, seeds[seeded])
-            self.next_episode = _put(self.next_episode, seeded, 0)
+        is_seeded, seeds = spread_seeds(seed, self.num_envs)
+        seeded = ids[is_seeded[ids]]
+        self._write(seeded, streams=seeds[seeded], next_episode=0)
         if episodes is None:
             self.start_next(ids)
         else:
             self._start(ids, episodes)
         return ids
 
-    def start_next(self, ids: NDArray[np.intp]) -> None:
+    def start_next(self, ids: Indices) -> None:
         """Start the next episode of the stream of each of some environments (k,)."""
         numbers = self.next_episode[ids]
         episodes = self._source(self.streams[ids], numbers)
         if self.change_episodes is not None:
             episodes = self.change_episodes(episodes, self.streams[ids], numbers)
-        self.next_episode = _put(self.next_episode, ids, numbers + 1)
+        self._write(ids, next_episode=numbers + 1)
         self._start(ids, episodes)
 
-    def move(self, steps: NDArray[np.float64]) -> None:
+    def move(self, steps: Floats) -> None:
         """Add steps (n, J) [rad] to the joint targets and simulate one control period."""
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
         self.joint_targets = (self.joint_targets + steps).clip(lower, upper)
@@ -186,22 +184,24 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
 
     def outcome(self) -> Outcome:
         """Compute reward, end and time limit in the current state."""
+        terminated = self.success
         failure = self.task.failure(self)
-        terminated = self.success if failure is None else self.success | failure
+        if failure is not None:
+            terminated = terminated | failure
         truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
         return Outcome(self.task.reward(self), terminated, truncated)
 
-    def infos(self) -> dict[str, NDArray[Any]]:
+    def infos(self) -> NamedArrays:
         """Return the infos of the current state, without masks, (n, ...) each."""
         return self.task.infos(self)
 
-    def get_state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> NamedArrays:
         """Copy all that determines the following steps."""
         state = {name: getattr(self, name).copy() for name in _STATE}
         state |= {f"memory.{name}": array.copy() for name, array in self.memory.items()}
         return state | {"simulation": self.simulator.get_state()}
 
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+    def set_state(self, state: NamedArrays) -> None:
         """Restore a state of ``get_state``, of an environment with the same config and n."""
         check_state(self.get_state(), state)
         for name in _STATE:
@@ -219,74 +219,90 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
                 f"options['episodes'] holds {len(episodes)} episodes for {count} environments "
                 "that are reset; pass one per environment."
             )
-        for what, given, needed in (
-            ("joints", episodes.joint_offsets.shape[1], self.scene.num_joints),
-            ("objects", episodes.objects.shape[1], self.objects.shape[1]),
-            ("draws of visual randomization", episodes.look.shape[1], self.look.shape[1]),
+        for what, theirs, own in (
+            ("joints", episodes.joint_offsets, self.joint_targets),
+            ("objects", episodes.objects, self.objects),
+            ("draws of visual randomization", episodes.look, self.look),
         ):
-            if given != needed:
+            got = theirs.shape[1]
+            expected = own.shape[1]
+            if got != expected:
                 raise UserError(
-                    f"The episodes hold {given} {what}, and this environment has {needed}; draw "
+                    f"The episodes hold {got} {what}, and this environment has {expected}; draw "
                     "them with its config."
                 )
-        numbers, names = episodes.objects, np.array([each.name for each in self.scene.targets])
-        inside = (numbers >= 0) & (numbers < len(names))
-        if not (inside & (names[numbers * inside] == episodes.names)).all():
+        numbers = episodes.objects
+        names = np.array([target.name for target in self.scene.targets])
+        is_known = (numbers >= 0) & (numbers < len(names))
+        if not (is_known & (names[numbers * is_known] == episodes.names)).all():
             raise UserError(
                 "The episodes show other objects than this environment has, or count them in "
                 f"another order than {', '.join(names[:9])}; draw them with its config."
             )
-        shown = [name for name, _ in self.facets]
-        counts = np.array([shown.count(target.name) for target in self.scene.targets])
+        counts = np.diff(self.first_facet, append=len(self.facets))
         if ((episodes.colours < 0) | (episodes.colours >= counts[numbers])).any():
             raise UserError(
                 "The episodes show colours that this environment does not have; draw them with its "
                 "config."
             )
 
-    def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
+    def _start(self, ids: Indices, episodes: Episodes) -> None:
         """Put environments (k,) at the start of k episodes."""
         scene = self.scene
         joints = (scene.home + episodes.joint_offsets).clip(scene.joint_lower, scene.joint_upper)
         question = find_rows("query of this environment", episodes.question, self._query_rows)
-        self.joint_targets = _put(self.joint_targets, ids, joints)
-        for field in fields(episodes):
-            if field.name not in ("joint_offsets", "names"):
-                rows = question if field.name == "question" else getattr(episodes, field.name)
-                setattr(self, field.name, _put(getattr(self, field.name), ids, rows))
-        self.steps = _put(self.steps, ids, 0)
-        self.memory = {
-            name: _put(array, ids, self._fresh[name][ids]) for name, array in self.memory.items()
-        }
+        self._write(
+            ids,
+            joint_targets=joints,
+            objects=episodes.objects,
+            colours=episodes.colours,
+            positions=episodes.positions,
+            question=question,
+            look=episodes.look,
+            steps=0,
+        )
+        memory = {}
+        for name, array in self.memory.items():
+            memory[name] = _put(array, ids, self._fresh[name][ids])
+        self.memory = memory
         distractors = self._refresh(ids)
-        visible = (self.objects[ids, :, None] == np.arange(len(self.scene.targets))).any(axis=1)
+        visible = (self.objects[ids, :, None] == np.arange(len(scene.targets))).any(axis=1)
         places = self._object_positions(ids)
         self.simulator.reset(ids, self.joint_targets[ids], places, distractors, visible)
         self._measure()
         self.success = self.task.success(self)
 
-    def _refresh(self, ids: NDArray[np.intp]) -> NDArray[np.float64] | None:
+    def _refresh(self, ids: Indices) -> Floats | None:
         """Recompute goals and appearance; return distractor positions, (k, D, 2) [m]."""
         objects = self.objects[ids]
-        position, matrix = self.goal_frames(objects[:, 0], self.positions[ids, 0])
-        self.goal_position = _put(self.goal_position, ids, position)
-        self.goal_matrix = _put(self.goal_matrix, ids, matrix)
-        shown = self._appearance(objects, self.colours[ids], self.positions[ids, 0], self.look[ids])
+        places = self.positions[ids, 0]
+        position, matrix = self.goal_frames(objects[:, 0], places)
+        self._write(ids, goal_position=position, goal_matrix=matrix)
+        shown = self._appearance(objects, self.colours[ids], places, self.look[ids])
         if len(ids) == self.num_envs:
             self.shown = shown
         else:
+            merged: list[Any] = []
             pairs: Any = zip(self.shown, shown, strict=True)
-            self.shown = Shown(*(old if new is None else _put(old, ids, new) for old, new in pairs))
+            for old, new in pairs:
+                merged.append(old if new is None else _put(old, ids, new))
+            self.shown = Shown(*merged)
         return shown.distractor_position
 
-    def _object_positions(self, ids: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _object_positions(self, ids: Indices) -> Floats:
         """Return x and y of all K targets, hidden ones at that of the first, (k, K, 2) [m]."""
-        objects, positions = self.objects[ids], self.positions[ids]
+        objects = self.objects[ids]
+        positions = self.positions[ids]
         places = np.repeat(positions[:, :1], len(self.scene.targets), axis=1)
         rows = np.arange(len(ids))
         for j in range(1, objects.shape[1]):
             places[rows, objects[:, j]] = positions[:, j]
         return places
+
+    def _write(self, ids: Indices, **rows: Any) -> None:
+        """Replace arrays by copies with new values (k, ...) in the rows of environments (k,)."""
+        for name, values in rows.items():
+            setattr(self, name, _put(getattr(self, name), ids, values))
 
     def _measure(self) -> None:
         """Measure distance and angle in the current state."""
@@ -299,7 +315,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         )
 
 
-def _put(array: NDArray[Any], ids: NDArray[np.intp], values: Any) -> NDArray[Any]:
+def _put(array: NDArray[Any], ids: Indices, values: Any) -> NDArray[Any]:
     """Return a copy of ``array`` (n, ...) with ``values`` (k, ...) in the rows ``ids``."""
     result = array.copy()
     result[ids] = values

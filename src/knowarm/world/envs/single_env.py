@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -50,12 +51,12 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._vector.running.instruct(0)
 
     @property
-    def joint_targets(self) -> NDArray[np.float64]:
+    def joint_targets(self) -> Floats:
         """Joint angles that the servos track, (J,) [rad]; actions add to them."""
         return self._vector.joint_targets[0]
 
     @property
-    def joint_positions(self) -> NDArray[np.float64]:
+    def joint_positions(self) -> Floats:
         """Current joint angles, (J,) [rad]."""
         return self._vector.joint_positions[0]
 
@@ -69,8 +70,8 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Play one step with an action of (J,) integers in 0..6, or floats in -1 to 1."""
-        vector = self._vector
-        observations, rewards, terminated, truncated, infos = vector.step(np.asarray(action)[None])
+        actions = np.asarray(action)[None]
+        observations, rewards, terminated, truncated, infos = self._vector.step(actions)
         return (
             self._only(observations),
             float(rewards[0]),
@@ -84,15 +85,18 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
-        return self._vector.render()[0] if self.render_mode else None
+        if self.render_mode is None:
+            return None
+        return self._vector.render()[0]
 
 
 def env_config(**options: Any) -> tuple[EnvConfig, dict[str, Any]]:
     """Return the config of an environment, and its other options."""
     fields = [field.name for field in dataclasses.fields(EnvConfig)]
+    known = [*fields, *INTERFACE]
     for name in options:
-        if name not in (*fields, *INTERFACE):
-            raise unknown_name("option of an environment", name, [*fields, *INTERFACE])
+        if name not in known:
+            raise unknown_name("option of an environment", name, known)
     interface = {name: options.pop(name) for name in INTERFACE if name in options}
     return EnvConfig(**options), interface
 
@@ -142,8 +146,8 @@ def make_vector_env(
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
     """Return the infos of environment 0 as Python values or arrays, without the masks."""
-    return {
-        name: values[0].copy() if values.ndim > 1 else values[0].item()
-        for name, values in infos.items()
-        if not name.startswith("_")
-    }
+    first = {}
+    for name, values in infos.items():
+        if not name.startswith("_"):
+            first[name] = values[0].copy() if values.ndim > 1 else values[0].item()
+    return first

@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
+from knowarm.arrays import Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.base import BaseVectorEnv, draw_images
@@ -76,7 +77,9 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         self._final_images = np.zeros((num_envs, side, side, 3), dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
         rows = len(config.task.knowledge_rows(self.facets))
-        self._table = self._tensor(np.zeros((rows, 0), np.float32) if table is None else table)
+        if table is None:
+            table = np.zeros((rows, 0), np.float32)
+        self._table = self._tensor(table)
         if len(self._table) != rows:
             raise UserError(
                 f"The knowledge table has {len(self._table)} rows, and the episodes of this task "
@@ -156,20 +159,21 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         Raises:
             UserError: actions of the wrong shape, dtype or device, or outside 0..6.
         """
-        running, tensor = self.running, self._tensor
         self._move(self._checked(actions))
-        outcome = running.outcome()
-        reward, terminated, truncated = map(tensor, outcome)
+        outcome = self.running.outcome()
+        reward, terminated, truncated = map(self._tensor, outcome)
         extra: dict[str, Any] = {}
         if self.report_final_observations:
             self._draw_final(outcome.truncated)
-            extra = {"final_obs": self._final_tensor, "_final_obs": truncated}
+            extra["final_obs"] = self._final_tensor
+            extra["_final_obs"] = truncated
         if self.report_privileged_state:
             extra["final_privileged_state"] = self.privileged_state
         ended = outcome.ended
-        extra |= {"final_info": self._infos(ended), "_final_info": tensor(ended)}
+        extra["final_info"] = self._infos(ended)
+        extra["_final_info"] = self._tensor(ended)
         if ended.any():
-            running.start_next(np.flatnonzero(ended))
+            self.running.start_next(np.flatnonzero(ended))
         return self._observe(), reward, terminated, truncated, self._infos() | extra
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
@@ -177,25 +181,27 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         return torch.from_numpy(array).to(self.device)
 
     def _out(self, array: NDArray[Any]) -> Any:
-        return array if array.dtype.kind == "U" else self._tensor(array)
+        if array.dtype.kind == "U":
+            return array
+        return self._tensor(array)
 
     def _observe(self) -> Tensor:
         return self._tensor(draw_images(self.renderer, self.running))
 
-    def _checked(self, actions: Tensor) -> NDArray[np.int64]:
+    def _checked(self, actions: Tensor) -> Integers:
         """Return actions as an array; refuse those of another shape, dtype or device."""
         shape = (self.num_envs, self.scene.num_joints)
-        given = type(actions).__name__
+        got = type(actions).__name__
         if isinstance(actions, Tensor):
             if (actions.shape, actions.dtype, actions.device) == (shape, torch.int64, self.device):
                 return np.asarray(actions.cpu())
-            given = f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
+            got = f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
         raise UserError(
             f"actions must be an int64 tensor of shape {shape} (environments, joints) on "
-            f"{self.device}, got {given}."
+            f"{self.device}, got {got}."
         )
 
-    def _draw_final(self, truncated: NDArray[np.bool_]) -> None:
+    def _draw_final(self, truncated: Mask) -> None:
         """Draw the environments of a mask (n,) into their rows of the final images."""
         if truncated.any():
             ids = np.flatnonzero(truncated)

@@ -8,14 +8,16 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import ArrayLike, NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import BaseVectorEnv, draw_images
+from knowarm.world.envs.base import BaseVectorEnv, Images, draw_images
 from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.render.renderer import Renderer, make_renderer
+from knowarm.world.tasks.state import Indices, NamedArrays
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
-Step = tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+Step = tuple[Any, Floats, Mask, Mask, dict[str, Any]]
 """Observations (n, ...), reward (n,), terminated (n,), truncated (n,) and infos."""
 
 
@@ -84,7 +86,8 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
                 in an environment whose episode has ended.
         """
         mode = self.metadata["autoreset_mode"]
-        running, restart = self.running, self._ended
+        running = self.running
+        restart = self._ended
         if mode == AutoresetMode.DISABLED and restart.any():
             raise UserError(
                 f"Environment {int(np.argmax(restart))} has ended; reset it before the next step "
@@ -95,7 +98,9 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
             running.start_next(np.flatnonzero(restart))
         reward, terminated, truncated = self._outcome()
         if mode == AutoresetMode.NEXT_STEP:
-            reward[restart], terminated[restart], truncated[restart] = 0.0, False, False
+            reward[restart] = 0.0
+            terminated[restart] = False
+            truncated[restart] = False
         ended = terminated | truncated
         final: dict[str, Any] = {}
         if mode == AutoresetMode.SAME_STEP and ended.any():
@@ -105,7 +110,7 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
         self._ended = ended
         return self._observe(), reward, terminated, truncated, self._infos() | final
 
-    def advance(self, actions: ArrayLike, active: NDArray[np.bool_]) -> Step:
+    def advance(self, actions: ArrayLike, active: Mask) -> Step:
         """Play one step and reset nothing; for playing a list of episodes to its end.
 
         The observations are images in any case.
@@ -124,50 +129,50 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
             images[ids] = draw_images(self.renderer, self.running, ids)
         return images, reward, terminated, truncated, self._infos()
 
-    def render(self) -> tuple[NDArray[np.uint8], ...]:
+    def render(self) -> tuple[Images, ...]:
         """Draw the policy's view of each environment, enlarged: n images (480, 480, 3) uint8."""
         if self._large_renderer is None:
             self._large_renderer = make_renderer(self.scene, self.config, RENDER_SIZE)
         return tuple(draw_images(self._large_renderer, self.running))
 
-    def get_state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> NamedArrays:
         """Copy all that determines the following steps, to the byte."""
         return super().get_state() | {"ended": self._ended.copy()}
 
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+    def set_state(self, state: NamedArrays) -> None:
         """Restore a state of ``get_state``; see `BaseVectorEnv.set_state`."""
         # A torch environment resets all that have ended, and its state says nothing of them.
         ended = state.get("ended", np.zeros(self.num_envs, dtype=np.bool_))
-        super().set_state({name: values for name, values in state.items() if name != "ended"})
+        arrays = dict(state)
+        arrays.pop("ended", None)
+        super().set_state(arrays)
         self._ended = np.array(ended)
 
     def _out(self, array: NDArray[Any]) -> NDArray[Any]:
         return array.copy()
 
-    def _outcome(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    def _outcome(self) -> tuple[Floats, Mask, Mask]:
         """Return reward, terminated and truncated, (n,) each, which the caller may write into."""
         outcome = self.running.outcome()
         return outcome.reward, outcome.terminated.copy(), outcome.truncated
 
-    def _observe(self, ids: NDArray[np.intp] | slice = slice(None)) -> Any:
+    def _observe(self, ids: Indices | slice = slice(None)) -> Any:
         images = draw_images(self.renderer, self.running, ids)
         if isinstance(self.single_observation_space, spaces.Box):
             return images
-        joints, rows = self.joint_positions[ids], self.running.knowledge_input[ids]
-        return self._interface.observe(images, joints, rows)
+        rows = self.running.knowledge_input[ids]
+        return self._interface.observe(images, self.joint_positions[ids], rows)
 
-    def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+    def _final_infos(self, ended: Mask) -> dict[str, Any]:
         """Return last observations and metrics where episodes ended, as Gymnasium defines them."""
         ids = np.flatnonzero(ended)
         observations = np.full(self.num_envs, None, dtype=object)
         last = iterate(self.single_observation_space, self._observe(ids))
         observations[ids] = np.fromiter(last, dtype=object, count=len(ids))
-        final = {
-            name: np.where(
-                ended[(...,) + (None,) * (values.ndim - 1)], values, np.zeros((), values.dtype)
-            )
-            for name, values in self._infos().items()
-        }
+        final = {}
+        for name, values in self._infos().items():
+            final[name] = np.zeros_like(values)
+            final[name][ended] = values[ended]
         return {
             "final_obs": observations,
             "_final_obs": ended.copy(),

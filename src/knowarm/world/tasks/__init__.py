@@ -7,6 +7,7 @@ default. Files never name a module: a stored config holds the ``kind`` of each p
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError, unknown_name
@@ -38,15 +39,16 @@ def task_names() -> list[str]:
 
 def combinations() -> dict[str, tuple[str, str]]:
     """Return the kinds of what is asked and of the skill by the name of their combination."""
-    return {
-        _name(asked, skill): (asked, skill) for asked in ASKED.kinds() for skill in SKILLS.kinds()
-    }
+    pairs = product(ASKED.kinds(), SKILLS.kinds())
+    return {_name(asked, skill): (asked, skill) for asked, skill in pairs}
 
 
 def _name(asked: str, skill: str) -> str:
     if asked == DEFAULT_ASKED:
         return skill
-    return asked if skill == DEFAULT_SKILL else f"{asked}-{skill}"
+    if skill == DEFAULT_SKILL:
+        return asked
+    return f"{asked}-{skill}"
 
 
 def find_task(task: "Task | Asking | Skill | str", base: "Task | None" = None) -> "Task":
@@ -79,7 +81,9 @@ def _named(name: str) -> "Task | Asking | Skill":
 
     if ":" in name:
         part = register_task(name)
-        return part() if isinstance(part, type) else part
+        if isinstance(part, type):
+            return part()
+        return part
     kinds = combinations()
     if name not in kinds:
         raise unknown_name("task", name, [*task_names(), *kinds])
@@ -103,10 +107,10 @@ def register_task(import_path: str) -> Any:
     from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
 
-    def is_part(found: Any) -> bool:
-        if isinstance(found, type):
-            return issubclass(found, Asking | Skill)
-        return isinstance(found, Task)
+    def is_part(value: Any) -> bool:
+        if isinstance(value, type):
+            return issubclass(value, Asking | Skill)
+        return isinstance(value, Task)
 
     part = load(import_path, "task", is_part, "a class derived from Skill or Asking, or a Task")
     for registry in (ASKED, SKILLS):
@@ -122,26 +126,27 @@ def register_task(import_path: str) -> Any:
 
 def task_probes() -> "list[type[BaseProbe]]":
     """List the probes that the parts of tasks bring."""
-    probes = [probe for part in _parts() for probe in part.probes]
-    return list(dict.fromkeys(probes))  # subclasses share theirs
+    return list(dict.fromkeys(_brought("probes")))  # subclasses share theirs
 
 
 def task_measures() -> "list[Measure]":
     """List the measures of all parts of tasks and of their probes."""
-    parts = _parts()
-    measures = [measure for part in parts for measure in part.measures]
-    return measures + [measure for probe in task_probes() for measure in probe.measures]
+    measures = _brought("measures")
+    for probe in task_probes():
+        measures += probe.measures
+    return measures
 
 
 def report_tables() -> "list[ReportTable]":
     """List the report's tables of all parts of tasks and of their probes."""
-    tables = list(dict.fromkeys(table for part in _parts() for table in part.tables))
+    tables = list(dict.fromkeys(_brought("tables")))
     return tables + [probe.table for probe in task_probes() if probe.table is not None]
 
 
-def _parts() -> list[Any]:
-    """Return the classes of what can be asked and of skills."""
-    return [*ASKED.types(), *SKILLS.types()]
+def _brought(name: str) -> list[Any]:
+    """List what all that can be asked and all skills have in a class attribute."""
+    parts = [*ASKED.types(), *SKILLS.types()]
+    return list(chain.from_iterable(getattr(part, name) for part in parts))
 
 
 def split_name(text: str) -> Iterator[tuple[str, str]]:

@@ -30,30 +30,33 @@ class HeldOut:
     """Whether this environment shows the held-out part or the rest."""
 
     def __post_init__(self) -> None:
-        if not self.colours and self.places is None:
-            raise UserError(
-                "HeldOut needs colours or places to hold out: give one, or pass held_out=None."
-            )
         if self.places is not None:
             x0, x1, y0, y1 = self.places
             share = (x1 - x0) * (y1 - y0) / 4
-            inside = -1 <= x0 < x1 <= 1 and -1 <= y0 < y1 <= 1
-            if not inside or not 0.01 <= share <= 0.5:
+            is_inside = -1 <= x0 < x1 <= 1 and -1 <= y0 < y1 <= 1
+            if not is_inside or not 0.01 <= share <= 0.5:
                 raise UserError(
                     "HeldOut.places must be x from < x to, y from < y to within -1 to 1 and 1 to "
                     f"50 % of the rectangle, got {self.places} ({100 * share:.0f} %)."
                 )
+        elif not self.colours:
+            raise UserError(
+                "HeldOut needs colours or places to hold out: give one, or pass held_out=None."
+            )
 
 
 def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: str) -> list[int]:
     """Return the indices of the colours in which a target may be shown."""
-    if held_out is None or not held_out.colours:
-        return list(range(len(colours)))
-    wanted = held_out.play == "held_out"
-    allowed = [i for i, name in enumerate(colours) if (name in held_out.colours) == wanted]
+    every = list(range(len(colours)))
+    if held_out is None:
+        return every
+    reserved = [i for i in every if colours[i] in held_out.colours]
     # A target without a held-out colour shows all of its colours on both sides.
-    if not any(name in held_out.colours for name in colours):
-        return list(range(len(colours)))
+    if not reserved:
+        return every
+    if held_out.play == "held_out":
+        return reserved
+    allowed = [i for i in every if i not in reserved]
     if not allowed:
         raise UserError(
             f"HeldOut.colours {held_out.colours} leave target {target!r} no colour for "
@@ -65,7 +68,9 @@ def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: st
 
 def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
     """Check that the held-out colours are among those of all targets."""
-    for name in held_out.colours if held_out else ():
+    if held_out is None:
+        return
+    for name in held_out.colours:
         if name not in names:
             raise unknown_name("held-out colour", name, names)
 
@@ -76,9 +81,9 @@ def choose_places(held_out: HeldOut | None, signed: Floats) -> Floats:
         return signed[:, 0]
     x0, x1, y0, y1 = held_out.places
     if held_out.play == "held_out":
-        x, y = (signed[:, 0, 0] + 1) / 2, (signed[:, 0, 1] + 1) / 2
-        return np.stack([x0 + x * (x1 - x0), y0 + y * (y1 - y0)], axis=-1)
-    x, y = signed[..., 0], signed[..., 1]
-    outside = (x < x0) | (x > x1) | (y < y0) | (y > y1)
-    first = outside.argmax(axis=1)
-    return signed[np.arange(len(signed)), first]
+        low = np.array([x0, y0])
+        size = np.array([x1 - x0, y1 - y0])
+        return low + (signed[:, 0] + 1) / 2 * size
+    x, y = np.moveaxis(signed, -1, 0)
+    is_outside = (x < x0) | (x > x1) | (y < y0) | (y > y1)
+    return signed[np.arange(len(signed)), is_outside.argmax(axis=1)]

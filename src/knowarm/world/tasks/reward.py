@@ -36,22 +36,30 @@ def measure(
         for k in range(3):
             square += (tcp_position[i, k] - grasp_position[i, k]) ** 2
         distance[i] = math.sqrt(square)
-        a, b = tcp_matrix[i], grasp_matrix[i]
+        a = tcp_matrix[i]
+        b = grasp_matrix[i]
         if ignore_roll:
-            x = a[5] * b[8] - a[8] * b[5]
-            y = a[8] * b[2] - a[2] * b[8]
-            z = a[2] * b[5] - a[5] * b[2]
+            ax = a[2]
+            ay = a[5]
+            az = a[8]
+            bx = b[2]
+            by = b[5]
+            bz = b[8]
+            x = ay * bz - az * by
+            y = az * bx - ax * bz
+            z = ax * by - ay * bx
             sine = math.sqrt(x * x + y * y + z * z)
-            cosine = a[2] * b[2] + a[5] * b[5] + a[8] * b[8]
+            cosine = ax * bx + ay * by + az * bz
         else:
             trace = 0.0
             for k in range(9):
                 trace += a[k] * b[k]
             skew = 0.0
             for p, q in ((0, 1), (1, 2), (2, 0)):
-                one = a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
-                two = a[q] * b[p] + a[3 + q] * b[3 + p] + a[6 + q] * b[6 + p]
-                skew += (one - two) ** 2
+                # Elements (p, q) and (q, p) of R
+                upper = a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
+                lower = a[q] * b[p] + a[3 + q] * b[3 + p] + a[6 + q] * b[6 + p]
+                skew += (upper - lower) ** 2
             sine = 0.5 * math.sqrt(skew)
             cosine = 0.5 * (trace - 1.0)
         angle[i] = math.degrees(math.atan2(sine, cosine))

@@ -5,7 +5,8 @@ episodes of any streams can be drawn in one batch, in any order, and the state o
 integers. The hash is splitmix64's finalizer (Steele, Lea and Flood 2014) applied to each in turn.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from itertools import chain
 from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -19,6 +20,8 @@ from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_
 
 Colours = Literal["fixed", "randomized"]
 
+Facets = tuple[ObjectColour, ...]
+"""The (object, colour) pairs that can be shown; objects in config order."""
 
 _TARGET, _X, _Y, _COLOUR = range(4)  # order of the first draws of an episode
 
@@ -32,9 +35,8 @@ class Setting(NamedTuple):
     """Always an object's first colour, or one of its colours drawn per episode."""
     held_out: HeldOut | None
     """Colours and places reserved for a test of generalization."""
-
-    facets: tuple[ObjectColour, ...]
-    """The (object, colour) pairs that can be shown; objects in config order."""
+    facets: Facets
+    """What can be shown."""
 
 
 class DrawnObjects(NamedTuple):
@@ -88,7 +90,7 @@ class Episodes:
 
     def __getitem__(self, index: slice | NDArray[np.intp] | Mask) -> Self:
         """Select episodes by a slice or an index array."""
-        return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
+        return type(self)(*[values[index] for values in vars(self).values()])
 
 
 class ObjectSampler(Protocol):
@@ -113,7 +115,8 @@ class OneObject:
     """Draws one object per episode, uniform in object, position in the rectangle and colour."""
 
     def __init__(self, setting: Setting) -> None:
-        robot, held_out = setting.scene.robot, setting.held_out
+        robot = setting.scene.robot
+        held_out = setting.held_out
         if number_parts(setting.facets).shape[1] > 1:
             raise UserError(
                 "EnvConfig.targets names several parts of one object, and this task shows one "
@@ -131,7 +134,7 @@ class OneObject:
         n = len(first)
         target = (first[:, _TARGET] * self._targets).astype(np.int64)
         candidates = np.concatenate([first[:, _X : _Y + 1], more], axis=1)
-        signed = 2 * candidates.reshape(n, candidates.shape[1] // 2, 2) - 1
+        signed = 2 * candidates.reshape(n, 1 + self.draws // 2, 2) - 1
         shade = (first[:, _COLOUR] * self._colour_count[target]).astype(np.int64)
         position = self._centre + choose_places(self._held_out, signed) * self._half
         return DrawnObjects(
@@ -144,18 +147,17 @@ class OneObject:
 
 def _allowed_colours(setting: Setting) -> tuple[Integers, Integers]:
     """Return the allowed colour indices of each target, (K, C), and their number, (K,)."""
-    scene, held_out = setting.scene, setting.held_out
+    scene = setting.scene
     last = None if setting.colours == "randomized" else 1
-    every = [names[:last] for names in scene.colour_names]
-    check_names(held_out, [name for names in every for name in names])
-    allowed = [
-        allowed_colours(held_out, names, one.name)
-        for names, one in zip(every, scene.targets, strict=True)
-    ]
-    table = np.zeros((len(allowed), max(map(len, allowed))), dtype=np.int64)
-    for k, indices in enumerate(allowed):
-        table[k, : len(indices)] = indices
-    return table, np.array([len(indices) for indices in allowed])
+    shades = [names[:last] for names in scene.colour_names]
+    check_names(setting.held_out, list(chain.from_iterable(shades)))
+    count = np.zeros(len(shades), dtype=np.int64)
+    table = np.zeros((len(shades), max(map(len, shades))), dtype=np.int64)
+    for k, target in enumerate(scene.targets):
+        indices = allowed_colours(setting.held_out, shades[k], target.name)
+        count[k] = len(indices)
+        table[k, : count[k]] = indices
+    return table, count
 
 
 Words = NDArray[np.uint64]

@@ -19,6 +19,12 @@ def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
     return np.abs(steps[..., None] - np.array(ACTION_LEVELS[:count])).argmin(axis=-1)
 
 
+Indices = NDArray[np.intp]
+"""Numbers of some environments, (k,)."""
+
+NamedArrays = dict[str, NDArray[Any]]
+"""Arrays by name, with a first axis for environments or episodes."""
+
 SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
 """Class of a task's simulator."""
 
@@ -51,9 +57,7 @@ class EpisodeState(Generic[SimulatorT]):
     distance: Floats  #: From gripper to goal, (n,) [m]
     angle: Floats  #: Between gripper and goal frame, (n,) [deg]
     success: Mask  #: Whether the task is solved, (n,)
-    memory: dict[
-        str, NDArray[Any]
-    ]  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
+    memory: NamedArrays  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
     grasp_rotation: Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
     first_facet: Integers  #: Number in ``facets`` of each target in its first colour, (K,)
 
@@ -65,7 +69,7 @@ class EpisodeState(Generic[SimulatorT]):
     @property
     def facet(self) -> Integers:
         """Index of that object and its colour in ``facets``, (n,) int64."""
-        return self.first_facet[self.objects[:, 0]] + self.colours[:, 0]
+        return self.first_facet[self.target] + self.colours[:, 0]
 
     def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
@@ -75,12 +79,17 @@ class EpisodeState(Generic[SimulatorT]):
         """Measure distance (n,) [m] and angle (n,) [deg] to the goals of visible objects (n,)."""
         rows = np.arange(len(which))
         simulator = self.simulator
-        position, matrix = self.goal_frames(self.objects[rows, which], self.positions[rows, which])
+        objects = self.objects[rows, which]
+        position, matrix = self.goal_frames(objects, self.positions[rows, which])
         return measure(
-            simulator.tcp_position, simulator.tcp_matrix, position, matrix, self.ignore_roll
+            simulator.tcp_position,
+            simulator.tcp_matrix,
+            position,
+            matrix,
+            self.ignore_roll,
         )
 
-    def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:
+    def grasp_positions(self, ids: Indices | slice = slice(None)) -> Floats:
         """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""
         places = target_places(self.scene, self.positions[ids])
-        return np.asarray(places + self.scene.grasp_position[self.objects[ids]])
+        return places + self.scene.grasp_position[self.objects[ids]]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import registered, to_dict
 from knowarm.measures import Measure
-from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.questions import QuestionTable
 from knowarm.world.backend import Dynamics, MujocoSimulator
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
@@ -19,13 +19,13 @@ from knowarm.world.tasks.asked import ASKED, DEFAULT_ASKED
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.asked.nothing import AskNothing
 from knowarm.world.tasks.registry import kind_of
-from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
+from knowarm.world.tasks.sampling import Colours, Facets, ObjectSampler, Setting
 from knowarm.world.tasks.skills import DEFAULT_SKILL, SKILLS
 from knowarm.world.tasks.skills.guides import Guide
 from knowarm.world.tasks.skills.reach import Reach
 from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 if TYPE_CHECKING:
     from knowarm.knowledge import KnowledgeGraph
@@ -59,7 +59,9 @@ class Task:
         skill = kind_of(type(self.skill))
         if asked == DEFAULT_ASKED:
             return skill
-        return asked if skill == DEFAULT_SKILL else f"{asked}-{skill}"
+        if skill == DEFAULT_SKILL:
+            return asked
+        return f"{asked}-{skill}"
 
     @property
     def title(self) -> str:
@@ -116,11 +118,11 @@ class Task:
         """Return what draws the objects of episodes."""
         return self.asked.sampler(setting)
 
-    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable | None:
+    def questions(self, facets: Facets) -> QuestionTable | None:
         """Return the questions of the task; None if episodes have none."""
         return self.asked.questions(facets)
 
-    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+    def knowledge_rows(self, facets: Facets) -> list[str]:
         """Name the rows of the knowledge table that ``knowledge_info`` refers to."""
         return self.asked.knowledge_rows(facets)
 
@@ -132,7 +134,7 @@ class Task:
         """Return the task with other questions of a graph, by fields of ``GraphQueries``."""
         return replace(self, asked=self.asked.asking(**fields))
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> "KnowledgeGraph | None":
+    def edited_graph(self, facets: Facets) -> "KnowledgeGraph | None":
         """Return the graph that answers instead of ``graph``, where answers changed; else None."""
         return self.asked.edited_graph(facets)
 
@@ -155,11 +157,6 @@ class Task:
     def dynamics(self) -> tuple[str, ...]:
         """Values of ``EnvConfig.dynamics`` with which the task can be simulated."""
         return self.skill.dynamics
-
-    @property
-    def moves_fingers(self) -> bool:
-        """Whether it needs a robot whose fingers move."""
-        return self.skill.moves_fingers
 
     @property
     def build_scene(self) -> Callable[[Robot, Sequence[Target], int], Scene]:
@@ -187,7 +184,7 @@ class Task:
         """Make what guides scripted agents to the solution of running episodes."""
         return self.skill.guide(state, seed, straight)
 
-    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+    def memory(self, num_envs: int) -> NamedArrays:
         """Return the arrays (n, ...) that are remembered between steps, as an episode starts."""
         return self.skill.memory(num_envs)
 
@@ -254,9 +251,11 @@ class Task:
             return lost
         nearest = self.nearest(state)
         wrong = self.skill.done_to(state, nearest) & (nearest != 0)
-        return wrong if lost is None else wrong | lost
+        if lost is None:
+            return wrong
+        return wrong | lost
 
-    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState) -> NamedArrays:
         """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""
         infos = {
             "distance": state.distance,
@@ -269,9 +268,7 @@ class Task:
         asked = self.asked.infos(state, self.nearest(state))
         return infos | asked | self.skill.infos(state)
 
-    def columns(
-        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
-    ) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
 
         Args:

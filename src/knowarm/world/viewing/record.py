@@ -3,19 +3,20 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain, repeat
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.pictures import animation, check_suffix, data_uri
 from knowarm.reading import replacing
 from knowarm.svg import element, escape, style_sheet
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
+from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.scene.scene import project
 from knowarm.world.tasks.sampling import Episodes
@@ -23,25 +24,28 @@ from knowarm.world.tasks.sampling import Episodes
 FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
 _LAST_FRAMES = 10
 _LAST_MS = 1_500  # Display time of the last image of a page's film [ms]
-_MARGIN, _LINE = 8, 28
-_PAPER, _INK = (255, 255, 255), (30, 30, 30)
+_MARGIN = 8
+_LINE = 28
+_PAPER = (255, 255, 255)
+_INK = (30, 30, 30)
 LENGTH_M = 0.08  # Length of a drawn axis [m]
 _SPHERE_POINTS = 64
 _COLOURS = ((214, 39, 40), (44, 160, 44), (31, 119, 180))  # of the x, y and z axis
 _SPHERE = (255, 255, 255)
+_SHEET = (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44)  # Size of a frame of a film [px]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """One frame of a recorded episode."""
 
-    policy: NDArray[np.uint8]  # Observation of the policy, (H, W, 3)
-    large: NDArray[np.uint8]  # The same view, enlarged, (480, 480, 3)
+    policy: Images  # Observation of the policy, (H, W, 3)
+    large: Images  # The same view, enlarged, (480, 480, 3)
     step: int  # Steps played so far
     distance: float  # Gripper to grasp point [m]
     angle: float  # Angle between gripper and grasp frame [deg]
     success: bool  # Whether the target is reached
-    joints: NDArray[np.float64]  # Joint angles, (J,) [rad] (slides: [m])
+    joints: Floats  # Joint angles, (J,) [rad] (slides: [m])
     goal: str = ""  # What the episode's goal is, as "red mug", for captions
 
 
@@ -52,22 +56,27 @@ def record_episode(
 
     With ``axes``, both frames and the sphere of success are drawn over the large view.
     """
-    return [
-        Frame(
+    frames = []
+    for moment in play_steps(agent, env, episode):
+        large = env.render()[0]
+        if axes:
+            large = draw_axes(env, large)
+        infos = moment.infos
+        frame = Frame(
             policy=moment.images[0].copy(),
-            large=draw_axes(env, env.render()[0]) if axes else env.render()[0],
+            large=large,
             step=moment.step,
-            distance=float(moment.infos["distance"][0]),
-            angle=float(moment.infos["angle"][0]),
-            success=bool(moment.infos["is_success"][0]),
+            distance=float(infos["distance"][0]),
+            angle=float(infos["angle"][0]),
+            success=bool(infos["is_success"][0]),
             joints=env.joint_positions[0].copy(),
             goal=env.running.describe(0),
         )
-        for moment in play_steps(agent, env, episode)
-    ]
+        frames.append(frame)
+    return frames
 
 
-def draw_axes(env: ArmVectorEnv, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def draw_axes(env: ArmVectorEnv, image: Images) -> Images:
     """Draw both frames of environment 0 over its image (H, H, 3) uint8: a new image.
 
     The axes x, y and z are red, green and blue, thick for the goal and thin for the gripper, and
@@ -75,25 +84,32 @@ def draw_axes(env: ArmVectorEnv, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     which the gripper's distance counts as success.
     """
     running = env.running
+    simulator = running.simulator
     picture = Image.fromarray(image)
     draw = ImageDraw.Draw(picture)
-    view = None if running.shown.views is None else running.shown.views[0]
+    view = None
+    camera = env.scene.camera_position
+    if running.shown.views is not None:
+        view = running.shown.views[0]
+        camera = view[:3]
 
-    def line(points: NDArray[Any], colour: tuple[int, int, int], width: int) -> None:
+    def line(points: Floats, colour: tuple[int, int, int], width: int) -> None:
         pixels = (1 + project(env.scene, points, view) * (1, -1)) * len(image) / 2
         if np.isfinite(pixels).all():  # in front of the camera
-            draw.line([(x, y) for x, y in pixels], colour, width)
+            draw.line(list(map(tuple, pixels)), colour, width)
 
-    goal, gripper = running.goal_position[0], running.simulator.tcp_position[0]
-    towards = goal - (env.scene.camera_position if view is None else view[:3])
-    right, up = np.linalg.svd(towards[None])[2][1:]  # span the plane across the line of sight
+    def frame(origin: Floats, matrix: Floats, width: int) -> None:
+        for axis, colour in zip(matrix.reshape(3, 3).T, _COLOURS, strict=True):
+            line(np.stack([origin, origin + LENGTH_M * axis]), colour, width)
+
+    goal = running.goal_position[0]
+    _, _, rotation = np.linalg.svd((goal - camera)[None])
+    right, up = rotation[1:]  # span the plane across the line of sight
     turn = np.linspace(0, 2 * np.pi, _SPHERE_POINTS)[:, None]
     circle = np.cos(turn) * right + np.sin(turn) * up
     line(goal + running.limits[0] * circle, _SPHERE, 2)
-    frames = ((goal, running.goal_matrix, 4), (gripper, running.simulator.tcp_matrix, 2))
-    for origin, matrix, width in frames:
-        for axis, colour in zip(matrix[0].reshape(3, 3).T, _COLOURS, strict=True):
-            line(np.stack([origin, origin + LENGTH_M * axis]), colour, width)
+    frame(goal, running.goal_matrix[0], 4)
+    frame(simulator.tcp_position[0], simulator.tcp_matrix[0], 2)
     return np.asarray(picture)
 
 
@@ -118,20 +134,22 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
     """
     check_suffix(path, "A film strip")
     side = 240
-    width = columns * (side + _MARGIN) + _MARGIN
     title = _LINE if any(frames[0].goal for frames in episodes) else 0
-    height = len(episodes) * (title + side + _LINE + _MARGIN) + _MARGIN
-    strip = Image.new("RGB", (width, height), _PAPER)
-    draw, font = ImageDraw.Draw(strip), ImageFont.load_default(14)
+    column_width = side + _MARGIN
+    row_height = title + side + _LINE + _MARGIN
+    size = (columns * column_width + _MARGIN, len(episodes) * row_height + _MARGIN)
+    strip = Image.new("RGB", size, _PAPER)
+    draw = ImageDraw.Draw(strip)
+    font = ImageFont.load_default(14)
     for row, frames in enumerate(episodes):
-        top = _MARGIN + row * (title + side + _LINE + _MARGIN) + title
+        top = _MARGIN + row * row_height + title
         draw.text((_MARGIN, top - 22), frames[0].goal, _INK, font)
         chosen = np.unique(np.linspace(0, len(frames) - 1, columns).round().astype(int))
         for column, index in enumerate(chosen):
             frame = frames[index]
-            left = _MARGIN + column * (side + _MARGIN)
-            image = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
-            strip.paste(image, (left, top))
+            left = _MARGIN + column * column_width
+            large = Image.fromarray(frame.large)
+            strip.paste(large.resize((side, side), Image.Resampling.LANCZOS), (left, top))
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
     with replacing(path, "Name another file.") as temporary:
         strip.save(temporary)
@@ -147,11 +165,11 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
         av.open(str(temporary), "w") as container,
     ):
         stream = container.add_stream("libx264", rate=FRAMES_PER_S)
-        stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
+        stream.width, stream.height = _SHEET
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "20"}
         for frames in episodes:
-            for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
+            for frame in chain(frames, repeat(frames[-1], _LAST_FRAMES)):
                 image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
                 container.mux(stream.encode(image))
         container.mux(stream.encode())
@@ -160,14 +178,15 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
 def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> None:
     """Write a self-contained HTML page with a film per episode, which a browser repeats."""
     check_page(path)
-    head = (
+    head = element(
+        "head",
         element("meta", charset="utf-8"),
         element("title", escape(title)),
         element("style", style_sheet()),
     )
     films = [_film(f"Episode {number}", frames) for number, frames in enumerate(episodes, start=1)]
-    body = element("main", element("h2", escape(title)), *films)
-    page = element("html", element("head", *head), element("body", body), lang="en")
+    main = element("main", element("h2", escape(title)), *films)
+    page = element("html", head, element("body", main), lang="en")
     with replacing(path, "Name another file.") as temporary:
         temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8")
 
@@ -184,16 +203,19 @@ def _film(name: str, frames: Sequence[Frame]) -> str:
     return element("figure", image, element("figcaption", escape(caption)))
 
 
-def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
+def _side_by_side(frame: Frame) -> Images:
     """Draw the policy's image, its pixels enlarged, and the large view: (H, W, 3), even sides."""
-    sheet = Image.new("RGB", (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44), _PAPER)
+    sheet = Image.new("RGB", _SHEET, _PAPER)
     size = (RENDER_SIZE, RENDER_SIZE)
     small = Image.fromarray(frame.policy).resize(size, Image.Resampling.NEAREST)
     sheet.paste(small, (_MARGIN, _MARGIN))
     sheet.paste(Image.fromarray(frame.large), (RENDER_SIZE + 2 * _MARGIN, _MARGIN))
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(16)
-    caption = f"{frame.goal}; {_caption(frame)}" if frame.goal else _caption(frame)
-    draw.text((_MARGIN, RENDER_SIZE + _MARGIN + 6), caption, _INK, font)
+    caption = _caption(frame)
+    if frame.goal:
+        caption = f"{frame.goal}; {caption}"
+    font = ImageFont.load_default(16)
+    place = (_MARGIN, RENDER_SIZE + _MARGIN + 6)
+    ImageDraw.Draw(sheet).text(place, caption, _INK, font)
     return np.asarray(sheet)
 
 

@@ -44,7 +44,8 @@ def write_rrd(
             recording.set_time("step", sequence=0)
             recording.set_time("time", duration=time / FRAMES_PER_S)
             recording.log("goal", rerun.TextLog(frames[0].goal or "reach"))
-            for name, values in knowledge[number].items() if knowledge else ():
+            arrays = knowledge[number] if knowledge else {}
+            for name, values in arrays.items():
                 kind = rerun.BarChart if values.ndim == 1 else rerun.Tensor
                 recording.log(name, kind(values))
             for frame in frames:

@@ -4,16 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from numpy.typing import NDArray
-
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.measures import Measure
-from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.questions import QuestionTable
 from knowarm.world.tasks.probe import BaseProbe, ReportTable
 from knowarm.world.tasks.registry import kind_of
-from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.sampling import Colours, Facets, ObjectSampler, OneObject, Setting
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 if TYPE_CHECKING:
     from knowarm.knowledge import KnowledgeGraph
@@ -85,11 +83,11 @@ class Asking:
         """
         return OneObject(setting)
 
-    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable | None:
+    def questions(self, facets: Facets) -> QuestionTable | None:
         """Return the questions; None if episodes have none."""
         return None
 
-    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+    def knowledge_rows(self, facets: Facets) -> list[str]:
         """Name the rows of the knowledge table that ``knowledge_info`` refers to."""
         return ["/".join(facet) for facet in facets]
 
@@ -109,7 +107,7 @@ class Asking:
             f"of a task with such queries, or leave {name} out."
         )
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> "KnowledgeGraph | None":
+    def edited_graph(self, facets: Facets) -> "KnowledgeGraph | None":
         """Return the graph that answers instead of ``graph``, where answers changed; else None."""
         return None
 
@@ -122,13 +120,11 @@ class Asking:
         """
         raise NotImplementedError
 
-    def infos(self, state: EpisodeState, nearest: Integers) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState, nearest: Integers) -> NamedArrays:
         """Return further infos of the current state, (n, ...) each; ``nearest`` as above."""
         return {}
 
-    def columns(
-        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
-    ) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
 
         Args:
@@ -146,5 +142,6 @@ class Asking:
 
     def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Describe the goal of one episode, as "red mug"."""
-        target = state.scene.targets[int(state.objects[env_id, 0])]
-        return f"{[*target.colours][int(state.colours[env_id, 0])]} {target.name}"
+        number = state.target[env_id]
+        colour = state.scene.colour_names[number][state.colours[env_id, 0]]
+        return f"{colour} {state.scene.targets[number].name}"

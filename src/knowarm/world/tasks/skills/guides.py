@@ -41,11 +41,11 @@ class ShortestWay:
 
     def error(self) -> Floats:
         """Return the way from joint targets to solution in largest steps, (n, J)."""
-        return self._to(self._goal)
+        return self._steps_to(self._goal)
 
-    def _to(self, joints: Floats) -> Floats:
-        state = self._state
-        return np.asarray((joints - state.joint_targets) / state.increments[1])
+    def _steps_to(self, joints: Floats) -> Floats:
+        """Return the way from joint targets to joint angles (n, J) in largest steps, (n, J)."""
+        return (joints - self._state.joint_targets) / self._state.increments[1]
 
 
 class StraightApproach(ShortestWay):
@@ -60,16 +60,19 @@ class StraightApproach(ShortestWay):
         state = self._state
         back = -state.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
         solver = InverseKinematics.of_task(state.scene, state, starts=1)
-        way = [self._goal]
+        joints = self._goal
+        way = [joints]
         for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
             position = state.goal_position + distance * back
-            way.append(solver.solve(position, state.goal_matrix, way[-1], attempts=1).joints)
+            joints = solver.solve(position, state.goal_matrix, joints, attempts=1).joints
+            way.append(joints)
         self._way = np.stack(way[::-1])
         self._next = np.zeros(len(back), dtype=np.int64)
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""
         rows = np.arange(len(self._next))
-        near = np.abs(self._to(self._way[self._next, rows])).max(axis=1) < NEAR
-        self._next = np.minimum(self._next + near, WAYPOINTS)
-        return self._to(self._way[self._next, rows])
+        error = self._steps_to(self._way[self._next, rows])
+        is_near = np.abs(error).max(axis=1) < NEAR
+        self._next = np.minimum(self._next + is_near, WAYPOINTS)
+        return self._steps_to(self._way[self._next, rows])

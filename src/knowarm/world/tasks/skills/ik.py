@@ -21,7 +21,8 @@ ATTEMPTS = 6  # Sets of random starts tried for poses that are not reached
 ROTATION_WEIGHT = 0.05
 """Weight of the direction beside the position where the roll is ignored [m/rad]."""
 
-REACHED_M, REACHED_DEG = 0.01, 3.0
+REACHED_M = 0.01
+REACHED_DEG = 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
 MARGIN_DEG = REACHED_DEG + 2.0  # Distance of an easier orientation from its threshold [deg]
 
@@ -81,8 +82,10 @@ class InverseKinematics:
         cls, scene: Scene, angle_deg: float, ignore_roll: bool, **options: Any
     ) -> Self:
         """Make the solver of a task with a success angle [deg]."""
-        eased_deg = min(2 * (angle_deg - SUCCESS_ANGLE_DEG), angle_deg - MARGIN_DEG)
-        eased_deg = max(0.0, eased_deg) if ignore_roll else 0.0
+        eased_deg = 0.0
+        if ignore_roll:
+            widened = 2 * (angle_deg - SUCCESS_ANGLE_DEG)
+            eased_deg = max(eased_deg, min(widened, angle_deg - MARGIN_DEG))
         return cls(scene, ignore_roll=ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
@@ -101,9 +104,9 @@ class InverseKinematics:
             again = self._solve_once(
                 position[missed], matrix[missed], start[missed], self._seed + attempt
             )
-            better = again.within(REACHED_M, self.reached_deg)
-            for name in ("joints", "distance", "angle", "contact"):
-                getattr(solution, name)[missed[better]] = getattr(again, name)[better]
+            is_better = again.within(REACHED_M, self.reached_deg)
+            for name, values in vars(solution).items():
+                values[missed[is_better]] = getattr(again, name)[is_better]
         return solution
 
     def pose(self, joints: Floats) -> tuple[Floats, Floats]:
@@ -114,7 +117,8 @@ class InverseKinematics:
 
     def _solve_once(self, position: Floats, matrix: Floats, start: Floats, seed: int) -> IKSolution:
         n, joints = start.shape
-        lower, upper = self.scene.joint_lower, self.scene.joint_upper
+        lower = self.scene.joint_lower
+        upper = self.scene.joint_upper
         generator = np.random.default_rng(seed)
         # All poses share the random starts, so a solution depends on its own pose only.
         starts = generator.uniform(lower, upper, (self._starts, 1, joints))
@@ -123,83 +127,98 @@ class InverseKinematics:
         if self._starts > 1:
             q[1] = self.scene.home
         q = q.reshape(-1, joints)
-        position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
+        copies = (self._starts, 1)
+        position = np.tile(position, copies)
+        matrix = np.tile(matrix, copies)
+        start = np.tile(start, copies)
         simulation = MujocoSimulator(self.scene, len(q))
-        bound = (simulation.batch.bind(name) for name in ("xanchor", "xaxis", "ncon"))
-        anchors, axes, contacts = bound
+        self._improve(simulation, q, position, matrix)
+        q = self._unwind(q, start)
+        simulation.set_joints(q)
+        distance, angle = measure(
+            simulation.tcp_position,
+            simulation.tcp_matrix,
+            position,
+            matrix,
+            self._ignore_roll,
+        )
+        change = np.abs(q - start).max(axis=1)
+        touches = simulation.batch.bind("ncon").reshape(len(q)) > 0
+        tilted = (angle - self._eased_deg).clip(min=0.0) / REACHED_DEG
+        missed = (distance / REACHED_M + tilted).clip(min=1.0)
+        # Smallest change first, then solutions in contact, then poses that are not reached.
+        cost = change + 100.0 * touches + 1000.0 * missed
+        best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
+        return IKSolution(
+            joints=q[best],
+            distance=distance[best],
+            angle=angle[best],
+            contact=touches[best],
+        )
+
+    def _improve(
+        self, simulation: MujocoSimulator, q: Floats, position: Floats, matrix: Floats
+    ) -> None:
+        """Iterate joint angles (n, J) in place until each has settled."""
+        anchors = simulation.batch.bind("xanchor")
+        axes = simulation.batch.bind("xaxis")
         active = np.arange(len(q))
         for _ in range(ITERATIONS):
-            simulation.set_joints(q[active], active)
-            tcp, goal = simulation.tcp_position[active], matrix[active]
+            old = q[active]
+            simulation.set_joints(old, active)
+            tcp = simulation.tcp_position[active]
+            goal = matrix[active]
             error = _pose_error(tcp, simulation.tcp_matrix[active], position[active], goal)
-            joint = active[:, None], self._joints
+            joint = (active[:, None], self._joints)
             jacobian = self._jacobian(tcp, anchors[joint], axes[joint])
             if self._ignore_roll:
                 error, jacobian = _without_roll(error, jacobian, goal)
             transposed = jacobian.transpose(0, 2, 1)
             damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
             step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
-            old = q[active]
-            q[active] = np.clip(old + np.clip(step, -MAX_STEP_RAD, MAX_STEP_RAD), lower, upper)
-            active = active[np.abs(q[active] - old).max(axis=1) > SETTLED_RAD]
+            new = old + step.clip(-MAX_STEP_RAD, MAX_STEP_RAD)
+            new = new.clip(self.scene.joint_lower, self.scene.joint_upper)
+            q[active] = new
+            active = active[np.abs(new - old).max(axis=1) > SETTLED_RAD]
             if not len(active):
                 break
-        q = self._unwind(q, np.tile(start, (self._starts, 1)))
-        simulation.set_joints(q)
-        distance, angle = measure(
-            simulation.tcp_position, simulation.tcp_matrix, position, matrix, self._ignore_roll
-        )
-        change = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
-        touches = contacts.reshape(len(q)) > 0
-        tilted = (angle - self._eased_deg).clip(min=0.0) / REACHED_DEG
-        # Smallest change first, then solutions in contact, then poses that are not reached.
-        cost = change + 100.0 * touches + 1000.0 * (distance / REACHED_M + tilted).clip(min=1.0)
-        best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
-        return IKSolution(
-            joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
-        )
 
     def _jacobian(self, tcp: Floats, anchors: Floats, axes: Floats) -> Floats:
         """Return the Jacobians of the gripper (n, 6, J) from anchors and axes (n, J, 3)."""
-        arm, following, last = tcp[:, None] - anchors, [1, 2, 0], [2, 0, 1]
+        arm = tcp[:, None] - anchors
+        following = [1, 2, 0]
+        last = [2, 0, 1]
         turning = axes[..., following] * arm[..., last] - axes[..., last] * arm[..., following]
-        hinge = self._is_hinge[:, None]
-        both = np.where(hinge, turning, axes), np.where(hinge, axes, 0.0)
-        return np.concatenate(both, axis=2).transpose(0, 2, 1)
+        is_hinge = self._is_hinge[:, None]
+        moving = np.where(is_hinge, turning, axes)
+        rotating = np.where(is_hinge, axes, 0.0)
+        return np.concatenate([moving, rotating], axis=2).transpose(0, 2, 1)
 
     def _unwind(self, q: Floats, start: Floats) -> Floats:
         """Shift hinges by whole turns to the angle nearest to the start."""
         turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
         unwound = q - 2 * np.pi * turns
-        inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
-        return np.where(inside, unwound, q)
+        is_inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
+        return np.where(is_inside, unwound, q)
 
 
 def _without_roll(error: Floats, jacobian: Floats, matrix: Floats) -> tuple[Floats, Floats]:
     """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
     axis = matrix.reshape(-1, 3, 3)[:, :, 2]
     across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
-    turn = (across @ error[:, 3:, None])[..., 0]
-    return (
-        np.concatenate([error[:, :3], turn], axis=1),
-        np.concatenate([jacobian[:, :3], across @ jacobian[:, 3:]], axis=1),
-    )
+    error = error.copy()
+    error[:, 3:] = (across @ error[:, 3:, None])[..., 0]
+    turning = across @ jacobian[:, 3:]
+    return error, np.concatenate([jacobian[:, :3], turning], axis=1)
 
 
 def _pose_error(tcp: Floats, tcp_matrix: Floats, position: Floats, matrix: Floats) -> Floats:
     """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
-    skew = np.stack(
-        [
-            turn[:, 2, 1] - turn[:, 1, 2],
-            turn[:, 0, 2] - turn[:, 2, 0],
-            turn[:, 1, 0] - turn[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = np.linalg.norm(skew, axis=1)
-    angle = np.arctan2(sine, np.trace(turn, axis1=1, axis2=2) - 1.0)
+    skew = turn[:, [2, 0, 1], [1, 2, 0]] - turn[:, [1, 2, 0], [2, 0, 1]]
+    sine = np.linalg.norm(skew, axis=1, keepdims=True)
+    cosine = np.trace(turn, axis1=1, axis2=2)[:, None] - 1.0
     # At half a turn the skew part does not define the axis; any axis makes progress.
-    axis = np.where(sine[:, None] > 1e-9, skew / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
-    return np.concatenate([position - tcp, axis * angle[:, None]], axis=1)
+    axis = np.where(sine > 1e-9, skew / np.maximum(sine, 1e-9), [1.0, 0.0, 0.0])
+    return np.concatenate([position - tcp, axis * np.arctan2(sine, cosine)], axis=1)

@@ -19,7 +19,7 @@ from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.skills.guides import Guide, ShortestWay, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +116,10 @@ class Skill:
             seed: of the solver of the inverse kinematics.
             straight: whether the way ends straight along the approach direction.
         """
-        return (StraightApproach if straight else ShortestWay)(state, seed)
+        make = StraightApproach if straight else ShortestWay
+        return make(state, seed)
 
-    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+    def memory(self, num_envs: int) -> NamedArrays:
         """Return the arrays (n, ...) that are remembered between steps, as an episode starts.
 
         They are stored and restored with the environment, and read from ``EpisodeState.memory``.
@@ -167,13 +168,11 @@ class Skill:
         """Compute the reward of a step, (n,); the paper's by default (table 1)."""
         return paper_reward(state.distance, state.angle, state.success)
 
-    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState) -> NamedArrays:
         """Return further infos of the current state, (n, ...) each."""
         return {}
 
-    def columns(
-        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
-    ) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
 
         Args:

@@ -3,14 +3,12 @@
 import logging
 from copy import copy
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.sampling import Episodes, derive, uniforms
+from knowarm.world.tasks.sampling import Episodes, Words, derive, uniforms
 from knowarm.world.tasks.skills.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.tasks.state import EpisodeState
 
@@ -47,60 +45,55 @@ class GoalTable:
     """
 
     def __init__(self, state: EpisodeState) -> None:
-        self._state, robot = state, state.scene.robot
-        count = len(state.scene.targets)
-        self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
-        size = 2 * np.array(robot.rectangle_half_size_m)
-        self._cell = np.maximum(size / (NODES - 1), 1e-9)
-        arm = build_scene(robot, state.scene.targets[:1])  # each object takes time and memory
-        solver = partial(InverseKinematics.of_task, arm, state)
-        every = np.arange(count)
-        centre = np.tile(robot.rectangle_centre_m, (count, 1))
-        reference = self._solve(solver(), every, centre, np.tile(arm.home, (count, 1))).joints
-        axes = [
-            low + step * np.arange(NODES) for low, step in zip(self._low, self._cell, strict=True)
-        ]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._grid = objects, places = np.repeat(every, len(grid)), np.tile(grid, (count, 1))
-        self._near = near = solver(starts=1)
-        found = self._solve(near, objects, places, reference[objects], 1)
-        missed = float((~found.within(REACHED_M, near.reached_deg)).mean())
+        robot = state.scene.robot
+        targets = state.scene.targets
+        centre = robot.rectangle_centre_m
+        half_size = np.array(robot.rectangle_half_size_m)
+        self._low = centre - half_size
+        self._cell = np.maximum(2 * half_size / (NODES - 1), 1e-9)
+        arm = build_scene(robot, targets[:1])  # each object takes time and memory
+        every = np.arange(len(targets))
+        copies = (len(targets), 1)
+        position, matrix = state.goal_frames(every, np.tile(centre, copies))
+        solver = InverseKinematics.of_task(arm, state)
+        reference = solver.solve(position, matrix, np.tile(arm.home, copies)).joints
+        x, y = self._low[:, None] + self._cell[:, None] * np.arange(NODES)
+        nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._objects = np.repeat(every, len(nodes))
+        places = np.tile(nodes, copies)
+        self._position, self._matrix = state.goal_frames(self._objects, places)
+        self._solver = InverseKinematics.of_task(arm, state, starts=1)
+        solution = self._solve(self._position, reference[self._objects])
+        is_reached = solution.within(REACHED_M, self._solver.reached_deg)
+        missed = float((~is_reached).mean())
         if missed > MISSED:
             log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
-        self._joints = found.joints.reshape(count, NODES, NODES, -1)
+        self._joints = solution.joints.reshape(len(targets), NODES, NODES, -1)
 
     def shifted(self, shift: Floats) -> "GoalTable":
         """Return the table of goal frames moved by ``shift`` per object, (K, 3) [m]."""
-        table, (objects, places) = copy(self), self._grid
-        start = self._joints.reshape(len(objects), -1)
-        found = self._solve(self._near, objects, places, start, 1, shift=shift)
-        table._joints = found.joints.reshape(self._joints.shape)
+        start = self._joints.reshape(len(self._objects), -1)
+        solution = self._solve(self._position + shift[self._objects], start)
+        table = copy(self)
+        table._joints = solution.joints.reshape(self._joints.shape)
         return table
 
     def __call__(self, objects: Integers, places: Floats) -> Floats:
         """Return the joint angles for objects (k,) at places (k, 2) [m], (k, J) [rad]."""
         scaled = ((places - self._low) / self._cell).clip(0, NODES - 1)
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
-        (x, y), (i, j) = (scaled - corner).T[..., None], corner.T
-        table = self._joints
-        return np.asarray(
-            (1 - x) * ((1 - y) * table[objects, i, j] + y * table[objects, i, j + 1])
-            + x * ((1 - y) * table[objects, i + 1, j] + y * table[objects, i + 1, j + 1])
-        )
+        i, j = corner.T
+        x, y = (scaled - corner).T[..., None]
+        low = self._joints[objects, i]
+        high = self._joints[objects, i + 1]
+        rows = np.arange(len(objects))
+        at_low_x = interpolate(low[rows, j], low[rows, j + 1], y)
+        at_high_x = interpolate(high[rows, j], high[rows, j + 1], y)
+        return interpolate(at_low_x, at_high_x, x)
 
-    def _solve(
-        self,
-        solver: InverseKinematics,
-        objects: Integers,
-        places: Floats,
-        start: Floats,
-        *attempts: int,
-        shift: Floats | None = None,
-    ) -> IKSolution:
-        position, matrix = self._state.goal_frames(objects, places)
-        if shift is not None:
-            position = position + shift[objects]
-        return solver.solve(position, matrix, start, *attempts)
+    def _solve(self, position: Floats, start: Floats) -> IKSolution:
+        """Solve for all nodes from joint angles ``start``, without tries from elsewhere."""
+        return self._solver.solve(position, self._matrix, start, 1)
 
 
 class Teacher:
@@ -129,26 +122,28 @@ class Teacher:
         """Return the way from joint targets to solution in units of the largest step, (n, J)."""
         state = self._state
         goals = self.goals(state.target, state.positions[:, 0])
-        return np.asarray((goals - state.joint_targets) / self._largest)
+        return (goals - state.joint_targets) / self._largest
 
-    def practice(
-        self, episodes: Episodes, streams: NDArray[np.uint64], numbers: NDArray[np.uint64]
-    ) -> Episodes:
+    def practice(self, episodes: Episodes, streams: Words, numbers: Words) -> Episodes:
         """Move the starts of a share of new episodes (k,) to noisy points on their way."""
         if not self.practice_share:
             return episodes
         scene = self._state.scene
         joints = len(scene.robot.joints)  # Fingers start open.
+        home = scene.home[:joints]
         draws = uniforms(streams ^ _STREAM, numbers, 3 + 2 * joints)
-        radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
-        noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints : -1])  # Box and Muller 1958
+        ends = np.cumsum([1, 1, joints, joints])
+        share, moved, radial, angular, choice = np.split(draws, ends, axis=1)
+        is_moved = moved < self.practice_share
+        # Normal draws (Box and Muller 1958)
+        radius = np.sqrt(-2 * np.log1p(-radial))
+        noise = radius * np.cos(2 * np.pi * angular)
         noise *= self._largest
-        start = (scene.home + episodes.joint_offsets)[:, :joints]
-        point = self.practice_point(episodes, start, draws[:, :1], noise, draws[:, -1:])
-        point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
-        moved = draws[:, 1:2] < self.practice_share
         offsets = episodes.joint_offsets.copy()
-        offsets[:, :joints] = np.where(moved, point - scene.home[:joints], offsets[:, :joints])
+        start = home + offsets[:, :joints]
+        point = self.practice_point(episodes, start, share, noise, choice)
+        point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
+        offsets[:, :joints] = np.where(is_moved, point - home, offsets[:, :joints])
         return replace(episodes, joint_offsets=offsets)
 
     def practice_point(
@@ -159,7 +154,20 @@ class Teacher:
         ``share`` and ``choice`` are uniform draws (k, 1), ``noise`` has a standard deviation of one
         largest step, (k, J).
         """
-        way = self.goals(episodes.target, episodes.position) - start
-        # As the teacher moves: every joint by the largest step until it arrives.
-        reached = share * np.abs(way).max(axis=1, keepdims=True)
-        return np.asarray(start + way.clip(-reached, reached) + PRACTICE_NOISE * noise)
+        goals = self.goals(episodes.target, episodes.position)
+        return towards(goals, start, share) + PRACTICE_NOISE * noise
+
+
+def interpolate(start: Floats, end: Floats, share: Floats) -> Floats:
+    """Return what is a share of the way from ``start`` to ``end``."""
+    return (1 - share) * start + share * end
+
+
+def towards(goals: Floats, start: Floats, share: Floats) -> Floats:
+    """Return joint angles (k, J) after a share (k, 1) of the steps from ``start`` to ``goals``.
+
+    As the teacher moves: every joint by the largest step until it arrives.
+    """
+    way = goals - start
+    reached = share * np.abs(way).max(axis=1, keepdims=True)
+    return start + way.clip(-reached, reached)

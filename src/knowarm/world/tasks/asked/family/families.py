@@ -7,8 +7,9 @@ grasped at its handle, inclined by 45 degrees, and without one at its top, from 
 
 import hashlib
 import tomllib
+from collections.abc import Callable
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +29,16 @@ KINDS = tuple(_TABLE)
 INSTANCES = 20
 """Instances of each kind that are asked for."""
 
-FAMILIES = tuple(f"{kind}{INSTANCE}{i}" for kind in KINDS for i in range(INSTANCES))
+FAMILIES = tuple(f"{kind}{INSTANCE}{i}" for kind, i in product(KINDS, range(INSTANCES)))
 """Objects among which is chosen."""
 
 _SHAPES = tuple(dict.fromkeys(kind["shape"] for kind in _TABLE.values()))
+_GEOMS = {"cylindrical": "cylinder", "round": "ellipsoid", "square": "box"}
 
 FAMILY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "purple")
 
-_DARK, _LIGHT = ".15 .15 .16 1", ".93 .93 .9 1"
+_DARK = ".15 .15 .16 1"
+_LIGHT = ".93 .93 .9 1"
 _INCLINED = "0 -.92387953 0 .38268343"
 _FROM_ABOVE = "0 1 0 0"
 
@@ -60,24 +63,29 @@ def instance(name: str) -> Target:
 def facts(name: str) -> dict[str, tuple[str, ...]]:
     """Return what holds for an instance: the values of each relation."""
     shape = _Shape(name)
-    found = {relation: tuple(values) for relation, values in shape.kind["facts"].items()}
-    return found | {"hasShape": (shape.kind["shape"],), "hasPart": tuple(shape.parts)}
+    values = {relation: tuple(listed) for relation, listed in shape.kind["facts"].items()}
+    values["hasShape"] = (shape.kind["shape"],)
+    values["hasPart"] = tuple(shape.parts)
+    return values
 
 
 def make(name: str) -> Target | None:
     """Return the target of an instance's name; None for names of other objects."""
     kind = kind_of(name)
-    return instance(name) if kind in KINDS and kind != name else None
+    if kind == name or kind not in KINDS:
+        return None
+    return instance(name)
 
 
 def _code(kind: str, attributes: tuple[str, ...]) -> AttributeCode:
     """Return the code of an instance: shapes, of which it has one, parts and kinds."""
-    values = [1.0 if attribute in attributes else -1.0 for attribute in (*_SHAPES, *_SIZES)]
+    names = (*_SHAPES, *_SIZES)
+    values = [1.0 if name in attributes else -1.0 for name in names]
     kinds = [float(kind == other) for other in KINDS]
     return AttributeCode(
         values=(*values, 0.0, *kinds),
         exclusive=len(_SHAPES),
-        attributes=len(_SHAPES) + len(_SIZES),
+        attributes=len(names),
     )
 
 
@@ -88,97 +96,139 @@ class _Shape:
         kind, _, number = name.partition(INSTANCE)
         if kind not in _TABLE or not number.isdecimal():
             raise unknown_name("instance of a family", name, FAMILIES)
-        self.name, self.kind = name, _TABLE[kind]
+        self.kind = _TABLE[kind]
         seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
         self._rng = np.random.default_rng(seed)
-        self.parts = [p for p in _SIZES if self._rng.random() < self.kind["parts"].get(p, 0)]
+        shares = self.kind["parts"]
+        self.parts = [part for part in _SIZES if self._rng.random() < shares.get(part, 0)]
         self.coloured: list[str] = []
         self._lines: list[str] = []
-        self._build()
+        is_round = self.kind["shape"] == "round"
+        self._radius = self._draw(self.kind["radius"])
+        if is_round:
+            self._height = self._radius * self._draw(self.kind["flat"]) * 2
+        else:
+            self._height = self._draw(self.kind["height"])
+        self._low = 0.0  # Height of the lower end of the body
+        if "foot" in self.parts:
+            self._add_foot(**self._sizes("foot"))
+        self._top = self._low + self._height  # Upper end of what is assembled, and its radius
+        self._wide = 0.6 * self._radius if is_round else self._radius
+        self._add_body()
+        self._handle = ""
+        upwards: dict[str, Callable[..., None]] = {
+            "spout": self._add_spout,
+            "handle": self._add_handle,
+            "neck": self._add_neck,
+            "rim": self._add_rim,
+            "lid": self._add_lid,
+        }
+        for part, add in upwards.items():
+            if part in self.parts:
+                add(**self._sizes(part))
+        grasp = self._handle or _metres(0, 0, self._top - 0.01)
+        turn = _INCLINED if self._handle else _FROM_ABOVE
+        self._lines.append(f'<site name="grasp" pos="{grasp}" quat="{turn}"/>')
 
     def xml(self) -> str:
         """Return the MJCF of the instance."""
         body = "\n".join(self._lines)
         return f'<mujoco><worldbody><body name="object">\n{body}\n</body></worldbody></mujoco>'
 
-    def _build(self) -> None:
-        shape, radius = self.kind["shape"], self._draw(self.kind["radius"])
-        high = radius * self._draw(self.kind["flat"]) * 2 if shape == "round" else 0.0
-        high = high or self._draw(self.kind["height"])
-        top = low = self._foot() if "foot" in self.parts else 0.0
-        top += high
-        half = high / 2
-        solid = {
-            "cylindrical": f'type="cylinder" size="{radius:.4f} {half:.4f}"',
-            "round": f'type="ellipsoid" size="{radius:.4f} {radius:.4f} {half:.4f}"',
-            "square": f'type="box" size="{radius:.4f} {radius:.4f} {half:.4f}"',
-        }[shape]
-        self._add("body", f'{solid} pos="0 0 {low + half:.4f}"')
-        wide = 0.6 * radius if shape == "round" else radius
-        if "spout" in self.parts:
-            size = self._part("spout")
-            start, end = 0.85 * radius, radius + size["length"]
-            line = f"{-start:.4f} 0 {low + 0.4 * high:.4f} {-end:.4f} 0 {low + 0.95 * high:.4f}"
-            self._add("spout", f'type="capsule" size="{size["thickness"]:.4f}" fromto="{line}"')
-        grasp = self._handle(radius, low, high) if "handle" in self.parts else None
-        if "neck" in self.parts:
-            size = self._part("neck")
-            wide, top = size["radius"], top + size["height"]
-            half = size["height"] / 2 + 0.004  # reaches into the body
-            at = top - half
-            self._add("neck", f'type="cylinder" size="{wide:.4f} {half:.4f}" pos="0 0 {at:.4f}"')
-        if "rim" in self.parts:
-            size = self._part("rim")
-            wide, top = wide + size["overhang"], top + size["height"] / 2
-            self._disc("rim", wide, size["height"], top, _LIGHT)
-            self._disc("inside", 0.8 * wide, 0.002, top + 0.001, _DARK)
-        if "lid" in self.parts:
-            size = self._part("lid")
-            wide, top = wide + size["overhang"], top + size["height"]
-            self._disc("lid", wide, size["height"], top, _DARK)
-            knob = size["knob"]
-            top += 1.4 * knob
-            at = top - knob
-            self._lines.append(
-                f'<geom name="knob" type="sphere" size="{knob:.4f}" pos="0 0 {at:.4f}" '
-                f'rgba="{_DARK}"/>'
+    def _add_foot(self, radius: float, height: float, thickness: float) -> None:
+        """Add disc and stem, on which the body stands."""
+        half = height / 2 + 0.002
+        self._add(name="foot", type="cylinder", size=f"{_metres(radius)} .005", pos="0 0 .005")
+        self._add(
+            name="stem",
+            type="cylinder",
+            size=_metres(thickness, half),
+            pos=_metres(0, 0, half),
+        )
+        self._low = height
+
+    def _add_body(self) -> None:
+        shape = self.kind["shape"]
+        half = self._height / 2
+        size = _metres(self._radius, self._radius, half)
+        if shape == "cylindrical":
+            size = _metres(self._radius, half)
+        pos = _metres(0, 0, self._low + half)
+        self._add(name="body", type=_GEOMS[shape], size=size, pos=pos)
+
+    def _add_spout(self, length: float, thickness: float) -> None:
+        start = (-0.85 * self._radius, 0, self._low + 0.4 * self._height)
+        end = (-(self._radius + length), 0, self._low + 0.95 * self._height)
+        self._add(
+            name="spout",
+            type="capsule",
+            size=_metres(thickness),
+            fromto=_metres(*start, *end),
+        )
+
+    def _add_handle(self, reach: float, thickness: float, size: float) -> None:
+        """Add a loop on the +x side of the body, at which it is grasped."""
+        half = self._height * size / 2
+        middle = self._low + self._height / 2
+        inner = 0.8 * self._radius
+        outer = self._radius + reach
+        low = middle - half
+        high = middle + half
+        corners = [(inner, 0, high), (outer, 0, high), (outer, 0, low), (inner, 0, low)]
+        for number, (start, end) in enumerate(pairwise(corners)):
+            self._add(
+                name=f"handle_{number}",
+                type="capsule",
+                size=_metres(thickness),
+                fromto=_metres(*start, *end),
             )
-        position, turn = grasp or f"0 0 {top - 0.01:.4f}", _INCLINED if grasp else _FROM_ABOVE
-        self._lines.append(f'<site name="grasp" pos="{position}" quat="{turn}"/>')
+        self._handle = _metres(outer + thickness, 0, middle)
 
-    def _foot(self) -> float:
-        """Add disc and stem; return the height at which the body stands."""
-        size = self._part("foot")
-        thick, high = size["thickness"], size["height"]
-        self._add("foot", f'type="cylinder" size="{size["radius"]:.4f} .005" pos="0 0 .005"')
-        half = high / 2 + 0.002
-        self._add("stem", f'type="cylinder" size="{thick:.4f} {half:.4f}" pos="0 0 {half:.4f}"')
-        return high
+    def _add_neck(self, radius: float, height: float) -> None:
+        self._wide = radius
+        self._top += height
+        half = height / 2 + 0.004  # reaches into the body
+        self._add(
+            name="neck",
+            type="cylinder",
+            size=_metres(radius, half),
+            pos=_metres(0, 0, self._top - half),
+        )
 
-    def _handle(self, radius: float, low: float, high: float) -> str:
-        """Add a loop on the +x side of the body; return the point at which it is grasped."""
-        size = self._part("handle")
-        half, middle, thick = high * size["size"] / 2, low + high / 2, size["thickness"]
-        inner, outer = 0.8 * radius, radius + size["reach"]
-        corners = [(inner, half), (outer, half), (outer, -half), (inner, -half)]
-        for number, ((x, z), (to_x, to_z)) in enumerate(pairwise(corners)):
-            line = f"{x:.4f} 0 {middle + z:.4f} {to_x:.4f} 0 {middle + to_z:.4f}"
-            self._add(f"handle_{number}", f'type="capsule" size="{thick:.4f}" fromto="{line}"')
-        return f"{outer + thick:.4f} 0 {middle:.4f}"
+    def _add_rim(self, overhang: float, height: float) -> None:
+        self._wide += overhang
+        self._top += height / 2
+        self._add_disc("rim", self._wide, height, self._top, _LIGHT)
+        self._add_disc("inside", 0.8 * self._wide, 0.002, self._top + 0.001, _DARK)
 
-    def _part(self, part: str) -> dict[str, float]:
+    def _add_lid(self, overhang: float, height: float, knob: float) -> None:
+        self._wide += overhang
+        self._top += height
+        self._add_disc("lid", self._wide, height, self._top, _DARK)
+        self._top += 1.4 * knob
+        pos = _metres(0, 0, self._top - knob)
+        self._add(name="knob", type="sphere", size=_metres(knob), pos=pos, rgba=_DARK)
+
+    def _add_disc(self, name: str, radius: float, height: float, top: float, rgba: str) -> None:
+        half = height / 2
+        pos = _metres(0, 0, top - half)
+        self._add(name=name, type="cylinder", size=_metres(radius, half), pos=pos, rgba=rgba)
+
+    def _add(self, **attributes: str) -> None:
+        """Add a geom, in the object's colour unless it has one of its own."""
+        if "rgba" not in attributes:
+            self.coloured.append(attributes["name"])
+        text = " ".join(f'{name}="{value}"' for name, value in attributes.items())
+        self._lines.append(f"<geom {text}/>")
+
+    def _sizes(self, part: str) -> dict[str, float]:
         return {name: self._draw(between) for name, between in _SIZES[part].items()}
 
     def _draw(self, between: list[float]) -> float:
-        return float(self._rng.uniform(between[0], between[1]))
+        low, high = between
+        return self._rng.uniform(low, high)
 
-    def _add(self, name: str, shape: str) -> None:
-        """Add a geom in the object's colour."""
-        self.coloured.append(name)
-        self._lines.append(f'<geom name="{name}" {shape}/>')
 
-    def _disc(self, name: str, radius: float, height: float, top: float, rgba: str) -> None:
-        self._lines.append(
-            f'<geom name="{name}" type="cylinder" size="{radius:.4f} {height / 2:.4f}" '
-            f'pos="0 0 {top - height / 2:.4f}" rgba="{rgba}"/>'
-        )
+def _metres(*lengths: float) -> str:
+    """Write lengths [m] as MJCF does, with four decimals; a whole 0 stays one."""
+    return " ".join(f"{length:.4f}" if length else "0" for length in lengths)

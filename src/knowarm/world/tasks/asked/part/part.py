@@ -4,13 +4,11 @@ Every object has two parts at which it can be grasped, and the facets of a query
 part of one of the visible objects answers.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
 from knowarm.measures import Measure
@@ -18,7 +16,7 @@ from knowarm.questions import object_of
 from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
 from knowarm.world.tasks.sampling import Setting
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 PARTS_PER_OBJECT = 2
 
@@ -35,10 +33,10 @@ PURPOSE_TARGETS = (
 class AskPart(AskObject):
     """Objects with two parts each, of which exactly one part answers the episode's question."""
 
-    area: ClassVar[str | None] = "purpose"
+    area = "purpose"
     targets: ClassVar[tuple[str, ...]] = PURPOSE_TARGETS
-    shares_places: ClassVar[bool] = True
-    column_meanings: ClassVar[dict[str, str]] = AskObject.column_meanings | {
+    shares_places = True
+    column_meanings = AskObject.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }
     measures: ClassVar[tuple[Measure, ...]] = (
@@ -65,13 +63,11 @@ class AskPart(AskObject):
 
         Parts are near each other, and may differ in the angle more than in the distance.
         """
-        count = state.objects.shape[1]
-        every = [state.measure_object(np.full(len(state.steps), j)) for j in range(count)]
-        return np.argmin(np.tensordot(every, 1 / state.limits, axes=(1, 0)), axis=0)
+        n, count = state.objects.shape
+        errors = [state.measure_object(np.full(n, part)) for part in range(count)]
+        return np.argmin(np.tensordot(errors, 1 / state.limits, axes=(1, 0)), axis=0)
 
-    def columns(
-        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
-    ) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return also whether the part reached belongs to the right object."""
         objects = np.array([object_of(target.name) for target in setting.scene.targets])
         right = objects[infos["reached_object"]] == objects[infos["target"]]

@@ -46,16 +46,21 @@ class LayoutSource:
         self._centre = np.array(robot.rectangle_centre_m)
         self._half = np.array(robot.rectangle_half_size_m)
         angles = np.pi * np.arange(_AXES) / _AXES
-        axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AXES)], axis=1)
-        self._axes = axes[:, :2]
-        extent = support(scene, np.concatenate([axes, -axes]))
-        self.width: Floats = (extent[:, :_AXES] + extent[:, _AXES:]).max(axis=1)
-        self._forward = extent[:, :_AXES] + GAP_M / 2
-        self._backward = extent[:, _AXES:] + GAP_M / 2
-        right, up, backward = scene.camera_matrix.T
-        self._outline = support(scene, np.stack([right, -right, up, -up]))
+        axes = np.zeros((_AXES, 3))
+        axes[:, 0] = np.cos(angles)
+        axes[:, 1] = np.sin(angles)
+        self._axes = axes[:, :2].T
+        forward = support(scene, axes)
+        backward = support(scene, -axes)
+        self.width: Floats = (forward + backward).max(axis=1)
+        self._forward = forward + GAP_M / 2
+        self._backward = backward + GAP_M / 2
+        right, up, _ = scene.camera_matrix.T
+        sides = np.stack([right, up])
+        self._outline_low = support(scene, -sides)
+        self._outline_high = support(scene, sides)
         # A point (x, y) of the support has the camera coordinates xy @ slope + offset.
-        self._slope = np.stack([right, up, backward], axis=1)[:2].copy()
+        self._slope = scene.camera_matrix[:2].copy()
         height = np.array([0.0, 0.0, robot.support_height_m])
         self._offset = (height - scene.camera_position) @ scene.camera_matrix
 
@@ -71,64 +76,72 @@ class LayoutSource:
         for attempt in range(1, ATTEMPTS):
             again, fits = self._attempt(drawn[:, attempt], objects)
             position = np.where(fitting[:, None, None], position, again)
-            fitting = fitting | fits
+            fitting |= fits
         return np.repeat(position, self._parts, axis=1), fitting
 
     def _attempt(self, uniforms: Floats, objects: Integers) -> Placed:
         """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
-        n, m, tries, _ = uniforms.shape
-        rows = np.arange(n)
-        fitting = np.ones(n, dtype=np.bool_)
+        rows = np.arange(len(objects))
+        fitting = np.ones(len(objects), dtype=np.bool_)
         placed: list[Floats] = []
-        hidden: list[Floats] = []
-        for j in range(m):
-            drawn = self._centre + (2 * uniforms[:, j] - 1) * self._half
-            fits = np.ones((n, tries), dtype=np.bool_)
-            own = np.zeros((n, tries))
-            others = []
-            for k in range(j):
-                there = placed[k][:, None]
-                fits = fits & self._apart(drawn, objects[:, j], there, objects[:, k])
-                by_k, of_k = self._hidden(drawn, objects[:, j], there, objects[:, k])
-                own = own + by_k
-                others.append(hidden[k][:, None] + of_k)
-                fits = fits & (others[k] <= MAX_HIDDEN)
-            fits = fits & (own <= MAX_HIDDEN)
+        hidden: list[Floats] = []  # Share of each placed object that others hide, (n, 1) each
+        for j, new in enumerate(objects.T):
+            signed = 2 * uniforms[:, j] - 1
+            drawn = self._centre + signed * self._half
+            fits = np.ones(drawn.shape[:2], dtype=np.bool_)
+            shares = []
+            share_of_new = np.zeros(drawn.shape[:2])
+            for k, old in enumerate(objects.T[:j]):
+                fits &= self._apart(drawn, new, placed[k], old)
+                of_new, of_old = self._hidden(drawn, new, placed[k], old)
+                share_of_new += of_new
+                shares.append(hidden[k] + of_old)
+            shares.append(share_of_new)
+            for share in shares:
+                fits &= share <= MAX_HIDDEN
             first = fits.argmax(axis=1)
-            fitting = fitting & fits[rows, first]
-            placed.append(drawn[rows, first])
-            hidden = [share[rows, first] for share in others] + [own[rows, first]]
-        return np.stack(placed, axis=1), fitting
+            fitting &= fits[rows, first]
+            placed.append(drawn[rows, first][:, None])
+            hidden = [share[rows, first][:, None] for share in shares]
+        return np.concatenate(placed, axis=1), fitting
 
     def _apart(self, a: Floats, of_a: Integers, b: Floats, of_b: Integers) -> Mask:
         """Return whether objects at a (n, T, 2) and b (n, 1, 2) do not overlap, (n, T) bool."""
-        way = (b - a) @ self._axes.T
-        ahead = (self._forward[of_a] + self._backward[of_b])[:, None]
-        behind = (self._backward[of_a] + self._forward[of_b])[:, None]
-        return ((way > ahead) | (-way > behind)).any(axis=-1)
+        way = (b - a) @ self._axes
+        ahead = self._forward[of_a] + self._backward[of_b]
+        behind = self._backward[of_a] + self._forward[of_b]
+        is_apart = (way > ahead[:, None]) | (-way > behind[:, None])
+        return np.any(is_apart, axis=-1)
 
     def _hidden(
         self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
     ) -> tuple[Floats, Floats]:
         """Return the share of a that b hides from the camera and the reverse, (n, T) each."""
-        from_a, to_a, depth_a = self._in_image(a, of_a)
-        from_b, to_b, depth_b = self._in_image(b, of_b)
-        common = np.clip(np.minimum(to_a, to_b) - np.maximum(from_a, from_b), 0, None)
-        overlap = common[..., 0] * common[..., 1]
-        size_a, size_b = to_a - from_a, to_b - from_b
-        share_a = overlap / (size_a[..., 0] * size_a[..., 1])
-        share_b = overlap / (size_b[..., 0] * size_b[..., 1])
-        a_is_nearer = depth_a < depth_b
-        return np.where(a_is_nearer, 0.0, share_a), np.where(a_is_nearer, share_b, 0.0)
+        low_a, high_a, depth_a = self._in_image(a, of_a)
+        low_b, high_b, depth_b = self._in_image(b, of_b)
+        low = np.maximum(low_a, low_b)
+        high = np.minimum(high_a, high_b)
+        overlap = _area(np.clip(high - low, 0, None))
+        share_a = overlap / _area(high_a - low_a)
+        share_b = overlap / _area(high_b - low_b)
+        is_nearer = depth_a < depth_b
+        share_a[is_nearer] = 0.0
+        share_b[~is_nearer] = 0.0
+        return share_a, share_b
 
     def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, Floats, Floats]:
         """Return corners (n, T, 2) of the rectangles around objects in the image, and depths."""
         camera = position @ self._slope + self._offset
-        depth = -camera[..., 2]
-        outline = self._outline[objects][:, None]
-        low = (camera[..., :2] - outline[..., 1::2]) / depth[..., None]
-        high = (camera[..., :2] + outline[..., ::2]) / depth[..., None]
-        return low, high, depth
+        centre = camera[..., :2]
+        depth = -camera[..., 2:]
+        low = (centre - self._outline_low[objects][:, None]) / depth
+        high = (centre + self._outline_high[objects][:, None]) / depth
+        return low, high, depth[..., 0]
+
+
+def _area(sides: Floats) -> Floats:
+    """Return the areas of rectangles of sides (..., 2)."""
+    return sides[..., 0] * sides[..., 1]
 
 
 def support(scene: Scene, directions: Floats) -> Floats:
@@ -137,32 +150,34 @@ def support(scene: Scene, directions: Floats) -> Floats:
     A part of an object extends as far as the object. The distances (K, D) [m] are exact for
     primitive shapes, and of the bounding box for meshes.
     """
-    model, data = scene.model, scene.at(scene.home)
+    model = scene.model
+    data = scene.at(scene.home)
     extent = np.full((len(scene.targets), len(directions)), -np.inf)
-    for g in np.flatnonzero(scene.geom_target >= 0):
-        body = model.body_rootid[model.geom_bodyid[g]]
-        centre = data.geom_xpos[g] - data.xpos[body]
-        local = directions @ data.geom_xmat[g].reshape(3, 3)
-        along = directions @ centre + _half_width(model, int(g), local)
-        k = scene.geom_target[g]
+    for geom in np.flatnonzero(scene.geom_target >= 0).tolist():
+        body = model.body_rootid[model.geom_bodyid[geom]]
+        centre = data.geom_xpos[geom] - data.xpos[body]
+        local = directions @ data.geom_xmat[geom].reshape(3, 3)
+        along = directions @ centre + _half_width(model, geom, local)
+        k = scene.geom_target[geom]
         extent[k] = np.maximum(extent[k], along)
-    names = [object_of(target.name) for target in scene.targets]
-    return np.stack([extent[[other == name for other in names]].max(axis=0) for name in names])
+    objects = np.array([object_of(target.name) for target in scene.targets])
+    return np.stack([extent[objects == name].max(axis=0) for name in objects])
 
 
 def _half_width(model: mujoco.MjModel, geom: int, local: Floats) -> Floats:
     """Return how far a geom extends from its centre along directions (D, 3) in its frame, (D,)."""
-    size, kinds = model.geom_size[geom], mujoco.mjtGeom
+    size = model.geom_size[geom]
+    kinds = mujoco.mjtGeom
     axial = np.abs(local[:, 2])
     match model.geom_type[geom]:
         case kinds.mjGEOM_SPHERE:
             return np.full(len(local), size[0])
         case kinds.mjGEOM_CAPSULE:
-            return np.asarray(size[0] + size[1] * axial)
+            return size[0] + size[1] * axial
         case kinds.mjGEOM_CYLINDER:
             radial = np.sqrt(np.maximum(0.0, 1.0 - axial**2))
-            return np.asarray(size[0] * radial + size[1] * axial)
+            return size[0] * radial + size[1] * axial
         case kinds.mjGEOM_ELLIPSOID:
-            return np.asarray(np.linalg.norm(size * local, axis=1))
-    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    return np.asarray(local @ middle + np.abs(local) @ half)
+            return np.linalg.norm(size * local, axis=1)
+    middle, half = model.geom_aabb[geom].reshape(2, 3)
+    return local @ middle + np.abs(local) @ half

@@ -32,9 +32,7 @@ class ObjectSets:
 
     def select(self, rows: Mask) -> "ObjectSets":
         """Return some of the sets."""
-        return ObjectSets(
-            self.query[rows], self.facets[rows], self.goal[rows], balanced=self.balanced
-        )
+        return ObjectSets(self.query[rows], self.facets[rows], self.goal[rows], self.balanced)
 
 
 def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
@@ -51,7 +49,7 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     drawn: list[Integers] = []
     for _ in range(_ROUNDS):
         sets = _all_parts(table, _draw_sets(table, objects, generator))
-        can_be_asked = np.asarray(_own_queries(table, sets).any(axis=2))
+        can_be_asked = np.any(_own_queries(table, sets), axis=2)
         drawn.append(sets[can_be_asked.all(axis=1)])
         if sum(map(len, drawn)) >= SETS:
             break
@@ -66,15 +64,15 @@ def _draw_sets(table: QuestionTable, objects: int, generator: np.random.Generato
     number = table.objects
     usable = table.shown & table.askable.any(axis=0)
     together = table.related & (number[:, None] != number) & usable
+    weights = _object_weights(table, usable)
     candidates = np.repeat(usable[None], SETS, axis=0)
-    chosen: list[Integers] = []
+    chosen = np.zeros((SETS, 0), dtype=np.int64)
     for _ in range(objects):
-        facet = _pick(candidates, _object_weights(table, usable), generator)
-        possible = candidates.any(axis=1)
-        candidates, chosen = candidates[possible], [each[possible] for each in chosen]
-        chosen.append(facet[possible])
-        candidates = candidates & together[chosen[-1]]
-    return np.stack(chosen, axis=1)
+        facet = _pick(candidates, weights, generator)
+        is_possible = candidates.any(axis=1)
+        chosen = np.column_stack([chosen, facet])[is_possible]
+        candidates = candidates[is_possible] & together[chosen[:, -1]]
+    return chosen
 
 
 def _all_parts(table: QuestionTable, sets: Integers) -> Integers:
@@ -85,7 +83,7 @@ def _all_parts(table: QuestionTable, sets: Integers) -> Integers:
 def _object_weights(table: QuestionTable, usable: Mask) -> Floats:
     """Return weights of the facets with which every object is equally likely, (F,)."""
     number = table.objects
-    return np.asarray(1.0 / np.maximum(1, np.bincount(number, weights=usable))[number])
+    return 1.0 / np.maximum(1, np.bincount(number, weights=usable))[number]
 
 
 def _pick(candidates: Mask, weights: Floats, generator: np.random.Generator) -> Integers:
@@ -99,7 +97,7 @@ def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
     """Return which queries may be asked for a facet and single it out in its set, (n, m, Q)."""
     satisfied = table.satisfies.T[sets]
     alone = satisfied.sum(axis=1, keepdims=True) == 1
-    return np.asarray(table.askable.T[sets] & alone)
+    return table.askable.T[sets] & alone
 
 
 def _ask_each(table: QuestionTable, sets: Integers, generator: np.random.Generator) -> ObjectSets:
@@ -107,9 +105,8 @@ def _ask_each(table: QuestionTable, sets: Integers, generator: np.random.Generat
     n, m = sets.shape
     own = _own_queries(table, sets).reshape(n * m, -1)
     query = _pick(own, 1.0 / np.maximum(1, own.sum(axis=0)), generator)
-    return ObjectSets(
-        query=query, facets=np.repeat(sets, m, axis=0), goal=np.tile(np.arange(m), n), balanced=True
-    )
+    goal = np.tile(np.arange(m), n)
+    return ObjectSets(query, np.repeat(sets, m, axis=0), goal, balanced=True)
 
 
 def _ask_first(table: QuestionTable, objects: int, generator: np.random.Generator) -> ObjectSets:
@@ -118,16 +115,18 @@ def _ask_first(table: QuestionTable, objects: int, generator: np.random.Generato
     asked = np.flatnonzero(table.askable.any(axis=1))
     query = asked[generator.integers(len(asked), size=count)]
     number = table.objects
-    target = _pick(table.askable[query], _object_weights(table, table.shown), generator)
+    weights = _object_weights(table, table.shown)
+    target = _pick(table.askable[query], weights, generator)
     candidates = table.distractors(query, target)
     chosen = [target]
     for _ in range(objects - 1):
-        facet = _pick(candidates, _object_weights(table, table.shown), generator)
+        facet = _pick(candidates, weights, generator)
         candidates = candidates & (number[facet][:, None] != number)
         chosen.append(facet)
     order = generator.permuted(np.tile(np.arange(objects), (count, 1)), axis=1)
     facets = np.take_along_axis(np.stack(chosen, axis=1), order, axis=1)
     facets = _all_parts(table, facets)
-    alone = np.take_along_axis(table.satisfies[query], facets, axis=1).sum(axis=1) == 1
+    answers = np.take_along_axis(table.satisfies[query], facets, axis=1)
+    alone = answers.sum(axis=1) == 1
     goal = (facets == target[:, None]).argmax(axis=1)
     return ObjectSets(query, facets, goal, balanced=False).select(alone)

@@ -5,18 +5,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
 from knowarm.config import check_values, override, within
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
-from knowarm.questions import AND, ObjectColour, QuestionTable
+from knowarm.questions import AND, QuestionTable
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.asked.query.arrangements import SeveralObjects, question_table
 from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
-from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.sampling import Facets, ObjectSampler, Setting
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 CHOOSE_TARGETS = (
     *("mug", "bottle", "teapot", "kettle", "pitcher", "wine_glass", "bowl", "vase", "pot", "pan"),
@@ -32,12 +31,12 @@ MAX_OBJECTS = 6
 class AskObject(Asking):
     """Several objects in the rectangle, of which exactly one answers the episode's question."""
 
-    area: ClassVar[str | None] = "choose"
+    area = "choose"
     targets: ClassVar[tuple[str, ...]] = CHOOSE_TARGETS
-    colours: ClassVar[Colours | None] = "randomized"
-    scopes: ClassVar[frozenset[str]] = frozenset({"query"})
-    holds_out: ClassVar[bool] = False
-    knowledge_info: ClassVar[str] = "query"
+    colours = "randomized"
+    scopes = frozenset({"query"})
+    holds_out = False
+    knowledge_info = "query"
     column_meanings: ClassVar[dict[str, str]] = {
         "query": "query of the episode",
         "chosen": "object whose grasp point was nearest to the gripper at the end",
@@ -90,11 +89,11 @@ class AskObject(Asking):
         """Return what draws objects, places and questions."""
         return SeveralObjects(setting, self.queries, self.visible)
 
-    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable:
+    def questions(self, facets: Facets) -> QuestionTable:
         """Return the questions, cached per process."""
         return question_table(self.queries, facets, self.visible, self.queries.version())
 
-    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+    def knowledge_rows(self, facets: Facets) -> list[str]:
         """Name the rows of the knowledge table: one per query."""
         return [query.name for query in self.questions(facets).queries]
 
@@ -114,7 +113,7 @@ class AskObject(Asking):
             return super().asking(**fields)
         return replace(self, queries=override(self.queries, fields))
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...]) -> KnowledgeGraph | None:
+    def edited_graph(self, facets: Facets) -> KnowledgeGraph | None:
         """Return the graph that answers instead of ``graph``, of split S5; else None."""
         return self.queries.edited_graph(facets, self.visible)
 
@@ -127,7 +126,7 @@ class AskObject(Asking):
         way = points - state.simulator.tcp_position[:, None]
         return np.argmin(np.sum(way * way, axis=2), axis=1)
 
-    def infos(self, state: EpisodeState, nearest: Integers) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState, nearest: Integers) -> NamedArrays:
         """Return the infos of the choice.
 
         ``reached_object`` is the object whose grasp point is nearest to the gripper, (n,) int64;
@@ -144,19 +143,19 @@ class AskObject(Asking):
             "object_positions": state.positions,
         }
 
-    def columns(
-        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
-    ) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return the query, its relations, the object reached, and whether it answers the query."""
         names = np.array([target.name for target in setting.scene.targets])
-        queries = self.questions(setting.facets).queries
-        kinds = {query.name: AND.join(c.relation for c in query.conditions) for query in queries}
+        queries = infos["query"]
+        relations = {}
+        for query in self.questions(setting.facets).queries:
+            relations[query.name] = AND.join(part.relation for part in query.conditions)
         return {
-            "query": infos["query"],
+            "query": queries,
             "chosen": names[infos["reached_object"]],
             "choice_correct": infos["is_right_object"],
-            "chance": np.full(len(infos["query"]), 1 / self.visible),
-            "query_type": np.array([kinds[name] for name in infos["query"]]),
+            "chance": np.full(len(queries), 1 / self.visible),
+            "query_type": np.array([relations[name] for name in queries]),
         }
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:

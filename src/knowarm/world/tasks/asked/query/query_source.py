@@ -12,14 +12,15 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
-from knowarm.questions import COLOUR_RELATION, ObjectColour, Query, QuestionTable
+from knowarm.questions import COLOUR_RELATION, Query, QuestionTable
+from knowarm.world.tasks.sampling import Facets
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuerySource:
     """Base of the configs that make a question table."""
 
-    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+    def table(self, facets: Facets, objects: int) -> QuestionTable:
         """Make the table of the facets that can be shown, for a number of objects per episode."""
         raise NotImplementedError
 
@@ -32,7 +33,7 @@ class QuerySource:
         """Path of the graph that answers, or the name of a shipped one; None without a graph."""
         return None
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> KnowledgeGraph | None:
+    def edited_graph(self, facets: Facets, objects: int) -> KnowledgeGraph | None:
         """Return the graph that answers instead of ``graph_path``, of split S5; else None."""
         return None
 
@@ -53,13 +54,17 @@ class NameQueries(QuerySource):
                 "one."
             )
 
-    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+    def table(self, facets: Facets, objects: int) -> QuestionTable:
         """Make a table with one query per object and one per colour."""
-        place = {"object": ("isA", 0), "colour": (COLOUR_RELATION, 1)}
+        parts = {
+            "object": ("isA", [name for name, _ in facets]),
+            "colour": (COLOUR_RELATION, [colour for _, colour in facets]),
+        }
         rows: dict[Query, list[bool]] = {}
-        for relation, part in (place[name] for name in self.ask):
-            for value in dict.fromkeys(facet[part] for facet in facets):
-                rows[Query.of((relation, value))] = [facet[part] == value for facet in facets]
+        for kind in self.ask:
+            relation, values = parts[kind]
+            for value in dict.fromkeys(values):
+                rows[Query.of((relation, value))] = [value == other for other in values]
         satisfies = np.array(list(rows.values()), dtype=np.bool_)
         count = len(facets)
         return QuestionTable(
@@ -91,34 +96,43 @@ class GraphQueries(QuerySource):
     edited: str | None = None
     """Path of the graph of S5; None draws its edits."""
 
-    def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
+    def table(self, facets: Facets, objects: int) -> QuestionTable:
         """Make the table of the split."""
         splits = self.splits(facets, objects)
-        return splits.train if self.split == "train" else splits.test(self.split)
+        if self.split == "train":
+            return splits.train
+        return splits.test(self.split)
 
     def version(self) -> tuple[int, ...]:
         """Return when the files of the graphs were last written."""
-        named = (Path(name) for name in (self.graph, self.edited) if name and name not in SHIPPED)
-        files = (file for path in named for file in (path, *path.glob("*")) if file.exists())
-        return tuple(sorted(file.stat().st_mtime_ns for file in files))
+        written = []
+        for name in (self.graph, self.edited):
+            if not name or name in SHIPPED:
+                continue
+            path = Path(name)
+            files = [path, *path.glob("*")]
+            written += [file.stat().st_mtime_ns for file in files if file.exists()]
+        return tuple(sorted(written))
 
     @property
     def graph_path(self) -> str:
         """Path of the graph, or the name of a shipped one."""
         return self.graph
 
-    def edited_graph(self, facets: tuple[ObjectColour, ...], objects: int) -> KnowledgeGraph | None:
+    def edited_graph(self, facets: Facets, objects: int) -> KnowledgeGraph | None:
         """Return the graph of split S5 where its questions are asked."""
-        return self.splits(facets, objects).edited if self.split == "S5" else None
+        if self.split != "S5":
+            return None
+        return self.splits(facets, objects).edited
 
-    def splits(self, facets: tuple[ObjectColour, ...], objects: int) -> QuerySplits:
+    def splits(self, facets: Facets, objects: int) -> QuerySplits:
         """Make the tables of training and of all tests; cached per `version`."""
         return _splits(replace(self, split="train"), facets, objects, self.version())
 
 
 @lru_cache(maxsize=4)
 def _splits(
-    source: GraphQueries, facets: tuple[ObjectColour, ...], objects: int, version: tuple[int, ...]
+    source: GraphQueries, facets: Facets, objects: int, version: tuple[int, ...]
 ) -> QuerySplits:
     return query_splits(
         read_graph(source.graph),

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError
 from knowarm.world.backend import Dynamics
@@ -23,11 +22,12 @@ from knowarm.world.tasks.skills.lift.probe import LiftProbe
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
 from knowarm.world.tasks.skills.skill import Skill
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 State = EpisodeState[LiftSimulator]
 
-GRIP_REWARD, RISE_REWARD = 1.0, 4.0
+GRIP_REWARD = 1.0
+RISE_REWARD = 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
@@ -53,10 +53,10 @@ class Lift(Skill):
     closes them by the maximum position increment.
     """
 
-    area: ClassVar[str] = "lift"
+    area = "lift"
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
-    max_steps: ClassVar[int] = 100
-    moves_fingers: ClassVar[bool] = True
+    max_steps = 100
+    moves_fingers = True
     dynamics: ClassVar[tuple[str, ...]] = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
@@ -131,42 +131,42 @@ class Lift(Skill):
         """Make the teacher: there is no shorter way."""
         return self.teacher(state)
 
-    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+    def memory(self, num_envs: int) -> NamedArrays:
         """Remember for how many steps the object has been held up."""
         return {"held": np.zeros(num_envs, dtype=np.int64)}
 
-    def remember(self, state: State) -> Mapping[str, NDArray[Any]]:
+    def remember(self, state: State) -> NamedArrays:
         """Count the step, or start again."""
-        up = self._is_up(state, state.target)
-        return {"held": np.where(up, state.memory["held"] + 1, 0)}
+        is_up = self._is_up(state, state.target)
+        return {"held": np.where(is_up, state.memory["held"] + 1, 0)}
 
     def grasp_positions(self, state: State) -> Floats:
         """Return the grasp points of the visible objects where these are now, (n, m, 3) [m]."""
         simulator = state.simulator
-        points = [
-            target_places(state.scene, simulator.place(objects))
-            + state.scene.grasp_position[objects]
-            + np.outer(simulator.rise(objects), [0.0, 0.0, 1.0])
-            for objects in state.objects.T
-        ]
+        points = []
+        for objects in state.objects.T:
+            point = target_places(state.scene, simulator.place(objects))
+            point += state.scene.grasp_position[objects]
+            point[:, 2] += simulator.rise(objects)
+            points.append(point)
         return np.stack(points, axis=1)
 
-    def done_to(self, state: State, which: Integers) -> NDArray[np.bool_]:
+    def done_to(self, state: State, which: Integers) -> Mask:
         """Return which visible objects (n,) are lifted, (n,) bool."""
         return self._is_up(state, state.objects[np.arange(len(which)), which])
 
-    def success(self, state: State) -> NDArray[np.bool_]:
+    def success(self, state: State) -> Mask:
         """Return which objects were held up long enough, (n,) bool."""
-        return np.asarray(state.memory["held"] >= self.hold_steps)
+        return state.memory["held"] >= self.hold_steps
 
-    def failure(self, state: State) -> NDArray[np.bool_]:
+    def failure(self, state: State) -> Mask:
         """Return which objects were pushed 15 cm away or fell off their support, (n,) bool."""
         place = state.simulator.place(state.target)
         moved = np.linalg.norm(place - state.positions[:, 0], axis=1)
-        lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
-        return np.asarray(lost & ~state.success)
+        is_lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
+        return is_lost & ~state.success
 
-    def reward(self, state: State) -> NDArray[np.float64]:
+    def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
 
         100 on success; otherwise, while both fingers touch the object, 1 + 4 min(h / height_m, 1)
@@ -175,22 +175,22 @@ class Lift(Skill):
         rise = (_rise(state) / self.height_m).clip(0.0, 1.0)
         held = GRIP_REWARD + RISE_REWARD * rise
         value = np.where(state.simulator.touched(state.target), held, super().reward(state))
-        return np.asarray(np.where(state.success, SUCCESS_REWARD, value))
+        return np.where(state.success, SUCCESS_REWARD, value)
 
-    def infos(self, state: State) -> dict[str, NDArray[Any]]:
+    def infos(self, state: State) -> NamedArrays:
         """Add the object's rise [m] and whether both fingers touch it."""
         gripped = state.simulator.touched(state.target)
         return {"rise": _rise(state), "gripped": gripped}
 
-    def columns(self, setting: Any, infos: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store rise and touch at the end of each episode."""
         return {"rise_m": infos["rise"], "gripped": infos["gripped"]}
 
-    def _is_up(self, state: State, objects: Integers) -> NDArray[np.bool_]:
+    def _is_up(self, state: State, objects: Integers) -> Mask:
         """Return which objects (n,) are at the height, with both fingers at them."""
         is_high = state.simulator.rise(objects) >= self.height_m
-        return np.asarray(state.simulator.touched(objects) & is_high)
+        return state.simulator.touched(objects) & is_high
 
 
-def _rise(state: State) -> NDArray[np.float64]:
+def _rise(state: State) -> Floats:
     return state.simulator.rise(state.target)

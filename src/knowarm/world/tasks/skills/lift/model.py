@@ -4,22 +4,25 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
 from knowarm.world.scene.scene import Scene, compiling, describe_model
+from knowarm.world.tasks.state import Indices
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
 PAD_FRICTION = (1.0, 0.005, 0.0001)  # Sliding, torsional [m] and rolling [m] friction of fingers
-PAD_SOLREF, PAD_SOLIMP = (0.004, 1.0), (0.95, 0.99)  # Stiff contacts of the fingers
+PAD_SOLREF = (0.004, 1.0)  # Stiff contacts of the fingers
+PAD_SOLIMP = (0.95, 0.99)
 GRIP_FORCE_N = 40.0  # Largest force of each finger
 FINGER_GAIN_N_M = 4_000.0  # Gain of the fingers' position servos
 FINGER_DAMPING_N_S_M = 80.0
@@ -29,14 +32,17 @@ PAD_M = 0.03  # Length of what grips of a finger behind the tool centre point
 POINTS = 9  # Points along an edge of a finger of which the length that grips is taken
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
 
+FINGERS = ("left", "right")
+"""Names of the fingers' bodies, joints and sensors in the model."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LiftScene(Scene):
     """A scene whose last joint are the fingers, and whose K targets are free bodies."""
 
-    bodies: NDArray[np.intp]  # Body of each target, (K,)
-    object_qpos: NDArray[np.intp]  # Index in qpos of each target's x, (K,)
-    rest: NDArray[np.float64]  # Pose of each target on the support, x and y apart, (K, 7)
+    bodies: Indices  # Body of each target, (K,)
+    object_qpos: Indices  # Index in qpos of each target's x, (K,)
+    rest: Floats  # Pose of each target on the support, x and y apart, (K, 7)
 
 
 def build_lift_scene(
@@ -48,10 +54,9 @@ def build_lift_scene(
     """Compose and compile the scene of an arm that lifts.
 
     The arm with its servos is that of `compose`. The robot's ``fingers``, of which bodies grip with
-    a box each, slide along the y axis of
-    the tool centre point, coupled as in a parallel gripper, by up to ``GRIP_FORCE_N`` each. Objects
-    have their mass, distributed as in their file over its shapes, which collide with robot, support
-    and each other. Friction cones are elliptic.
+    a box each, slide along the y axis of the tool centre point, coupled as in a parallel gripper,
+    by up to ``GRIP_FORCE_N`` each. Objects have their mass, distributed as in their file over its
+    shapes, which collide with robot, support and each other. Friction cones are elliptic.
 
     Raises:
         UserError: the robot names no fingers, or its file lacks them.
@@ -65,25 +70,23 @@ def build_lift_scene(
         data = _drawn(spec)
         opening = _move_fingers(spec, data, robot)
         rest = np.stack([_free(spec, data, robot, target) for target in targets])
-        for target in targets:
-            for finger in FINGERS:
-                _sense_touch(spec, finger, _body_name(spec, target))
+        names = [_body_name(spec, target) for target in targets]
+        for name, finger in product(names, FINGERS):
+            _sense_touch(spec, finger, name)
         model = spec.compile()
-    arm = vars(describe_model(model, robot, targets, distractors))
-    fingers = {
-        "joint_names": (*robot.joints, "fingers"),
-        "qpos_index": np.append(arm["qpos_index"], model.joint(FINGERS[0]).qposadr),
-        "joint_lower": np.append(arm["joint_lower"], 0.0),
-        "joint_upper": np.append(arm["joint_upper"], opening / 2 + SQUEEZE_M),
-        "home": np.append(arm["home"], 0.0),
+    scene = dict(vars(describe_model(model, robot, targets, distractors)))
+    scene["joint_names"] = (*robot.joints, "fingers")
+    last = {
+        "qpos_index": model.joint(FINGERS[0]).qposadr,
+        "joint_lower": 0.0,
+        "joint_upper": opening / 2 + SQUEEZE_M,
+        "home": 0.0,
     }
-    bodies = np.array([model.body(_body_name(spec, target)).id for target in targets], np.intp)
+    for name, value in last.items():
+        scene[name] = np.append(scene[name], value)
+    bodies = np.array([model.body(name).id for name in names], np.intp)
     object_qpos = model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp)
-    return LiftScene(**arm | fingers, bodies=bodies, object_qpos=object_qpos, rest=rest)
-
-
-FINGERS = ("left", "right")
-"""Names of the fingers' bodies, joints and sensors in the model."""
+    return LiftScene(**scene, bodies=bodies, object_qpos=object_qpos, rest=rest)
 
 
 def _drawn(spec: mujoco.MjSpec) -> mujoco.MjData:
@@ -94,6 +97,12 @@ def _drawn(spec: mujoco.MjSpec) -> mujoco.MjData:
     return data
 
 
+def _tcp_frame(data: mujoco.MjData, robot: Robot) -> tuple[Floats, Floats]:
+    """Return position (3,) and rotation (3, 3) of the tool centre point (TCP)."""
+    tcp = data.model.site(ROBOT_PREFIX + robot.tcp_site).id
+    return data.site_xpos[tcp], data.site_xmat[tcp].reshape(3, 3)
+
+
 def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
     """Let each finger that is a body grip with one box, around what it has near the TCP.
 
@@ -101,39 +110,47 @@ def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
     are named as fingers grip as they are.
     """
     model = data.model
-    tcp = model.site(ROBOT_PREFIX + robot.tcp_site).id
-    origin, frame = data.site_xpos[tcp], data.site_xmat[tcp].reshape(3, 3)
+    origin, frame = _tcp_frame(data, robot)
     for name in robot.fingers:
         body = spec.body(ROBOT_PREFIX + name)
         if body is None:
             continue
         number = model.body(body.name).id
-        own = np.flatnonzero(model.geom_bodyid == number)
-        solid = own[model.geom_contype[own] != 0]
-        if not len(own):
+        geoms = np.flatnonzero(model.geom_bodyid == number)
+        if not len(geoms):
             continue
-        geoms = solid if len(solid) else own
-        points = (np.concatenate([_surface(data, g) for g in geoms.tolist()]) - origin) @ frame
+        solid = geoms[model.geom_contype[geoms] != 0]
+        if len(solid):
+            geoms = solid
+        surfaces = np.concatenate([_surface(data, geom) for geom in geoms.tolist()])
+        points = (surfaces - origin) @ frame
         near = points[points[:, 2] > -PAD_M]
-        points = near if len(near) else points
-        low, high = points.min(axis=0), points.max(axis=0)
+        if len(near):
+            points = near
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         for geom in body.geoms:
-            geom.contype = geom.conaffinity = 0
-        turn, quat = data.xmat[number].reshape(3, 3).T, np.zeros(4)
+            geom.contype = 0
+            geom.conaffinity = 0
+        turn = data.xmat[number].reshape(3, 3).T
+        quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, (turn @ frame).ravel())
-        body.add_geom(
+        _add_hidden(
+            body,
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=np.maximum((high - low) / 2, 1e-4),
             pos=turn @ (origin + frame @ (low + high) / 2 - data.xpos[number]),
             quat=quat,
-            mass=0,
             contype=ROBOT_BIT,
-            conaffinity=SUPPORT_BIT,
-            rgba=[0, 0, 0, 0],
         )
 
 
-def _surface(data: mujoco.MjData, geom: int) -> NDArray[np.float64]:
+def _add_hidden(body: mujoco.MjsBody, **fields: Any) -> None:
+    """Add a massless, invisible geom that collides with the support."""
+    body.add_geom(mass=0, conaffinity=SUPPORT_BIT, rgba=[0, 0, 0, 0], **fields)
+
+
+def _surface(data: mujoco.MjData, geom: int) -> Floats:
     """Return points along the edges of a mesh, or in the box around another geom, (P, 3) [m]."""
     model = data.model
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
@@ -141,11 +158,13 @@ def _surface(data: mujoco.MjData, geom: int) -> NDArray[np.float64]:
         faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
         corners = model.mesh_vert[mesh.vertadr[0] :][faces]  # (F, 3, 3)
         share = np.linspace(0, 1, POINTS)[:, None, None, None]
-        local = ((1 - share) * corners + share * np.roll(corners, 1, axis=1)).reshape(-1, 3)
+        edges = (1 - share) * corners + share * np.roll(corners, 1, axis=1)
+        local = edges.reshape(-1, 3)
     else:
-        middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        local = middle + half * np.array(list(product(np.linspace(-1, 1, POINTS), repeat=3)))
-    return np.asarray(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        grid = list(product(np.linspace(-1, 1, POINTS), repeat=3))
+        local = middle + half * np.array(grid)
+    return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
 
 
 def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> float:
@@ -156,8 +175,6 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
             "names of two bodies or geoms of its MJCF file."
         )
     model = data.model
-    tcp = model.site(ROBOT_PREFIX + robot.tcp_site).id
-    across = data.site_xmat[tcp].reshape(3, 3)[:, 1]
     geoms = [_finger_geoms(spec, model, robot, name) for name in robot.fingers]
     for name, ids in zip(robot.fingers, geoms, strict=True):
         if not ids:
@@ -165,74 +182,88 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
                 f"Robot {robot.name!r}: fingers names the body {name!r}, which has no geoms; name "
                 "the bodies that hold those of the fingers."
             )
-    opening = min(
-        mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in geoms[0] for b in geoms[1]
-    )
+    opening = min(mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in product(*geoms))
     if opening < LEAST_OPENING_M:
         raise UserError(
             f"Robot {robot.name!r}: its fingers {' and '.join(robot.fingers)} touch where they are "
             "drawn; open them with held_joints, such as held_joints = { finger_joint1 = 0.04 }."
         )
-    for name, finger, ids in zip(robot.fingers, FINGERS, geoms, strict=True):
-        inward = -across * np.sign((data.geom_xpos[ids[0]] - data.site_xpos[tcp]) @ across)
+    origin, tcp_frame = _tcp_frame(data, robot)
+    across = tcp_frame[:, 1]
+    for name, finger, (geom, *_) in zip(robot.fingers, FINGERS, geoms, strict=True):
+        inward = -across * np.sign((data.geom_xpos[geom] - origin) @ across)
+        frame = data.xmat[model.geom_bodyid[geom]].reshape(3, 3)
         body = spec.body(ROBOT_PREFIX + name)
-        frame = model.geom_bodyid[ids[0]]
         if body is None:
-            body = _geom_to_body(spec, model, ids[0])
+            body = _geom_to_body(spec, model, geom)
         body.name = finger
-        body.add_joint(
-            name=finger,
-            type=mujoco.mjtJoint.mjJNT_SLIDE,
-            axis=data.xmat[frame].reshape(3, 3).T @ inward,
-            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            range=[0.0, opening / 2],
-            damping=[FINGER_DAMPING_N_S_M, 0, 0],
-            armature=0.1,
-            solref_limit=PAD_SOLREF,
-        )
-        for geom in body.geoms:
-            geom.friction = PAD_FRICTION
-            geom.condim = 4
-            geom.solref = PAD_SOLREF
-            geom.solimp[:2] = PAD_SOLIMP
-            geom.priority = 1
-        servo = spec.add_actuator(name=finger, target=finger, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=FINGER_GAIN_N_M)
-        servo.forcelimited = True
-        servo.forcerange = [-GRIP_FORCE_N, GRIP_FORCE_N]
+        _add_slide(spec, body, frame.T @ inward, opening / 2)
     spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_JOINT, name1=FINGERS[0], name2=FINGERS[1], data=[0, 1] + [0] * 10
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1=FINGERS[0],
+        name2=FINGERS[1],
+        data=[0, 1] + [0] * 10,
     )
     return float(opening)
 
 
+def _add_slide(spec: mujoco.MjSpec, finger: mujoco.MjsBody, axis: Floats, range_m: float) -> None:
+    """Give a finger a slide along an axis of its frame, a servo, and geoms that grip."""
+    finger.add_joint(
+        name=finger.name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=axis,
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        range=[0.0, range_m],
+        damping=[FINGER_DAMPING_N_S_M, 0, 0],
+        armature=0.1,
+        solref_limit=PAD_SOLREF,
+    )
+    for geom in finger.geoms:
+        geom.friction = PAD_FRICTION
+        geom.condim = 4
+        geom.solref = PAD_SOLREF
+        geom.solimp[:2] = PAD_SOLIMP
+        geom.priority = 1
+    servo = spec.add_actuator(
+        name=finger.name,
+        target=finger.name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+    )
+    servo.set_to_position(kp=FINGER_GAIN_N_M)
+    servo.forcelimited = True
+    servo.forcerange = [-GRIP_FORCE_N, GRIP_FORCE_N]
+
+
 def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str) -> list[int]:
     """Return the ids of a finger's geoms that grip."""
-    body = spec.body(ROBOT_PREFIX + name)
-    if body is not None:
-        number = model.body(ROBOT_PREFIX + name).id
-        solid = (model.geom_bodyid == number) & (model.geom_contype != 0)
-        return [int(g) for g in np.flatnonzero(solid)]
-    if spec.geom(ROBOT_PREFIX + name) is None:
+    full_name = ROBOT_PREFIX + name
+    if spec.body(full_name) is not None:
+        is_own = model.geom_bodyid == model.body(full_name).id
+        return np.flatnonzero(is_own & (model.geom_contype != 0)).tolist()
+    if spec.geom(full_name) is None:
         raise UserError(
             f"Robot {robot.name!r}: fingers names {name!r}, which {robot.mjcf.name} has neither as "
             "body nor as geom."
         )
-    return [model.geom(ROBOT_PREFIX + name).id]
+    return [model.geom(full_name).id]
 
 
 def _geom_to_body(spec: mujoco.MjSpec, model: mujoco.MjModel, number: int) -> mujoco.MjsBody:
     """Move a geom into a body of its own, at the frame of the body it was in."""
     old = spec.geom(model.geom(number).name)
-    kept = "name type meshname material rgba mass density group contype conaffinity"
-    values = {field: copy(getattr(old, field)) for field in kept.split()}
-    pos, quat = model.geom_pos[number], model.geom_quat[number]
+    names = "name type meshname material rgba mass density group contype conaffinity"
+    fields = {name: copy(getattr(old, name)) for name in names.split()}
     if old.type == mujoco.mjtGeom.mjGEOM_MESH:  # whose compiled pose is that of its inertia
-        pos, quat = copy(old.pos), copy(old.quat)
+        fields["pos"] = copy(old.pos)
+        fields["quat"] = copy(old.quat)
+    else:
+        fields["pos"] = model.geom_pos[number]
+        fields["quat"] = model.geom_quat[number]
     parent = old.parent
     spec.delete(old)
     body = parent.add_body(gravcomp=1)
-    body.add_geom(pos=pos, quat=quat, size=model.geom_size[number], **values)
+    body.add_geom(size=model.geom_size[number], **fields)
     return body
 
 
@@ -241,9 +272,7 @@ def _body_name(spec: mujoco.MjSpec, target: Target) -> str:
     return str(spec.site(f"{target.name}/{target.grasp_site}").parent.name)
 
 
-def _free(
-    spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target
-) -> NDArray[np.float64]:
+def _free(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target) -> Floats:
     """Make a target a solid free body with its mass; return its pose on the support, (7,)."""
     model = data.model
     support = model.geom("table" if robot.table else "floor").id
@@ -255,21 +284,20 @@ def _free(
         _set_mass(body, target.mass_kg, model.body_mass[number])
     lowest = 0.0
     for geom in body.geoms:
-        gap = mujoco.mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
-        stands = gap > -SUNK_M
         geom.contype = OBJECT_BIT
-        geom.conaffinity = ROBOT_BIT | OBJECT_BIT | (SUPPORT_BIT if stands else 0)
-        lowest = min(lowest, gap) if stands else lowest
+        geom.conaffinity = ROBOT_BIT | OBJECT_BIT
+        gap = mujoco.mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
+        if gap > -SUNK_M:
+            geom.conaffinity |= SUPPORT_BIT
+            lowest = min(lowest, gap)
     if target.base_radius_m:
         half = 0.002
-        body.add_geom(
+        _add_hidden(
+            body,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[target.base_radius_m, half, 0],
             pos=[0, 0, half],
-            mass=0,
             contype=0,
-            conaffinity=SUPPORT_BIT,
-            rgba=[0, 0, 0, 0],
         )
     height = data.xpos[number, 2] - lowest
     return np.array([0.0, 0.0, height, *data.xquat[number]])

@@ -1,13 +1,12 @@
 """Lift test: replay joint paths among solid objects, close the fingers, lift 10 cm and hold."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.measures import Columns, Measure
@@ -22,7 +21,9 @@ from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 
 TIMESTEP_S = 0.002
-CLOSE_STEPS, LIFT_STEPS, HOLD_STEPS = 10, 20, 20  # Control periods of .1 s
+CLOSE_STEPS = 10  # Control periods of .1 s
+LIFT_STEPS = 20
+HOLD_STEPS = 20
 LIFT_M = 0.10  # Way of the gripper upwards
 LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
 MOVED_M = 0.02  # Way of the object before the fingers close from which it counts as pushed
@@ -47,7 +48,7 @@ EXCLUDED = "excluded"
 class Lifts:
     """Results of n lifts."""
 
-    outcome: NDArray[np.str_]  # Name in ``OUTCOMES``, (n,)
+    outcome: Names  # Name in ``OUTCOMES``, (n,)
     rise: Floats  # Rise of the object's centre of mass at the end [m], (n,)
     moved: Floats  # Way of the centre of mass before the fingers close [m], (n,)
 
@@ -67,17 +68,23 @@ def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Fl
     """
     upward = plan_lifts(scene, np.stack([path[-1] for path in paths]))
     outcome = np.full(len(paths), "", dtype=f"U{max(map(len, OUTCOMES))}")
-    rise, moved = np.zeros(len(paths)), np.zeros(len(paths))
-    for shown in np.unique(objects, axis=0):
-        rows = np.flatnonzero((objects == shown).all(axis=1))
-        names = [object_of(scene.targets[k].name) for k in shown]
-        whole = [i for i, name in enumerate(names) if names.index(name) == i]
-        targets = tuple(scene.targets[k] for k in shown[whole])
+    rise = np.zeros(len(paths))
+    moved = np.zeros(len(paths))
+    for visible in np.unique(objects, axis=0):
+        rows = np.flatnonzero((objects == visible).all(axis=1))
+        # Column of each object, by its name; of several parts the first.
+        whole: dict[str, int] = {}
+        for column, k in enumerate(visible):
+            whole.setdefault(object_of(scene.targets[k].name), column)
+        columns = list(whole.values())
+        targets = [scene.targets[k] for k in visible[columns]]
         trial = LiftTrial(build_trial_scene(scene.robot, targets), len(rows))
-        places = positions[rows][:, whole]
-        for _ in trial.play([paths[i] for i in rows.tolist()], upward[rows], places):
+        places = positions[rows][:, columns]
+        for _ in trial.play([paths[row] for row in rows.tolist()], upward[rows], places):
             pass
-        outcome[rows], rise[rows], moved[rows] = trial.outcome(), trial.rise, trial.moved
+        outcome[rows] = trial.outcome()
+        rise[rows] = trial.rise
+        moved[rows] = trial.moved
     return Lifts(outcome=outcome, rise=rise, moved=moved)
 
 
@@ -119,8 +126,9 @@ class LiftTrial:
     """
 
     def __init__(self, scene: LiftScene, num_trials: int) -> None:
-        threads, substeps = min(num_trials, available_cores()), CONTROL_PERIOD_S / TIMESTEP_S
-        self.simulator = LiftSimulator(scene, num_trials, threads, free_substeps=round(substeps))
+        threads = min(num_trials, available_cores())
+        substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
+        self.simulator = LiftSimulator(scene, num_trials, threads, free_substeps=substeps)
         self._first = np.zeros(num_trials, dtype=np.int64)
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
@@ -135,13 +143,15 @@ class LiftTrial:
             upward: of `plan_lifts`, (n, WAYPOINTS, J).
             positions: see `lift`.
         """
-        simulator, first, fingers = self.simulator, self._first, 0.0
-        last = np.stack([path[-1] for path in paths])
-        start = _beside(np.stack([path[0] for path in paths]), fingers)
-        simulator.reset(np.arange(len(paths)), start, positions)
+        simulator = self.simulator
+        first = self._first
+        fingers = 0.0
+        steps = max(map(len, paths))
+        whole = [np.pad(path, ((0, steps - len(path)), (0, 0)), mode="edge") for path in paths]
+        ways = np.stack(whole, axis=1)
+        simulator.reset(np.arange(len(paths)), _beside(ways[0], fingers), positions)
         placed = simulator.centre(first)
-        for step in range(max(map(len, paths))):
-            arm = np.stack([path[min(step, len(path) - 1)] for path in paths])
+        for arm in ways:
             simulator.step(_beside(arm, fingers))
             yield "approach"
         before = simulator.centre(first)
@@ -152,7 +162,7 @@ class LiftTrial:
             yield "close"
         self._touched = simulator.touched(first)
         gripper = simulator.tcp_position[:, 2].copy()
-        way = np.concatenate([last[:, None], upward], axis=1)
+        way = np.concatenate([arm[:, None], upward], axis=1)
         for step in range(LIFT_STEPS):
             at = (step + 1) * WAYPOINTS / LIFT_STEPS
             low = min(int(at), WAYPOINTS - 1)
@@ -168,7 +178,7 @@ class LiftTrial:
         self.rise[:] = simulator.centre(first)[:, 2] - before[:, 2]
         self._gripper_rise = simulator.tcp_position[:, 2] - gripper
 
-    def outcome(self) -> NDArray[np.str_]:
+    def outcome(self) -> Names:
         """Name how each lift ended, (n,); see ``OUTCOMES``."""
         held = self._held & (self.rise >= LIFTED_M)
         causes = [held, self.moved > MOVED_M, ~self._touched, self._gripper_rise < LIFTED_M]
@@ -180,30 +190,24 @@ def _beside(arm: Floats, fingers: float) -> Floats:
     return np.column_stack([arm, np.full(len(arm), fingers)])
 
 
-def _is_among(*outcomes: str) -> Callable[[Columns], Mask]:
-    """Return what selects the episodes with some outcomes."""
-    return lambda episodes: np.isin(episodes["lift"], outcomes)
+def _of_all(episodes: Columns) -> Mask:
+    """Select the episodes whose object the gripper can lift."""
+    return np.isin(episodes["lift"], [*OUTCOMES, NOT_REACHED])
 
 
-def _measure_outcome(name: str, about: str) -> Measure:
-    """Return the share of an outcome of all lifts."""
-    of_all = _is_among(*OUTCOMES, NOT_REACHED)
-    return Measure(f"lift_{name}", name, "lift", equals=name, among=of_all, about=about)
+def _of_successes(episodes: Columns) -> Mask:
+    """Select the episodes in which a lift was tried."""
+    return np.isin(episodes["lift"], list(OUTCOMES))
 
 
-_FAILURES = {name: about for name, about in OUTCOMES.items() if name != "lifted"}
 _MEASURES = (
-    Measure(
-        "lifted",
-        "lifted of all",
-        "lift",
-        equals="lifted",
-        among=_is_among(*OUTCOMES, NOT_REACHED),
-    ),
-    Measure(
-        "grasps", "lifted of the successes", "lift", equals="lifted", among=_is_among(*OUTCOMES)
-    ),
-    *(_measure_outcome(name, about) for name, about in _FAILURES.items()),
+    Measure("lifted", "lifted of all", "lift", equals="lifted", among=_of_all),
+    Measure("grasps", "lifted of the successes", "lift", equals="lifted", among=_of_successes),
+    *[
+        Measure(f"lift_{name}", name, "lift", equals=name, among=_of_all, about=about)
+        for name, about in OUTCOMES.items()
+        if name != "lifted"
+    ],
 )
 
 
@@ -215,16 +219,14 @@ class LiftProbe(BaseProbe):
     2 s.
     """
 
-    label: ClassVar[str] = "lift"
-    about: ClassVar[str] = (
-        "Lift the object where an episode succeeds, in a simulation with solid objects."
-    )
+    label = "lift"
+    about = "Lift the object where an episode succeeds, in a simulation with solid objects."
     measures: ClassVar[tuple[Measure, ...]] = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
         "lift_rise_m": "rise of the object's centre of mass in the lift [m]",
     }
-    table: ClassVar[ReportTable | None] = ReportTable(
+    table = ReportTable(
         name="lifts",
         title="How many successes are grasps",
         measures=tuple(measure.name for measure in _MEASURES),
@@ -250,12 +252,11 @@ class LiftProbe(BaseProbe):
         """
         scene = played.scene
         episodes = played.episodes
-        count = len(episodes)
-        names = np.array([target.name for target in scene.targets])[episodes.target]
-        excluded = np.isin(names, list(scene.robot.cannot_hold))
-        chosen = np.flatnonzero(played.success & ~excluded)
-        outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
-        rise = np.zeros(count)
+        names = np.array([target.name for target in scene.targets])
+        is_excluded = np.isin(names[episodes.target], list(scene.robot.cannot_hold))
+        chosen = np.flatnonzero(played.success & ~is_excluded)
+        outcome = np.where(is_excluded, EXCLUDED, NOT_REACHED).astype("U16")
+        rise = np.zeros(len(episodes))
         if len(chosen):
             paths = played.paths(chosen)
             lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])

@@ -2,12 +2,12 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
+from knowarm.world.tasks.state import Indices
 
 PARKED_M = 1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
 
@@ -31,54 +31,55 @@ class LiftSimulator(MujocoSimulator):
         *,
         free_substeps: int = FREE_SUBSTEPS,
     ) -> None:
-        model, joints = scene.model, scene.num_joints
+        model = scene.model
+        joints = scene.num_joints
         self._servo_joint = np.arange(joints + 1).clip(max=joints - 1)
         super().__init__(scene, num_envs, num_threads)
         self._objects = scene
+        self._rows = np.arange(num_envs)
         self._free_substeps = free_substeps
         self._substeps = round(CONTROL_PERIOD_S / model.opt.timestep)
         self._stage = _CONTACTS
         self._timestep = self.batch.expand("opt.timestep")
         self._centre = self.batch.bind("xipos")
-        self._touch = self.batch.bind("sensordata")
+        self._touch = self.batch.bind("sensordata").reshape(num_envs, -1, len(FINGERS))
         self._fingers = model.jnt_qposadr[[model.joint(name).id for name in FINGERS]]
         data = mujoco.MjData(model)
-        for start, rest in zip(scene.object_qpos, scene.rest, strict=True):
-            data.qpos[start : start + 7] = rest
+        for start, pose in zip(scene.object_qpos, scene.rest, strict=True):
+            data.qpos[start : start + 7] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         self._rest_height = data.xipos[scene.bodies, 2].copy()
 
     def centre(self, targets: Integers) -> Floats:
         """Return the centre of mass of one target per environment, world, (n, 3) [m]."""
-        return self._centre[np.arange(self.num_envs), self._objects.bodies[targets]]
+        return self._centre[self._rows, self._objects.bodies[targets]]
 
     def place(self, targets: Integers) -> Floats:
         """Return x and y of one target per environment, (n, 2) [m]."""
-        start = self._objects.object_qpos[targets]
-        return self._qpos[np.arange(self.num_envs)[:, None], start[:, None] + np.arange(2)]
+        columns = self._objects.object_qpos[targets][:, None] + np.arange(2)
+        return self._qpos[self._rows[:, None], columns]
 
     def rise(self, targets: Integers) -> Floats:
         """Return how far each target's centre of mass is above where it stood, (n,) [m]."""
-        return np.asarray(self.centre(targets)[:, 2] - self._rest_height[targets])
+        return self.centre(targets)[:, 2] - self._rest_height[targets]
 
     def touched(self, targets: Integers) -> Mask:
         """Return whether both fingers touch one target per environment, (n,)."""
-        contacts = self._touch.reshape(self.num_envs, -1, len(FINGERS))
-        return np.asarray((contacts[np.arange(self.num_envs), targets] > 0).all(axis=1))
+        return (self._touch[self._rows, targets] > 0).all(axis=1)
 
-    def _place_targets(self, ids: NDArray[np.intp], position: Floats, visible: Mask | None) -> None:
+    def _place_targets(self, ids: Indices, position: Floats, visible: Mask | None) -> None:
         """Put the targets on their support, or far above, and the second finger as the first."""
-        scene = self._objects
-        self._qpos[ids[:, None], self._fingers] = self._qpos[ids[:, None], self._fingers[:1]]
-        for k, start in enumerate(scene.object_qpos):
-            pose = np.tile(scene.rest[k], (len(ids), 1))
+        rows = ids[:, None]
+        self._qpos[rows, self._fingers] = self._qpos[rows, self._fingers[:1]]
+        for k, start in enumerate(self._objects.object_qpos):
+            pose = np.tile(self._objects.rest[k], (len(ids), 1))
             pose[:, :2] = position[:, k]
             if visible is not None:
                 pose[:, 2] += PARKED_M * (k + 1) * ~visible[:, k]
-            self._qpos[ids[:, None], start + np.arange(7)] = pose
+            self._qpos[rows, start + np.arange(7)] = pose
 
-    def _set_servos(self, ids: NDArray[np.intp] | slice, joint_targets: Floats) -> None:
+    def _set_servos(self, ids: Indices | slice, joint_targets: Floats) -> None:
         """Set the servos' targets; that of the second finger follows the first one's."""
         self._ctrl[ids] = joint_targets[:, self._servo_joint]
 
@@ -86,9 +87,13 @@ class LiftSimulator(MujocoSimulator):
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self._objects.bodies]
-        near = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(axis=1) < NEAR_M
-        grips = near & (joint_targets[:, -1] > 0)
-        for each, count in ((~grips, self._free_substeps), (grips, self._substeps)):
-            if each.any():
-                self._timestep[each] = CONTROL_PERIOD_S / count
-                self.batch.step(ids=np.flatnonzero(each), nstep=count, stage=self._stage)
+        distance = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(axis=1)
+        can_grip = (distance < NEAR_M) & (joint_targets[:, -1] > 0)
+        self._advance(np.flatnonzero(~can_grip), self._free_substeps)
+        self._advance(np.flatnonzero(can_grip), self._substeps)
+
+    def _advance(self, ids: Indices, substeps: int) -> None:
+        """Advance environments (k,) by a control period in a number of physics steps."""
+        if len(ids):
+            self._timestep[ids] = CONTROL_PERIOD_S / substeps
+            self.batch.step(ids=ids, nstep=substeps, stage=self._stage)

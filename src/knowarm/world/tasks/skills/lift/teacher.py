@@ -1,17 +1,25 @@
 """Teacher of the lifting task: approach, close the fingers, lift, by inverse kinematics."""
 
-from itertools import pairwise
+from collections.abc import Sequence
+from itertools import accumulate
 
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
+from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.lift.model import SQUEEZE_M
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
-from knowarm.world.tasks.skills.teacher import PRACTICE_NOISE, GoalTable, Teacher
+from knowarm.world.tasks.skills.teacher import (
+    PRACTICE_NOISE,
+    GoalTable,
+    Teacher,
+    interpolate,
+    towards,
+)
 from knowarm.world.tasks.state import EpisodeState
 
-APPROACH_M = (0.07, 0.035)  # Distances of the poses of the approach from the grasp frame
+APPROACH_M = (0.035, 0.07)  # Distances of the poses of the approach from the grasp frame
 OVER_M = 0.05  # Height of the first pose above the start of the approach
 RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the way upwards
 POINTS = 6  # Points between two poses
@@ -19,7 +27,8 @@ AHEAD = 4  # Points from the one that is passed to the one that is aimed at
 PASSED = (1.0, 0.6)
 """Largest error of a joint at which a point is passed, first and last one [largest steps]."""
 LOST = 4.0  # Error from which the way starts again at its first point [largest steps]
-CLOSE_M, CLOSE_DEG = 0.025, 12.0
+CLOSE_M = 0.025
+CLOSE_DEG = 12.0
 """Largest distance and angle to the grasp frame at which fingers close; an arm of small steps has
 to come as much nearer as its largest step is smaller than ``CLOSE_RAD``."""
 
@@ -38,68 +47,88 @@ class LiftTeacher(Teacher):
     """
 
     def __init__(self, state: EpisodeState[LiftSimulator]) -> None:
-        scene = state.scene
         super().__init__(state)
         self._simulator = state.simulator
-        self._near = min(1.0, float(self._largest) / CLOSE_RAD)
-        back = -scene.grasp_matrix[:, :, 2]
+        nearness = min(1.0, float(self._largest) / CLOSE_RAD)
+        self._close_m = nearness * CLOSE_M
+        self._close_deg = nearness * CLOSE_DEG
+        back = -state.scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
-        self._approach = [self.goals]
-        for shift in (*(d * back for d in sorted(APPROACH_M)), APPROACH_M[0] * back + OVER_M * up):
-            self._approach.insert(0, self._approach[0].shifted(shift))
-        self._rise = [self.goals]
-        for height in RISE_M:
-            self._rise.append(self._rise[-1].shifted(height * up))
+        shifts = [distance * back for distance in APPROACH_M]
+        shifts.append(APPROACH_M[-1] * back + OVER_M * up)
+        self._approach = self._moved(shifts)
+        self._approach.reverse()
+        self._rise = self._moved([height * up for height in RISE_M])
+
+    def _moved(self, shifts: Sequence[Floats]) -> list[GoalTable]:
+        """Return the table of the grasp frames and shifted ones, each solved from the last."""
+        return list(accumulate(shifts, GoalTable.shifted, initial=self.goals))
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""
-        state, simulator, target = self._state, self._simulator, self._state.target
-        joints, fingers = state.joint_targets[:, :-1], state.joint_targets[:, -1]
+        state = self._state
+        target = state.target
+        joints = state.joint_targets[:, :-1]
+        fingers = state.joint_targets[:, -1]
         closed_m = state.scene.joint_upper[-1]
-        closed = fingers > closed_m / 2
-        held = closed & simulator.touched(target)
-        met = simulator.joint_positions[:, -1] > closed_m - SQUEEZE_M - MET_M
-        closing = closed & ~held & ~met
-        places = np.where(closed[:, None], state.positions[:, 0], simulator.place(target))
+        is_closed = fingers > closed_m / 2
+        is_held = is_closed & self._simulator.touched(target)
+        met_m = closed_m - SQUEEZE_M - MET_M
+        have_met = self._simulator.joint_positions[:, -1] > met_m
+        is_closing = is_closed & ~is_held & ~have_met
+        # Open fingers follow an object that was pushed; closed ones keep to where it stood.
+        now = self._simulator.place(target)
+        places = np.where(is_closed[:, None], state.positions[:, 0], now)
         approach = _points(self._approach, target, places)
-        error = np.abs(approach - joints).max(axis=2) / self._largest  # (W, n)
+        error = _largest_errors(approach, joints) / self._largest
         following = _next_point(error)
         rise = _points(self._rise, target, places)
-        lowest = np.abs(rise - joints).max(axis=2).argmin(axis=0)
+        lowest = _largest_errors(rise, joints).argmin(axis=0)
         above = np.minimum(lowest + AHEAD, len(rise) - 1)
         rows = np.arange(len(joints))
-        pose = np.where(held[:, None], rise[above, rows], approach[following, rows])
-        pose = np.where(closing[:, None], joints, pose)
-        at_grasp = (state.distance < self._near * CLOSE_M) & (state.angle < self._near * CLOSE_DEG)
-        close = held | closing | (~closed & at_grasp)
-        way = np.column_stack([pose - joints, np.where(close, closed_m, 0.0) - fingers])
-        return np.asarray(way / self._largest)
+        pose = approach[following, rows]
+        pose = np.where(is_held[:, None], rise[above, rows], pose)
+        pose = np.where(is_closing[:, None], joints, pose)
+        is_at_grasp = is_success(state.distance, state.angle, self._close_m, self._close_deg)
+        closes = is_held | is_closing | (~is_closed & is_at_grasp)
+        finger_goals = np.where(closes, closed_m, 0.0)
+        goals = np.column_stack([pose, finger_goals])
+        return (goals - state.joint_targets) / self._largest
 
     def practice_point(
         self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
     ) -> Floats:
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
         way = _points(self._approach, episodes.target, episodes.position)
-        at = (share[:, 0] * len(way)).astype(np.int64)
-        spread = np.interp(at, (0, len(way) - 1), (PRACTICE_NOISE, NOISE_AT_GRASP))[:, None]
-        reached = share * np.abs(way[0] - start).max(axis=1, keepdims=True)
-        before = start + (way[0] - start).clip(-reached, reached) + PRACTICE_NOISE * noise
-        return np.where(choice < ON_APPROACH, way[at, np.arange(len(at))] + spread * noise, before)
+        point = (share[:, 0] * len(way)).astype(np.int64)
+        ends = (0, len(way) - 1)
+        spread = np.interp(point, ends, (PRACTICE_NOISE, NOISE_AT_GRASP))[:, None]
+        rows = np.arange(len(point))
+        on_way = way[point, rows] + spread * noise
+        before = towards(way[0], start, share) + PRACTICE_NOISE * noise
+        return np.where(choice < ON_APPROACH, on_way, before)
 
 
-def _points(tables: list[GoalTable], objects: Integers, places: Floats) -> Floats:
+def _points(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> Floats:
     """Return ``POINTS`` points from each pose to the next, and the last pose, (W, n, J) [rad]."""
-    poses = [table(objects, places) for table in tables]
-    shares = np.linspace(0.0, 1.0, POINTS, endpoint=False)[:, None, None]
-    return np.concatenate(
-        [*((1 - shares) * a + shares * b for a, b in pairwise(poses)), [poses[-1]]]
-    )
+    poses = np.stack([table(objects, places) for table in tables])
+    share = np.linspace(0.0, 1.0, POINTS, endpoint=False)[:, None, None]
+    points = interpolate(poses[:-1, None], poses[1:, None], share)
+    return np.concatenate([*points, poses[-1:]])
+
+
+def _largest_errors(points: Floats, joints: Floats) -> Floats:
+    """Return the largest error of a joint at each point (W, n, J) [rad], (W, n) [rad]."""
+    return np.abs(points - joints).max(axis=2)
 
 
 def _next_point(error: Floats) -> Integers:
     """Return the point of the approach to aim at, (n,), from the error at each, (W, n)."""
-    last, nearest = len(error) - 1, error.argmin(axis=0)
-    passed = error < np.linspace(*PASSED, last + 1)[:, None]
-    furthest = last - passed[::-1].argmax(axis=0)
-    point = np.where(passed.any(axis=0), np.minimum(furthest + AHEAD, last), nearest)
+    last = len(error) - 1
+    nearest = error.argmin(axis=0)
+    passed_below = np.linspace(*PASSED, len(error))
+    is_passed = error < passed_below[:, None]
+    furthest = last - is_passed[::-1].argmax(axis=0)
+    ahead = np.minimum(furthest + AHEAD, last)
+    point = np.where(is_passed.any(axis=0), ahead, nearest)
     return np.where(error.min(axis=0) > LOST, 0, point)
