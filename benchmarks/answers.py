@@ -69,7 +69,7 @@ def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Te
 
 def edited_graph(env: EnvConfig) -> KnowledgeGraph | None:
     """Return the edited graph of split S5."""
-    graph: KnowledgeGraph | None = env.task.edited_graph(facets_of(env))
+    graph: KnowledgeGraph | None = env.task.asked.edited_graph(facets_of(env))
     return graph
 
 

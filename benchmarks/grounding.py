@@ -86,7 +86,7 @@ def main() -> None:
                 labels = sample_images(
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
-                graph = env.task.edited_graph(facets_of(env))
+                graph = env.task.asked.edited_graph(facets_of(env))
                 described = knows.known(env, seed, graph=graph, trained=config.env)
                 known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")

@@ -159,7 +159,7 @@ def main() -> None:
     robot = RobotNode(config, Topics(), wait)
     executor.add_node(robot)
     episodes = evaluation_episodes(config, arguments.episodes, arguments.seed)
-    rows = config.task.knowledge_rows(facets_of(config))
+    rows = config.task.asked.knowledge_rows(facets_of(config))
     for number in range(arguments.episodes):
         robot.running.reset(None, {"episodes": episodes[number : number + 1]})
         print(f"knowledge: {rows[robot.running.knowledge_input[0]]}", flush=True)

@@ -84,7 +84,7 @@ def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
     scores = {
         "oracle": float(play(OracleAgent(env), env, episodes).success.mean()),
         "open-loop": float(play(OpenLoopAgent(listed), env, episodes).success.mean()),
-        "chance": 1 / config.task.visible if questions_of(config) else None,
+        "chance": 1 / config.task.asked.visible if questions_of(config) else None,
     }
     print(name, scores, flush=True)
     return Cell(name, config, how.split, episodes, np.asarray(listed), scores)

@@ -70,7 +70,7 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
 
 def other_questions(env, infos):
     """Ask each environment for its second object: by a query that no other visible one answers."""
-    table = env.config.task.questions(env.facets)
+    table = env.config.task.asked.questions(env.facets)
     targets, names = [each.name for each in env.scene.targets], [name for name, _ in env.facets]
     first = np.array([names.index(name) for name in targets])
     answers = table.satisfies[:, first[infos["objects"]] + infos["object_colours"]]  # (Q, n, m)

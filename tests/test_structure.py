@@ -275,7 +275,7 @@ def test_every_use_of_one_task_is_found():
         "from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS, AskObject",
         "env.task.skill.height_m + task.asked.objects",
         "getattr(config.env.task.skill, 'solid', None)",
-        "config.task.visible + setting.objects",
+        "config.task.asked.visible + setting.objects",
         "override(env, {'task': {'asked': {'queries': {'graph': path}}}})",
     ]
     found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]

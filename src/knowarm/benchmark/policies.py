@@ -111,7 +111,7 @@ def _run(spec: str) -> Entrant:
             raise UserError(f"{spec} was trained for {learned.robot} and {learned.task.name}.")
         if facets_of(learned) != facets_of(played):
             raise UserError(f"{spec} was trained with other objects or colours.")
-        graph = cell.graph or played.task.edited_graph(facets_of(played))
+        graph = cell.graph or played.task.asked.edited_graph(facets_of(played))
         if graph is not None:
             check_graph(config, played)
         subject = Subject(env=played, config=config, graph=graph, reasoning=reasoning)
@@ -156,7 +156,7 @@ def _exported(spec: str, folder: Path) -> Entrant:
     has_words = len(rows) > 1
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        if has_words and not set(env.config.task.knowledge_rows(env.facets)) <= set(rows):
+        if has_words and not set(env.config.task.asked.knowledge_rows(env.facets)) <= set(rows):
             raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
         if runner.joint_names != tuple(env.scene.joint_names):
             joints = ", ".join(runner.joint_names)

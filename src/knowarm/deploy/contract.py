@@ -81,7 +81,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             map does not fit.
     """
     env = trained.config.env
-    rows = env.task.knowledge_rows(facets_of(env))
+    rows = env.task.asked.knowledge_rows(facets_of(env))
     recognition = trained.agent.recognition
     step = None if recognition is None else RecognitionStep(recognition)
     table = trained.table if recognition is None else recognition.knowledge.numpy()
@@ -132,7 +132,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         "knowledge": {
             "file": "knowledge.npy",
             "rows": rows,
-            "meaning": env.task.knowledge_info,
+            "meaning": env.task.asked.knowledge_info,
             "origin": to_dict(trained.config.knows),
         },
         "recognition": recognized,

@@ -88,7 +88,7 @@ def build(config: ExperimentConfig) -> Parts:
     knowledge = config.knows.known(env, config.seed)
     policy = _policy_config(config.policy, knowledge)
     shape = PolicyShape(
-        joints=len(env.task.joint_names(robot_of(env))),
+        joints=len(env.task.skill.joint_names(robot_of(env))),
         levels=len(ACTION_LEVELS),
         image_size=env.image_size,
         knowledge_dim=knowledge.width,

@@ -276,7 +276,7 @@ def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) ->
     compared: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
     if trained.policy.uses_knowledge and not knows_task:
         both = (trained.config.env, env.config)
-        compared["knowledge of"] = [each.task.knowledge_rows(facets_of(each)) for each in both]
+        compared["knowledge of"] = [c.task.asked.knowledge_rows(facets_of(c)) for c in both]
     for name, (one, other) in compared.items():
         if one != other:
             raise UserError(

@@ -129,7 +129,7 @@ class SplitTest(BaseTest):
         """Let the task ask the split's questions, and the agent know the edited graph."""
         edited = {} if self.edited is None else {"edited": self.edited}
         env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
-        edited_graph = env.task.edited_graph(facets_of(env))
+        edited_graph = env.task.asked.edited_graph(facets_of(env))
         if edited_graph is None or subject.config is None:
             return replace(subject, env=env)
         check_graph(subject.config, env)
@@ -137,7 +137,7 @@ class SplitTest(BaseTest):
 
     def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Where the graph is edited, return whether the chosen object answered before."""
-        if env.task.edited_graph(facets_of(env)) is None:
+        if env.task.asked.edited_graph(facets_of(env)) is None:
             return {}
         before = answers_before_edit(env)
         asked = zip(episodes["query"], episodes["chosen"], strict=True)

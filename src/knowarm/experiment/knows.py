@@ -113,7 +113,7 @@ class NoKnowledge:
 
     def known(self, env: EnvConfig, run_seed: int, **options: Any) -> Knowledge:
         """Return a table without columns; the options of the others do not matter."""
-        rows = env.task.knowledge_rows(facets_of(env))
+        rows = env.task.asked.knowledge_rows(facets_of(env))
         return Knowledge(np.zeros((len(rows), 0), np.float32))
 
 
@@ -279,7 +279,7 @@ def _seen_conditions(query: Query) -> tuple[Condition, ...]:
 
 def fits(knows: Knows, task: Task) -> bool:
     """Return whether a task has what this describes."""
-    return knows.scope in ("nothing", *task.scopes)
+    return knows.scope in ("nothing", *task.asked.scopes)
 
 
 def answers_by_graph(knows: Knows) -> bool:

@@ -55,14 +55,14 @@ class TrainedAgent:
         self._is_new, self._names = True, None
         if not self.agent.depends_on_rows:
             return
-        info, env = self.config.env.task.knowledge_info, self.config.env
+        info, env = self.config.env.task.asked.knowledge_info, self.config.env
         given = {info: batch.names} if isinstance(batch, Batch) else batch
         if info not in given:
             raise UserError(
                 f"The knowledge of this agent depends on the info {info!r} of the episode: pass "
                 "the infos of the environment's reset, agent.reset(info)."
             )
-        known = env.task.knowledge_rows(facets_of(env))
+        known = env.task.asked.knowledge_rows(facets_of(env))
         self._names = np.array(given[info], np.str_).reshape(-1)
         find_rows(f"{info} of {self.config.name}", self._names, dict.fromkeys(known, 0))
 
@@ -83,7 +83,7 @@ class TrainedAgent:
         images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
         if self._is_new:
             env = self.config.env
-            any_name = env.task.knowledge_rows(facets_of(env))[:1]
+            any_name = env.task.asked.knowledge_rows(facets_of(env))[:1]
             names = np.repeat(any_name, len(images)) if self._names is None else self._names
             self.agent.reset(Batch(env=env, names=names))
             self._is_new = False

@@ -106,9 +106,9 @@ class ExperimentName:
         policy = dict(algorithm.policy)
         if knows.grounding is not None:
             policy |= algorithm.grounded
-        if knows.scope == "query" and task.graph is not None:
+        if knows.scope == "query" and task.asked.graph is not None:
             # described by the graph of the questions
-            knows = override(knows, {"graph": task.graph, "aliases": QUERY.aliases})
+            knows = override(knows, {"graph": task.asked.graph, "aliases": QUERY.aliases})
         config = ExperimentConfig(
             name=str(self),
             agent=self.agent,
@@ -146,7 +146,7 @@ def has_experiment(agent: Agent, task: Task) -> bool:
 
 def colours_of(task: str) -> tuple[Colours, ...]:
     """Return the colours that the experiments of a task can have; names leave out the first."""
-    fixed = find_task(task).colours
+    fixed = find_task(task).asked.colours
     return ("fixed", "randomized") if fixed is None else (fixed,)
 
 
@@ -209,7 +209,7 @@ def override_experiment(
     both: dict[str, Any] = {}
     if graph is not None and not isinstance(config.knows, NoKnowledge):
         both["knows"] = {"graph": graph}
-    if graph is not None and task.graph is not None:
+    if graph is not None and task.asked.graph is not None:
         both["env"] = replace(config.env, task=task.asking(graph=graph))
     if graph is not None and not both:
         raise UserError(
@@ -225,7 +225,7 @@ def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
 
     ``given`` are dotted names of the fields that the user has set.
     """
-    asked, named = config.env.task.graph, GRAPH_FIELDS & set(given)
+    asked, named = config.env.task.asked.graph, GRAPH_FIELDS & set(given)
     if (
         len(named) == 1
         and "graph" not in given

@@ -20,7 +20,7 @@ from knowarm.world.config import EnvConfig, facets_of
 
 def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
     """Refuse another graph of the questions for an agent whose knowledge is of a third one."""
-    questions = env.task.graph
+    questions = env.task.asked.graph
     if questions is None or isinstance(config.knows, NoKnowledge):
         return
     if config.knows.graph != questions:
@@ -46,11 +46,11 @@ def with_graph(
     task = config.env.task.asking(graph=path, hold_out=())
     is_described = described(read_graph(path), target_names(config.env))
     targets = [*compress(config.env.targets, is_described)]
-    if len(targets) < config.env.task.visible:
+    if len(targets) < config.env.task.asked.visible:
         raise UserError(
             f"The graph {path} describes {len(targets)} objects of the task "
-            f"({', '.join(targets) or 'none'}), and an episode shows {config.env.task.visible}. "
-            "Give a graph with triples about more of them."
+            f"({', '.join(targets) or 'none'}), and an episode shows "
+            f"{config.env.task.asked.visible}. Give a graph with triples about more of them."
         )
     env = replace(config.env, task=task, targets=tuple(targets))
     return override(config, {"env": env, "knows": {"graph": path}})

@@ -50,7 +50,7 @@ def check_objects(
     line = np.linspace(-1, 1, PLACES)
     # From border to border of the rectangle, (P, 2) [m].
     places = rectangle_places(scene.robot, [(x, y) for y, x in product(line, line)])
-    found = f"{len(config.targets)} targets, {config.task.visible} per episode"
+    found = f"{len(config.targets)} targets, {config.task.asked.visible} per episode"
     checks = [Check("scene", True, found)]
     checks += _check_reach(scene, config, places)
     images = SceneImages(scene, place_targets(scene, scene.home, places), config)

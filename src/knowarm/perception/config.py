@@ -78,7 +78,7 @@ class GroundingSpec:
         return cls(
             robot=scene_of(env).robot.name,
             image_size=env.image_size,
-            objects=env.task.visible,
+            objects=env.task.asked.visible,
             facets=_looks(facets_of(env), shown_in(env)),
             config=config,
         )
@@ -89,7 +89,7 @@ class GroundingSpec:
         compared = (
             ("the robot", self.robot, scene_of(env).robot.name),
             ("an image size of", self.image_size, env.image_size),
-            ("a number of visible objects of", self.objects, env.task.visible),
+            ("a number of visible objects of", self.objects, env.task.asked.visible),
         )
         for what, made, needed in compared:
             if made != needed:

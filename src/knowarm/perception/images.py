@@ -50,7 +50,7 @@ def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnsw
         return None
     satisfies = _columns_of(table.satisfies, table.facets, facets)
     askable = _columns_of(table.askable, table.facets, facets)
-    return QueryAnswers(satisfies, askable, env.task.paints_goal)
+    return QueryAnswers(satisfies, askable, env.task.asked.paints_goal)
 
 
 def _columns_of(

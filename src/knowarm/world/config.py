@@ -70,9 +70,9 @@ class EnvConfig:
             targets = (targets,)
         object.__setattr__(self, "targets", tuple(targets) or task.targets)
         if not self.max_episode_steps:
-            object.__setattr__(self, "max_episode_steps", task.max_steps)
-        if task.colours is not None:
-            object.__setattr__(self, "colours", task.colours)
+            object.__setattr__(self, "max_episode_steps", task.skill.max_steps)
+        if task.asked.colours is not None:
+            object.__setattr__(self, "colours", task.asked.colours)
         check_values(self)
         thresholds = ("success_distance_m", "success_angle_deg", "mpi_rad")
         above_zero(self, *thresholds, where="EnvConfig.")
@@ -87,19 +87,19 @@ class EnvConfig:
 
     def _check_task(self) -> None:
         task = self.task
-        if len(self.targets) < task.visible:
+        if len(self.targets) < task.asked.visible:
             raise UserError(
-                f"The task {task.name!r} shows {task.visible} objects, and EnvConfig.targets names "
-                f"{len(self.targets)}; all objects of an episode are different. Name more targets "
-                "or show fewer objects."
+                f"The task {task.name!r} shows {task.asked.visible} objects, and EnvConfig.targets "
+                f"names {len(self.targets)}; all objects of an episode are different. Name more "
+                "targets or show fewer objects."
             )
-        if self.dynamics not in task.dynamics:
+        if self.dynamics not in task.skill.dynamics:
             raise UserError(
                 f"The task {task.name!r} cannot be simulated with {self.dynamics} dynamics. Take ",
-                Argument("env.dynamics", task.dynamics[0]),
+                Argument("env.dynamics", task.skill.dynamics[0]),
                 ".",
             )
-        if task.holds_out:
+        if task.asked.holds_out:
             return
         unused = None
         if self.held_out is not None:
@@ -124,7 +124,7 @@ def scene_of(config: EnvConfig) -> Scene:
     task = config.task
     area = task.area_of(find_robot(config.robot))
     distractors = config.randomization.distractors
-    return load_scene(config.robot, config.targets, distractors, area, task.build_scene)
+    return load_scene(config.robot, config.targets, distractors, area, task.skill.build_scene)
 
 
 def setting_of(config: EnvConfig) -> Setting:
@@ -145,4 +145,4 @@ def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
 
 def questions_of(config: EnvConfig) -> QuestionTable | None:
     """Return the questions of a config's task; None if its episodes have none."""
-    return config.task.questions(facets_of(config))
+    return config.task.asked.questions(facets_of(config))

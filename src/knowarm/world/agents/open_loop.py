@@ -66,7 +66,7 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     In a task without kinematic dynamics, where contacts matter, the candidates are the lists by
     which the oracle solves ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
-    is_kinematic = "kinematic" in config.task.dynamics
+    is_kinematic = "kinematic" in config.task.skill.dynamics
     count = SEARCH_EPISODES if is_kinematic else REPLAYED_EPISODES
     # No evaluation of any seed has these episodes.
     episodes = evaluation_episodes(config, count, seed, "open-loop episodes")

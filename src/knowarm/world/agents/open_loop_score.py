@@ -46,7 +46,7 @@ class OpenLoopScore:
         scene = self.scene
         points = target_places(scene, position) + scene.grasp_position[target]
         rotation = scene.grasp_matrix[target].reshape(-1, 9)
-        points, rotation = self.config.task.goal(scene, target, points, rotation)
+        points, rotation = self.config.task.skill.goal(scene, target, points, rotation)
         return np.concatenate([rotation.reshape(-1, 3, 3), points[..., None]], axis=2)
 
     def depends_on(self) -> tuple[object, ...]:

@@ -27,7 +27,7 @@ class Batch:
     env: EnvConfig
     """Robot and task."""
     names: Names
-    """Facet or query of each episode, as the info ``task.knowledge_info`` gives it, (n,)."""
+    """Facet or query of each episode, as the info ``task.asked.knowledge_info`` gives it, (n,)."""
     joints: Mapping[str, Floats] = field(default_factory=dict)
     """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
     graph: Collection[tuple[str, str, str]] | None = None
@@ -36,7 +36,7 @@ class Batch:
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:
         """Describe the episodes that have just started in an environment."""
-        names = np.array(env.config.task.knowledge_rows(env.facets))[env.knowledge_input]
+        names = np.array(env.config.task.asked.knowledge_rows(env.facets))[env.knowledge_input]
         joints = dict(zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True))
         return cls(env=env.config, names=names, joints=joints)
 
@@ -47,11 +47,11 @@ class Batch:
 
     @property
     def rows(self) -> Integers:
-        """Row of each episode's facet or query among ``task.knowledge_rows``, (n,)."""
+        """Row of each episode's facet or query among ``task.asked.knowledge_rows``, (n,)."""
         task = self.env.task
-        names = task.knowledge_rows(facets_of(self.env))
+        names = task.asked.knowledge_rows(facets_of(self.env))
         rows = {name: row for row, name in enumerate(names)}
-        return find_rows(task.knowledge_info, self.names, rows)
+        return find_rows(task.asked.knowledge_info, self.names, rows)
 
     @property
     def queries(self) -> tuple[str, ...] | None:

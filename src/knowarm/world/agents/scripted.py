@@ -78,7 +78,7 @@ class OracleAgent(PrivilegedAgent):
 
     def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
-        self.guide = env.config.task.guide(env.running, seed, self._straight)
+        self.guide = env.config.task.skill.guide(env.running, seed, self._straight)
 
     def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""

@@ -38,7 +38,7 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self.single_action_space = self._interface.action_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.renderer: Renderer = make_renderer(scene, config, config.image_size, num_threads)
-        self.simulation = config.task.simulator(scene, num_envs, num_threads, config.dynamics)
+        self.simulation = config.task.skill.simulator(scene, num_envs, num_threads, config.dynamics)
         self.running = RunningEpisodes(config, self.simulation)
         self.facets = self.running.facets
         # Which episodes have ended and wait for a reset; all before the first reset

@@ -24,7 +24,7 @@ class EpisodeSource:
         self._look_draws = config.randomization.draws
         self._moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
         self._reach = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
-        self._objects = config.task.sampler(setting)
+        self._objects = config.task.asked.sampler(setting)
         self._names = np.array([target.name for target in scene.targets])
 
     def __call__(self, streams: Words, indices: Words) -> Episodes:

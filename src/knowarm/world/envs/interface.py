@@ -101,14 +101,14 @@ def _checked_table(
                 "observe=('image', 'knowledge')."
             )
         return np.zeros((0, 0), dtype=np.float32)
-    rows = config.task.knowledge_rows(facets_of(config))
+    rows = config.task.asked.knowledge_rows(facets_of(config))
     if knowledge is None:
         knowledge = []
     table = np.asarray(knowledge, dtype=np.float32)
     if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
         raise UserError(
             f"knowledge must be a table with one row for each of the {len(rows)} values of the "
-            f"info {config.task.knowledge_info!r}, which begin with {rows[0]!r}; got shape "
+            f"info {config.task.asked.knowledge_info!r}, which begin with {rows[0]!r}; got shape "
             f"{table.shape}. Leave 'knowledge' out of observe to do without."
         )
     return table

@@ -82,7 +82,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.setting = setting_of(config)
         self.scene = scene = self.setting.scene
         self.facets = self.setting.facets
-        table = task.questions(self.facets)
+        table = task.asked.questions(self.facets)
         queries = [""]
         if table is not None:
             queries = [query.name for query in table.queries]
@@ -92,9 +92,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.ignore_roll = config.ignore_roll
         self.limits = np.array([config.success_distance_m, config.success_angle_deg])
         self.num_envs = n = simulator.num_envs
-        m = task.visible
+        m = task.asked.visible
         self._source = EpisodeSource(config)
-        self._appearance = AppearanceSource(scene, config.randomization, task.paints_goal)
+        self._appearance = AppearanceSource(scene, config.randomization, task.asked.paints_goal)
         shown = [name for name, _ in self.facets]
         first = [shown.index(target.name) for target in scene.targets]
         self.first_facet = np.array(first, dtype=np.int64)
@@ -111,7 +111,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.look = np.zeros((n, config.randomization.draws))
         self.goal_position = np.zeros((n, 3))
         self.goal_matrix = np.zeros((n, 9))
-        self._fresh = task.memory(n)
+        self._fresh = task.skill.memory(n)
         self.memory = {name: array.copy() for name, array in self._fresh.items()}
         self.threshold_factor = 1.0
         self.change_episodes: ChangeEpisodes | None = None
@@ -131,20 +131,20 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
     @property
     def knowledge_input(self) -> Integers:
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
-        return self.task.knowledge_input(self)
+        return self.task.asked.knowledge_input(self)
 
     def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         grasp = target_places(self.scene, places) + self.scene.grasp_position[objects]
-        return self.task.goal(self.scene, objects, grasp, self.grasp_rotation[objects])
+        return self.task.skill.goal(self.scene, objects, grasp, self.grasp_rotation[objects])
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
-        return self.task.instruct(self, self.setting, env_id)
+        return self.task.asked.instruct(self, self.setting, env_id)
 
     def describe(self, env_id: int) -> str:
         """Describe the goal of an environment's episode, as "red mug"."""
-        return self.task.describe(self, self.setting, env_id)
+        return self.task.asked.describe(self, self.setting, env_id)
 
     def reset(self, seed: int | list[int | None] | None, options: dict[str, Any] | None) -> Indices:
         """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
@@ -179,8 +179,8 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.steps = self.steps + 1
         self._measure()
         if self.memory:
-            self.memory = dict(self.task.remember(self))
-        self.success = self.task.success(self)
+            self.memory = dict(self.task.skill.remember(self))
+        self.success = self.task.skill.success(self)
 
     def outcome(self) -> Outcome:
         """Compute reward, end and time limit in the current state."""
@@ -189,7 +189,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         if failure is not None:
             terminated = terminated | failure
         truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
-        return Outcome(self.task.reward(self), terminated, truncated)
+        return Outcome(self.task.skill.reward(self), terminated, truncated)
 
     def infos(self) -> NamedArrays:
         """Return the infos of the current state, without masks, (n, ...) each."""
@@ -210,7 +210,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._refresh(self._all)
         self.simulator.set_state(state["simulation"])
         self._measure()
-        self.success = self.task.success(self)
+        self.success = self.task.skill.success(self)
 
     def _check(self, episodes: Episodes, count: int) -> None:
         """Check that episodes were drawn for this environment, of which ``count`` are reset."""
@@ -270,7 +270,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         places = self._object_positions(ids)
         self.simulator.reset(ids, self.joint_targets[ids], places, distractors, visible)
         self._measure()
-        self.success = self.task.success(self)
+        self.success = self.task.skill.success(self)
 
     def _refresh(self, ids: Indices) -> Floats | None:
         """Recompute goals and appearance; return distractor positions, (k, D, 2) [m]."""

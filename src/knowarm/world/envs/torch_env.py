@@ -76,7 +76,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         side = config.image_size
         self._final_images = np.zeros((num_envs, side, side, 3), dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
-        rows = len(config.task.knowledge_rows(self.facets))
+        rows = len(config.task.asked.knowledge_rows(self.facets))
         if table is None:
             table = np.zeros((rows, 0), np.float32)
         self._table = self._tensor(table)
@@ -125,7 +125,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
     def teacher(self) -> Teacher:
         """Solves the episodes by inverse kinematics, for training only; made on first use."""
         if self._teacher is None:
-            self._teacher = self.config.task.teacher(self.running)
+            self._teacher = self.config.task.skill.teacher(self.running)
             self.running.change_episodes = self._teacher.practice
         return self._teacher
 

@@ -254,7 +254,7 @@ def test_the_checkers_pass_without_a_warning(robot: str) -> None:
         env = gymnasium.make(name, render_mode="rgb_array")
         check_env(env.unwrapped)
         config = env.unwrapped.config  # type: ignore[attr-defined]
-        rows = config.task.knowledge_rows(setting_of(config).facets)
+        rows = config.task.asked.knowledge_rows(setting_of(config).facets)
         shown = {"observe": ("image", "knowledge"), "knowledge": np.eye(len(rows))}
         env_checker.check_env(gymnasium.make(name, **shown).unwrapped)
     envs = gymnasium.make_vec(name, num_envs=2)

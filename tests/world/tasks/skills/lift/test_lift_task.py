@@ -131,7 +131,7 @@ def test_rewards_rise_from_the_way_to_the_grip_to_the_lift():
     env = make_env(count=8)
     start(env)
     task, running = env.config.task, env.running
-    away = task.reward(running)
+    away = task.skill.reward(running)
     expected = -2 * running.distance**2 - running.angle / 70
     np.testing.assert_allclose(away, expected)
     reward, most = np.full(8, -np.inf), np.full(8, -np.inf)
@@ -221,7 +221,7 @@ def test_the_policy_has_an_action_for_the_fingers_and_episodes_take_longer():
     assert config.env.max_episode_steps == Lift.max_steps == 100
     assert EnvConfig().max_episode_steps == 50
     names = scene_of(config.env).joint_names
-    assert names == config.env.task.joint_names(ROBOTS["irb120"])
+    assert names == config.env.task.skill.joint_names(ROBOTS["irb120"])
     assert build(config).policy_shape.joints == len(names) == len(ROBOTS["irb120"].joints) + 1
 
 
