@@ -128,6 +128,11 @@ def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
     return widths
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a number and its noun, in the plural but for 1."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def make_console() -> Console:
     """Return a console as wide as the terminal, or as ``COLUMNS`` says, or without limit.
 
