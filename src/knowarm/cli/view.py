@@ -88,7 +88,7 @@ class View:
         at_least(self, 0, "seed")
         above_zero(self, "angle_deg")
         page = self.page
-        if page is None and self.video is None and self.strip is None and self.rrd is None:
+        if not any((page, self.video, self.strip, self.rrd)):
             page = PAGE
         if page is not None:
             check_page(page)
@@ -99,19 +99,24 @@ class View:
         if self.rrd is not None:
             check_rrd(self.rrd)
         make_agent, config = self._agent()
-        given = {
-            name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
-        } | {"success_angle_deg": self.angle_deg}
-        config = replace(config, **{name: value for name, value in given.items() if value})
-        env = ArmVectorEnv(config, 1)
+        options = {
+            "targets": self.targets,
+            "colours": self.colours,
+            "dynamics": self.dynamics,
+            "ignore_roll": self.ignore_roll,
+            "success_angle_deg": self.angle_deg,
+        }
+        changes: dict[str, Any] = {name: value for name, value in options.items() if value}
+        env = ArmVectorEnv(replace(config, **changes), 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
         films = []
         knowledge = []
         for number in range(len(episodes)):
-            films.append(record_episode(agent, env, episodes[number : number + 1], axes=self.axes))
+            film = record_episode(agent, env, episodes[number : number + 1], axes=self.axes)
+            films.append(film)
             if self.rrd is not None:
-                knowledge.append(self._knowledge(agent, films[-1][0].policy))
+                knowledge.append(self._knowledge(agent, film[0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
         if self.video is not None:
