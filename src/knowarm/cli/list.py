@@ -36,17 +36,16 @@ class List(TableCommand):
             raise unknown_name("kind of names", self.kind, KINDS)
         arms = [find_robot(name) for name in KNOWN_ARMS]
         if self.kind is None:
-            every = ([*ROBOTS, *KNOWN_ARMS], [*AGENTS], [*algorithms()], [*TARGETS])
-            rows: list[list[Any]] = [
-                [kind, len(names), ", ".join(names[:FIRST]), f"knowarm list {kind}"]
-                for kind, names in zip(KINDS, every, strict=False)
-            ]
+            names_of_kinds = ([*ROBOTS, *KNOWN_ARMS], [*AGENTS], [*algorithms()], [*TARGETS])
+            rows: list[list[Any]] = []
+            for kind, names in zip(KINDS, names_of_kinds, strict=False):
+                rows.append([kind, len(names), ", ".join(names[:FIRST]), f"knowarm list {kind}"])
             print_table("Names", ["kind", "number", "the first", "for all"], rows)
         if self.kind == "robots":
-            rows = [
-                [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
-                for name, entry in ROBOTS.items()
-            ]
+            rows = []
+            for name, entry in ROBOTS.items():
+                ids = [env_id(name, task) for task in task_names()]
+                rows.append([name, entry.title, ", ".join(ids)])
             print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
             files = [str(arm.mjcf) if arm.mjcf.is_file() else "missing" for arm in arms]
             rows = [[arm.name, arm.title, file] for arm, file in zip(arms, files, strict=True)]
@@ -55,26 +54,21 @@ class List(TableCommand):
             if "missing" in files:
                 print(f"To get the missing files: {HOW_TO_GET}.\n")
         if self.kind == "agents":
-            grounded = "; grounded by the simulator's labels in training"
             rows = []
             for name, agent in AGENTS.items():
-                is_grounded = agent.knows.grounding is not None
-                about = agent.about + grounded if is_grounded else agent.about
+                about = agent.about
+                if agent.knows.grounding is not None:
+                    about += "; grounded by the simulator's labels in training"
                 rows.append([name, agent.role, about])
             print_table("Agents", ["agent", "role", "description"], rows)
             rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
             title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
             print_table(title, ["agent", "description"], rows)
         if self.kind == "algorithms":
-            rows = [
-                [
-                    name,
-                    each.total_steps,
-                    ", ".join(privileged_uses(to_dict(each.config))),
-                    each.about,
-                ]
-                for name, each in algorithms().items()
-            ]
+            rows = []
+            for name, algorithm in algorithms().items():
+                uses = ", ".join(privileged_uses(to_dict(algorithm.config)))
+                rows.append([name, algorithm.total_steps, uses, algorithm.about])
             columns = ["algorithm", "steps", "simulator's state in training", "description"]
             print_table("Algorithms", columns, rows)
         if self.kind == "targets":
