@@ -26,6 +26,14 @@ from typing import (
 import tyro
 import tyro._errors as parse_errors  # what it could not read, before it draws that
 from docstring_parser import parse_from_object
+from tyro.conf import (
+    AvoidSubcommands,
+    DisallowNone,
+    FlagCreatePairsOff,
+    OmitArgPrefixes,
+    Suppress,
+    arg,
+)
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.config import TAGS
@@ -74,7 +82,7 @@ def _to_integer(word: str) -> int:
 
 
 # Alternatives such as tasks are options, not commands: the default says which one is meant.
-READING: dict[str, Any] = {"registry": REGISTRY, "config": (tyro.conf.AvoidSubcommands,)}
+READING: dict[str, Any] = {"registry": REGISTRY, "config": (AvoidSubcommands,)}
 
 
 def parse_options(
@@ -156,7 +164,7 @@ def _option_names(shape: Any, prefix: str = "--") -> Iterator[str]:
         extras = get_args(kind)
         if not is_dataclass(value):
             yield name
-        elif tyro.conf.OmitArgPrefixes in extras or tyro.conf.arg(name="") in extras:
+        elif OmitArgPrefixes in extras or arg(name="") in extras:
             yield from _option_names(value, prefix)
         else:
             yield from _option_names(value, f"{name}.")
@@ -251,7 +259,7 @@ def _print_help(
     default: Any, prog: str, is_shown: Callable[[str], bool] = lambda path: True, about: str = ""
 ) -> None:
     """Print the help of a command, a class or an object of it with its defaults, and exit."""
-    config = (*READING["config"], tyro.conf.DisallowNone)
+    config = (*READING["config"], DisallowNone)
     options = {**READING, "config": config, "description": about or None}
     tyro.cli(_showing(default, is_shown), prog=prog, args=["--help"], **options)
 
@@ -293,10 +301,10 @@ def _showing(
             kind = _showing(value, is_shown, f"{prefix}{name}.", is_one_of=is_union)
             default = kind
         elif not is_shown(prefix + name) or _is_tag(name, kind, is_one_of):
-            extras.append(tyro.conf.Suppress)
+            extras.append(Suppress)
         elif value is False:
-            extras.append(tyro.conf.FlagCreatePairsOff)
-        about = tyro.conf.arg(help=help_texts.get(name), help_behavior_hint=_hint)
+            extras.append(FlagCreatePairsOff)
+        about = arg(help=help_texts.get(name), help_behavior_hint=_hint)
         has_default = value is not tyro.MISSING
         filled = field(default_factory=default) if has_default else field()
         options.append((name, Annotated[kind, about, *extras], filled))

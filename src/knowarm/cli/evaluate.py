@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 import tyro
 from rich.text import Text
+from tyro.conf import Fixed, OmitArgPrefixes, Positional, Suppress, arg
 
 from knowarm.cli.arguments import (
     Command,
@@ -73,8 +74,8 @@ MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 class EpisodeOptions(EvaluationConfig):
     """Episodes and success criteria; conditions and probes have options of their own."""
 
-    test: Annotated[tuple[AnyCondition, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
-    probes: Annotated[tuple[BaseProbe, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
+    test: Annotated[tuple[AnyCondition, ...], Fixed, Suppress] = ()
+    probes: Annotated[tuple[BaseProbe, ...], Fixed, Suppress] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +161,7 @@ class RecordOptions:
 ProbeOptions: type[RecordOptions] = make_dataclass(
     "ProbeOptions",
     [
-        (probe.kind, Annotated[bool, tyro.conf.arg(help=probe.about)], field(default=False))
+        (probe.kind, Annotated[bool, arg(help=probe.about)], field(default=False))
         for probe in task_probes()
     ],
     bases=(RecordOptions,),
@@ -174,17 +175,15 @@ ProbeOptions: type[RecordOptions] = make_dataclass(
 class Evaluate(TableCommand):
     """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
-    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
+    agent: Annotated[Positional[str], arg(metavar="AGENT")]
     """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
-    evaluation: Annotated[EpisodeOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=EpisodeOptions
-    )
+    evaluation: Annotated[EpisodeOptions, OmitArgPrefixes] = field(default_factory=EpisodeOptions)
     """Episodes and success criteria."""
-    conditions: Annotated[ConditionOptions, tyro.conf.OmitArgPrefixes] = field(
+    conditions: Annotated[ConditionOptions, OmitArgPrefixes] = field(
         default_factory=ConditionOptions
     )
     """Conditions of the test."""
-    probes: Annotated[ProbeOptions, tyro.conf.OmitArgPrefixes] = field(  # type: ignore[valid-type]
+    probes: Annotated[ProbeOptions, OmitArgPrefixes] = field(  # type: ignore[valid-type]
         default_factory=ProbeOptions
     )
     """What is recorded and measured."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import Positional, arg
 
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.config import to_dict
@@ -107,7 +107,7 @@ KINDS = {
 class List(TableCommand):
     """List robots, agents, algorithms, targets and names of experiments."""
 
-    kind: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[KIND]")] = None
+    kind: Annotated[Positional[str | None], arg(metavar="[KIND]")] = None
     """All robots, agents, algorithms or targets; without it, the first of each."""
 
     def result(self) -> dict[str, Any]:

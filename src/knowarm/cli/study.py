@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
 from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
+from tyro.conf import Positional, arg
 
 from knowarm.cli.tables import (
     FilePath,
@@ -119,14 +119,14 @@ def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
     return f"{line}."
 
 
-Number = Annotated[int | None, tyro.conf.arg(metavar="N")]
+Number = Annotated[int | None, arg(metavar="N")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FolderCommand:
     """Command on the folder of a study."""
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    folder: Annotated[Path, Positional, arg(metavar="DIR")]
     """Folder of the study."""
 
 
@@ -134,7 +134,7 @@ class FolderCommand:
 class StudyShow:
     """Print a study: its TOML file and its runs."""
 
-    study: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STUDY]")] = None
+    study: Annotated[str | None, Positional, arg(metavar="[STUDY]")] = None
     """Name of a shipped study, TOML file or folder of a study. Default: list the shipped ones."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
@@ -164,13 +164,13 @@ class StudyShow:
 class StudyRun:
     """Train and evaluate every run of a study; the same command continues after any end."""
 
-    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
+    study: Annotated[str, Positional, arg(metavar="STUDY")]
     """Name of a shipped study, TOML file or folder of a study."""
     out: FolderPath = None
     """Folder of the study. Default: runs/NAME, or the given folder."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
-    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...")] = ()
+    seeds: Annotated[tuple[int, ...], arg(metavar="SEED...")] = ()
     """Training seeds instead of the study's."""
     executor: Literal["local", "ray"] | None = None
     """This machine (local), or the nodes of a Ray cluster (ray). Default: the study's, local."""
@@ -256,7 +256,7 @@ class Status(FolderCommand, TableCommand):
 class Retry(FolderCommand):
     """Let failed runs resume."""
 
-    runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[RUN...]")]] = ()
+    runs: Positional[Annotated[tuple[str, ...], arg(metavar="[RUN...]")]] = ()
     """EXPERIMENT/SEED or EXPERIMENT. Default: every failed run."""
 
     def run(self) -> None:
@@ -312,7 +312,7 @@ class Pack(FolderCommand):
 class Unpack:
     """Unpack a study, and compare every file with its digest."""
 
-    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    file: Annotated[Path, Positional, arg(metavar="FILE")]
     """What `knowarm study pack` wrote."""
     out: FolderPath = None
     """New folder. Default: the file's name without .tar.xz."""
@@ -330,8 +330,8 @@ class Report(TableCommand):
 
     runs: Annotated[
         tuple[Path, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="RUN...", help_behavior_hint="(required)"),
+        Positional,
+        arg(metavar="RUN...", help_behavior_hint="(required)"),
     ]
     """Run folders, or folders that contain them at any depth."""
     out: Path = Path("runs/report.html")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Suppress, arg
 
 from knowarm.cli.arguments import (
     OWN,
@@ -65,20 +65,20 @@ FIRST = (
 class Train:
     """Train one agent, or resume a stopped run."""
 
-    config: Annotated[ExperimentConfig, tyro.conf.arg(name="")]
+    config: Annotated[ExperimentConfig, arg(name="")]
     runs: Path = Path("runs")
     """Parent folder of all runs; this run is saved in RUNS/EXPERIMENT/SEED."""
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
-    graph: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    graph: Annotated[str | None, arg(metavar="FILE")] = None
     """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
-    until_step: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    until_step: Annotated[int | None, arg(metavar="N")] = None
     """Save and end at step N of all; resuming goes on to the last step, or to another N."""
     perception: FilePath = None
     """perception.safetensors of another run, for agents that would train such a network first."""
-    again: tyro.conf.Suppress[str] = ""
+    again: Suppress[str] = ""
     """The command that resumes this run."""
-    own: tyro.conf.Suppress[str] = ""
+    own: Suppress[str] = ""
     """Options by which evaluations find a task and an algorithm of one's own."""
 
     @classmethod

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
-import tyro
+from tyro.conf import Positional, arg
 
 from knowarm.cli.arguments import parse_options, take_option
 from knowarm.cli.evaluate import is_scripted
@@ -40,9 +40,9 @@ installed as snaps cannot read the folder of temporary files."""
 class View:
     """Show films of an agent in the browser, or write them to files."""
 
-    robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]")] = None
+    robot: Annotated[str | None, Positional, arg(metavar="[ROBOT]")] = None
     """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
-    agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
+    agent: Annotated[str, arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
     """Number of episodes."""

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import OmitArgPrefixes
 
 from knowarm.cli.knowledge.options import GraphOptions
 from knowarm.cli.tables import TableCommand, check_out, is_terminal
@@ -21,7 +21,7 @@ class Fit(GraphOptions, TableCommand):
 
     valid: float = 0.1
     """Share of triples for early stopping."""
-    training: Annotated[KgeConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=KgeConfig)
+    training: Annotated[KgeConfig, OmitArgPrefixes] = field(default_factory=KgeConfig)
     """The model and its training."""
     out: Path | None = None
     """Write the model: FILE.safetensors, for `embed --source FILE.safetensors`."""

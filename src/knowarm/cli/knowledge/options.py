@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 from knowarm.cli.arguments import parse_options, take_source
 from knowarm.cli.tables import TableCommand
@@ -95,9 +95,7 @@ class SceneOptions(TableCommand):
     agent: str | None = None
     """Take the settings of this agent (see `knowarm list agents`), without those below; or those of
     this run folder, and its objects and colours."""
-    knowledge: Annotated[KnowledgeConfig, tyro.conf.arg(name="")] = field(
-        default_factory=lambda: FULL
-    )
+    knowledge: Annotated[KnowledgeConfig, arg(name="")] = field(default_factory=lambda: FULL)
     """Settings of the embedding."""
 
     @classmethod

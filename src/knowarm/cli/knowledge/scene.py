@@ -103,7 +103,7 @@ class ProbeCommand(SceneOptions):
         config, facets, seed = self.scene()
         separation = probe(config, facets, run_seed=seed)
         columns = ["", "facet"]
-        rows = []
+        rows: list[list[Any]] = []
         for name, cosines in zip(separation.slots, separation.cosine.tolist(), strict=True):
             number = str(len(rows) + 1)
             columns.append(number)
