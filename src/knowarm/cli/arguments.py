@@ -333,11 +333,11 @@ def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str
     if not arguments or arguments[0] in HELP:
         print(usage, file=sys.stdout if arguments else sys.stderr)
         sys.exit(0 if arguments else 2)
-    name, *rest = arguments
+    name, *words = arguments
     if name.startswith("-"):
         problem = f"The first argument must be the name of an experiment, got {name}"
         raise UserError(f"{problem}; `knowarm list` explains their names.")
-    return name, rest
+    return name, words
 
 
 def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list[str], str | None]:

@@ -258,12 +258,12 @@ def parse_with_task(
     Only scripted agents take options ``env``. `--env.task` takes the name of a task, or
     package.module:Name.
     """
-    rest, task = take_option(arguments, "--env.task", "package.module:Name")
+    words, task = take_option(arguments, "--env.task", "package.module:Name")
     options: dict[str, Any] = {}
     if task is not None:
         make: Callable[..., Command] = command
         options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
-    parsed: Any = parse_options(command, prog, rest, **options)
+    parsed: Any = parse_options(command, prog, words, **options)
     if any(word.startswith("--env.") for word in arguments) and not is_scripted(parsed.agent):
         raise UserError("A run has its own environment: leave out the --env options.")
     return parsed
@@ -306,12 +306,13 @@ def _print(summary: Summary) -> None:
 def _print_groups(title: str, what: str, groups: Mapping[str, Numbers]) -> None:
     """Print one row per group of episodes, and one column per measure that any of them has."""
     names = dict.fromkeys(chain.from_iterable(groups.values()))
-    shown = [column for column in map(measure, names) if not column.detail]
+    measures = [column for column in map(measure, names) if not column.detail]
     rows: list[list[Any]] = []
     for name, numbers in groups.items():
-        cells = [_cell(column, numbers) for column in shown]
+        cells = [_cell(column, numbers) for column in measures]
         rows.append([name, *cells])
-    print_table(title, [what, *(column.title for column in shown)], rows)
+    titles = [column.title for column in measures]
+    print_table(title, [what, *titles], rows)
 
 
 def _cell(of: Measure, numbers: Numbers) -> Text:
@@ -322,10 +323,10 @@ def _cell(of: Measure, numbers: Numbers) -> Text:
         return Text("-")
     form = FORMATS[of.format]
     if isinstance(number, Interval):
-        shown, unit, _ = form(number.estimate).partition(f"{NARROW_SPACE}%")
+        text, unit, _ = form(number.estimate).partition(f"{NARROW_SPACE}%")
         low = form(number.low).removesuffix(unit)
         high = form(number.high).removesuffix(unit)
-        shown = f"{shown} [{low}, {high}]{unit}"
+        text = f"{text} [{low}, {high}]{unit}"
     else:
-        shown = form(number)
-    return Text(shown.replace(NARROW_SPACE, " "), no_wrap=True)
+        text = form(number)
+    return Text(text.replace(NARROW_SPACE, " "), no_wrap=True)

@@ -78,9 +78,9 @@ class View:
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--task` takes the name of a task."""
-        rest, task = take_option(arguments, "--task", "choose")
+        words, task = take_option(arguments, "--task", "choose")
         default = cls() if task is None else cls(task=find_task(task))
-        return parse_options(cls, prog, rest, default=default)
+        return parse_options(cls, prog, words, default=default)
 
     def run(self) -> None:
         """Play the episodes and show or record them."""

@@ -260,7 +260,7 @@ def controls_of(subject: str, role: Role) -> list[str]:
                 return True
             if not other.source.content_free or own.slot_norm is None:
                 return False
-            fields += ["slot_norm"]
+            fields.append("slot_norm")
         return all(getattr(other, name) == getattr(own, name) for name in fields)
 
     return [name for name, other in AGENTS.items() if other.role == role and matches(other)]

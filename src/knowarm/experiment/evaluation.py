@@ -408,8 +408,8 @@ def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndar
     """
     table = questions_of(env.config)
     assert table is not None
-    shown = env.running.first_facet[episodes.objects] + episodes.colours
-    answers = table.satisfies[:, shown]  # (Q, n, m)
+    visible = env.running.first_facet[episodes.objects] + episodes.colours
+    answers = table.satisfies[:, visible]  # (Q, n, m)
     asked = np.asarray(table.askable.any(axis=1))
     fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]
     drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)

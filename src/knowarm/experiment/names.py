@@ -231,14 +231,14 @@ def override_experiment(
     return override(config, others, where=where)
 
 
-def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
-    """Refuse knowledge and questions of two graphs if only one of them is among ``given``.
+def check_graphs(config: ExperimentConfig, set_fields: Collection[str]) -> None:
+    """Refuse knowledge and questions of two graphs if only one of them is set.
 
-    ``given`` are dotted names of the fields that the user has set.
+    ``set_fields`` are dotted names of the fields that the user has set.
     """
     questions = config.env.task.graph
-    named = GRAPH_FIELDS.intersection(given)
-    if len(named) != 1 or "graph" in given:
+    named = GRAPH_FIELDS.intersection(set_fields)
+    if len(named) != 1 or "graph" in set_fields:
         return
     if questions is None or isinstance(config.knows, NoKnowledge):
         return

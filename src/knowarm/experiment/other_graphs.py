@@ -69,7 +69,7 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
                 f"{name!r} cannot name {other!r}, too. Leave {name}={other} out."
             )
         labels[graph.names[entity]] = name
-    file = cache_file("graphs", [*graph], labels).with_suffix(".ttl")
+    file = cache_file("graphs", list(graph), labels).with_suffix(".ttl")
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
         labelled = KnowledgeGraph(
@@ -109,7 +109,7 @@ def meeting(
         if entity not in recognized and not is_blank:
             described_only.append(graph.names.short(entity))
     return {
-        "recognized and described": [*recognized.values()],
+        "recognized and described": list(recognized.values()),
         "recognized only": missing,
         "described only": described_only,
     }

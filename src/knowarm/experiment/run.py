@@ -255,9 +255,9 @@ def _describe(
     folder.write_experiment(config)
 
 
-def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
+def other_fields(run: RunFolder, config: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which a run and a config differ, each with "field: value | value"."""
-    kept = with_inputs(to_dict(given), run.copy_of)
+    kept = with_inputs(to_dict(config), run.copy_of)
     different = {}
     for name, (stored, now) in differences(to_dict(run.experiment()), kept).items():
         different[name] = f"{name}: {stored!r} | {now!r}"

@@ -264,15 +264,15 @@ class RunFolder:
 
 
 def network_for_training(
-    config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
+    config: ExperimentConfig, resumed: RunFolder | None, file: Path | str | None
 ) -> GroundingNetwork | None:
-    """Return the grounding network of a run, given as a file or in a folder to resume, or None."""
-    network: GroundingNetwork | None = None if given is None else given_network(config, given)
+    """Return the grounding network of a run, of a file or in a folder to resume, or None."""
+    network = None if file is None else given_network(config, file)
     if resumed is not None and (resumed.path / PERCEPTION_FILE).exists():
         stored = stored_network(config, resumed)
         if network is not None and network.to_bytes() != stored.to_bytes():
             raise UserError(
-                f"{resumed.path} was trained with another grounding network than {given}. Resume "
+                f"{resumed.path} was trained with another grounding network than {file}. Resume "
                 "without perception, or pass another runs folder or seed to start a new run."
             )
         network = stored

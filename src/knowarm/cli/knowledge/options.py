@@ -101,9 +101,9 @@ class SceneOptions(TableCommand):
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--source` takes the short name of a source."""
-        rest, source = take_source(arguments, "--source")
+        words, source = take_source(arguments, "--source")
         default = source and cls(knowledge=KnowledgeConfig(detail="full", source=source))
-        return parse_options(cls, prog, rest, default=default)
+        return parse_options(cls, prog, words, default=default)
 
     def scene(self) -> tuple[KnowledgeConfig, list[tuple[str, str]], int]:
         """Return the settings, the (object, colour) pairs, and the seed that placebos draw from."""

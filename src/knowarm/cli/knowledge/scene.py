@@ -107,7 +107,8 @@ class ProbeCommand(SceneOptions):
         for name, cosines in zip(separation.slots, separation.cosine.tolist(), strict=True):
             number = str(len(rows) + 1)
             columns.append(number)
-            rows.append([number, name, *(None if isnan(x) else x for x in cosines)])
+            cells = [None if isnan(cosine) else cosine for cosine in cosines]
+            rows.append([number, name, *cells])
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
         print_table(title, columns, rows)
         if separation.recovered:
