@@ -19,15 +19,15 @@ class Measure:
     title: str
     """Heading, with the unit."""
     column: str = ""
-    """Column of the episodes that it is computed from."""
+    """Column of the episodes that it is computed from; without it they lack the measure."""
     statistic: Literal["share", "mean", "average", "std", "max", "count"] = "share"
     """What it is of the column's values; a "share" and a "mean" have a 95 % interval."""
-    equals: str | None = None
+    equals: str | int | None = None
     """Value of the column that is counted, in place of true."""
     among: str | Callable[[Columns], np.ndarray] | None = None
     """Bool column of the episodes that count, or a function that computes it; None: all do."""
     compute: Callable[[Columns], Any] | None = None
-    """In place of column and statistic: a number or interval of all columns, or None."""
+    """In place of the statistic: a number or interval of all columns, or None."""
     format: str = "percent"
     """How it is shown, a key of `knowarm.report.format.FORMATS`."""
     detail: bool = False

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
+from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,14 @@ from typing import (
 import tyro
 import tyro._errors as parse_errors  # what it could not read, before it draws that
 from docstring_parser import parse_from_object
+from tyro.conf import (
+    AvoidSubcommands,
+    DisallowNone,
+    FlagCreatePairsOff,
+    OmitArgPrefixes,
+    Suppress,
+    arg,
+)
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.config import TAGS
@@ -38,7 +46,7 @@ if TYPE_CHECKING:
     from knowarm.knowledge.vectors import VectorSource
 
 Command = TypeVar("Command")
-HELP = ("-h", "--help")
+HELP = frozenset({"-h", "--help"})
 OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
     "--tasks": (tasks.VARIABLE, tasks.register_task),
     "--algorithms": (algorithms.VARIABLE, algorithms.register_algorithm),
@@ -74,22 +82,26 @@ def _to_integer(word: str) -> int:
 
 
 # Alternatives such as tasks are options, not commands: the default says which one is meant.
-READING: dict[str, Any] = {"registry": REGISTRY, "config": (tyro.conf.AvoidSubcommands,)}
+READING: dict[str, Any] = {"registry": REGISTRY, "config": (AvoidSubcommands,)}
 
 
 def parse_options(
     command: type[Command], prog: str, arguments: Sequence[str], **options: Any
 ) -> Command:
     """Make a command, a dataclass, from its options; ``options`` are those of `tyro.cli`."""
-    names = (word.partition("=")[0].replace("_", "-") for word in arguments)
-    for name, count in Counter(name for name in names if re.match(r"--[a-z]", name)).items():
-        if count > 1:
+    for name, count in Counter(map(_option_of, arguments)).items():
+        if count > 1 and re.match(r"--[a-z]", name):
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
     shape = options.get("default") or command
-    if not {*HELP}.isdisjoint(arguments):
+    if HELP.intersection(arguments):
         _print_help(shape, prog)
     with parse_errors.on_parse_error(partial(_refuse, shape)):
         return tyro.cli(command, prog=prog, args=arguments, **READING, **options)
+
+
+def _option_of(word: str) -> str:
+    """Return the option that a word gives, with or without its value."""
+    return word.partition("=")[0].replace("_", "-")
 
 
 def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
@@ -109,9 +121,8 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
             allowed = [choice for choice in event.choices if choice != "None"]
             raise unknown_name(f"value of {option}", event.value, allowed)
         case parse_errors.UnrecognizedArgs():
-            problem = (
-                f"Unrecognized options: {', '.join(event.tokens)}.{_near(shape, event.tokens)}"
-            )
+            unknown = ", ".join(event.tokens)
+            problem = f"Unrecognized options: {unknown}.{_near(shape, event.tokens)}"
         case parse_errors.MissingArgs():
             names = [str(missing.arg.lowered.metavar) for missing in event.missing_arguments]
             problem = f"Missing from {event.prog}: {', '.join(names)}."
@@ -135,28 +146,48 @@ def _in_words(message: str) -> str:
 def _near(shape: Any, words: Sequence[str]) -> str:
     """Return a question after the options that mistyped ones may stand for."""
     options = list(_option_names(shape))
-    near = list[str]()
+    near: list[str] = []
     for word in words:
         if word.startswith("--"):
-            name = word.partition("=")[0].replace("_", "-")
+            name = _option_of(word)
             near += [option for option in options if option.endswith(f".{name[2:]}")]
             near += get_close_matches(name, options, n=3, cutoff=0.7)
-    return f" Did you mean {', '.join(dict.fromkeys(near))}?" if near else ""
+    if not near:
+        return ""
+    return f" Did you mean {', '.join(dict.fromkeys(near))}?"
 
 
 def _option_names(shape: Any, prefix: str = "--") -> Iterator[str]:
     """Yield the options of a command, a class or an object of it."""
-    hints = get_type_hints(shape if isinstance(shape, type) else type(shape), include_extras=True)
-    for each in fields(shape):
-        value = _default(each) if isinstance(shape, type) else getattr(shape, each.name)
-        name = prefix + each.name.replace("_", "-")
-        extras = get_args(hints[each.name])
+    for field_name, kind, value in _fields(shape):
+        name = prefix + field_name.replace("_", "-")
+        extras = get_args(kind)
         if not is_dataclass(value):
             yield name
-        elif tyro.conf.OmitArgPrefixes in extras or tyro.conf.arg(name="") in extras:
+        elif OmitArgPrefixes in extras or arg(name="") in extras:
             yield from _option_names(value, prefix)
         else:
             yield from _option_names(value, f"{name}.")
+
+
+def _fields(shape: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name, type and value of the fields of a class, whose value is its default, or object.
+
+    A required field has tyro's missing value.
+    """
+    cls = shape if isinstance(shape, type) else type(shape)
+    types = get_type_hints(cls, include_extras=True)
+    for option in fields(cls):
+        name = option.name
+        if shape is not cls:
+            value = getattr(shape, name)
+        elif option.default_factory is not MISSING:
+            value = option.default_factory()
+        elif option.default is not MISSING:
+            value = option.default
+        else:
+            value = tyro.MISSING
+        yield name, types[name], value
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
@@ -166,23 +197,28 @@ def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str])
     group of these by name.
     """
     if isinstance(command, type):
-        return getattr(command, "parse", partial(parse_options, command))(prog, arguments)
-    name, *rest = arguments or HELP
+        parse = getattr(command, "parse", partial(parse_options, command))
+        return parse(prog, arguments)
+    name, *words = arguments or ["--help"]
     if name in HELP:
-        docs = {name: each.__doc__ or "" for name, each in command.items()}
-        print(group_help(prog, about, {name: text.split("\n")[0] for name, text in docs.items()}))
+        summaries = {}
+        for name, member in command.items():
+            summaries[name] = (member.__doc__ or "").partition("\n")[0]
+        print(group_help(prog, about, summaries))
         sys.exit(0)
     if name not in command:
         raise unknown_name(f"{prog.split()[-1]} command", name, command)
-    return parse_command(command[name], f"{prog} {name}", "", rest)
+    return parse_command(command[name], f"{prog} {name}", "", words)
 
 
 def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
     """Return the help text of a group of commands with their summaries."""
     width = max(map(len, commands))
-    lines = [f"  {name:<{width}}  {summary}" for name, summary in commands.items()]
-    start = f"usage: {prog} COMMAND [ARGUMENTS]\n\n{about}\n\ncommands:"
-    return "\n".join([start, *lines, f"\n`{prog} COMMAND --help` shows a command's arguments."])
+    lines = [f"usage: {prog} COMMAND [ARGUMENTS]", "", about, "", "commands:"]
+    for name, summary in commands.items():
+        lines.append(f"  {name:<{width}}  {summary}")
+    lines += ["", f"`{prog} COMMAND --help` shows a command's arguments."]
+    return "\n".join(lines)
 
 
 def answer_help(
@@ -193,16 +229,24 @@ def answer_help(
     Without `--help` return the words, with `--help-all` as the `--help` of all options. ``default``
     is the command with its defaults.
     """
-    at = next((i for i, word in enumerate(words) if word in HELP), None)
-    if at is None:
+    help_at = [i for i, word in enumerate(words) if word in HELP]
+    if not help_at:
         return ["--help" if word == "--help-all" else word for word in words]
-    groups = {path.removeprefix("config."): path for path in _groups(default) if path != "config"}
-    group = "".join(word for word in words[at + 1 : at + 2] if not word.startswith("-"))
+    groups = {}
+    for path in _groups(default):
+        groups[path.removeprefix("config.")] = path
+    groups.pop("config", None)
+    first_at = help_at[0] + 1
+    group = "".join(words[first_at : first_at + 1])
+    if group.startswith("-"):
+        group = ""
     if group and group not in groups:
         raise unknown_name("group of options", group, groups)
 
     def is_shown(path: str) -> bool:
-        return path.startswith(f"{groups[group]}.") if group else path in first
+        if not group:
+            return path in first
+        return path.startswith(f"{groups[group]}.")
 
     with suppress(SystemExit):
         _print_help(default, prog, is_shown, about)
@@ -215,7 +259,7 @@ def _print_help(
     default: Any, prog: str, is_shown: Callable[[str], bool] = lambda path: True, about: str = ""
 ) -> None:
     """Print the help of a command, a class or an object of it with its defaults, and exit."""
-    config = (*READING["config"], tyro.conf.DisallowNone)
+    config = (*READING["config"], DisallowNone)
     options = {**READING, "config": config, "description": about or None}
     tyro.cli(_showing(default, is_shown), prog=prog, args=["--help"], **options)
 
@@ -242,34 +286,36 @@ def _showing(
     one value, and those of a config that ``is_one_of`` several.
     """
     cls = config if isinstance(config, type) else type(config)
-    types = get_type_hints(cls, include_extras=True)
-    words = {
-        param.arg_name: " ".join((param.description or "").split())
-        for base in reversed(cls.__mro__[:-1])
-        for param in parse_from_object(base).params
-    }
-    shown: list[tuple[str, Any, Any]] = []
-    for each in fields(cls):
-        name, kind = each.name, types[each.name]
-        kind, *extras = get_args(kind) if get_origin(kind) is Annotated else (kind,)
-        value = _default(each) if config is cls else getattr(config, name)
+    help_texts = {}
+    for base in reversed(cls.__mro__[:-1]):
+        for param in parse_from_object(base).params:
+            help_texts[param.arg_name] = " ".join((param.description or "").split())
+    options: list[tuple[str, Any, Any]] = []
+    for name, kind, value in _fields(config):
+        extras: list[Any] = []
+        if get_origin(kind) is Annotated:
+            kind, *extras = get_args(kind)
         default: Callable[[], Any] = partial(copy, value)
         if is_dataclass(value):
-            inner = f"{prefix}{name}."
             is_union = get_origin(kind) is UnionType
-            kind = default = _showing(value, is_shown, inner, is_one_of=is_union)
+            kind = _showing(value, is_shown, f"{prefix}{name}.", is_one_of=is_union)
+            default = kind
         elif not is_shown(prefix + name) or _is_tag(name, kind, is_one_of):
-            extras.append(tyro.conf.Suppress)
+            extras.append(Suppress)
         elif value is False:
-            extras.append(tyro.conf.FlagCreatePairsOff)
-        kind = Annotated[
-            kind, tyro.conf.arg(help=words.get(name), help_behavior_hint=_hint), *extras
-        ]
-        filled = field() if value is tyro.MISSING else field(default_factory=default)
-        shown.append((name, kind, filled))
-    options: dict[str, Any] = {"bases": (cls,), "frozen": True, "kw_only": True}
-    options["namespace"] = {"__doc__": cls.__doc__}
-    return make_dataclass(cls.__name__, shown, **options)
+            extras.append(FlagCreatePairsOff)
+        about = arg(help=help_texts.get(name), help_behavior_hint=_hint)
+        has_default = value is not tyro.MISSING
+        filled = field(default_factory=default) if has_default else field()
+        options.append((name, Annotated[kind, about, *extras], filled))
+    return make_dataclass(
+        cls.__name__,
+        options,
+        bases=(cls,),
+        frozen=True,
+        kw_only=True,
+        namespace={"__doc__": cls.__doc__},
+    )
 
 
 def _is_tag(name: str, kind: Any, is_one_of: bool) -> bool:
@@ -277,13 +323,6 @@ def _is_tag(name: str, kind: Any, is_one_of: bool) -> bool:
     if get_origin(kind) is not Literal:
         return False
     return len(get_args(kind)) == 1 or (is_one_of and name in TAGS)
-
-
-def _default(given: Field[Any]) -> Any:
-    """Return the default of a field; tyro's missing value for a required one."""
-    if given.default_factory is not MISSING:
-        return given.default_factory()
-    return tyro.MISSING if given.default is MISSING else given.default
 
 
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:
@@ -294,11 +333,11 @@ def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str
     if not arguments or arguments[0] in HELP:
         print(usage, file=sys.stdout if arguments else sys.stderr)
         sys.exit(0 if arguments else 2)
-    name, *rest = arguments
+    name, *words = arguments
     if name.startswith("-"):
         problem = f"The first argument must be the name of an experiment, got {name}"
         raise UserError(f"{problem}; `knowarm list` explains their names.")
-    return name, rest
+    return name, words
 
 
 def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list[str], str | None]:
@@ -306,41 +345,42 @@ def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list
 
     Options of its fields (`--source.file`) are left in place.
     """
-    rest, value = [], None
+    others: list[str] = []
+    value = None
     words = iter(arguments)
     for word in words:
         option, equals, name = word.partition("=")
         if option != flag:
-            rest.append(word)
+            others.append(word)
             continue
-        name = name if equals else next(words, "--")
+        if not equals:
+            name = next(words, "--")
         if name.startswith("--"):
             raise UserError(f"{flag} needs a name, e.g. {flag} {example}.")
         if value is not None:
             raise UserError(f"{flag} is given twice; give it once.")
         value = name
-    return rest, value
+    return others, value
 
 
 def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], "VectorSource | None"]:
     """Take the short name of a source of vectors out of arguments, as `take_option` does."""
     from knowarm.knowledge.vectors import source_named
 
-    rest, name = take_option(arguments, flag, "wordnet-gloss-50")
-    return rest, None if name is None else source_named(name)
+    others, name = take_option(arguments, flag, "wordnet-gloss-50")
+    return others, None if name is None else source_named(name)
 
 
-def read_names(given: Sequence[str]) -> dict[str, str]:
+def read_names(words: Sequence[str]) -> dict[str, str]:
     """Return the graph's names by object, from words and files of lines such as mug=CoffeeMug."""
     names = {}
-    for word in given:
+    for word in words:
         lines = [word]
         if "=" not in word:
-            lines = read_text(
-                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
-            ).split("\n")
+            text = read_text(Path(word), remedy="Give mug=CoffeeMug, or a file of such lines.")
+            lines = text.split("\n")
         for line in filter(None, map(str.strip, lines)):
-            name, _, other = (part.strip() for part in line.partition("="))
+            name, _, other = map(str.strip, line.partition("="))
             if not (name and other):
                 raise UserError(
                     f"names: {line!r} must be an object and its name, such as mug=CoffeeMug."

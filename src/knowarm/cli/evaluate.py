@@ -4,11 +4,13 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tyro
 from rich.text import Text
+from tyro.conf import Fixed, OmitArgPrefixes, Positional, Suppress, arg
 
 from knowarm.cli.arguments import (
     Command,
@@ -53,8 +55,14 @@ ABOUT = """AGENT is a run folder, or a scripted agent of `knowarm list`, which p
   knowarm evaluate runs/irb120-full-fast/0
   knowarm evaluate oracle --env.robot tiago --env.task choose"""
 FIRST = (
-    *("json", "which", "evaluation.episodes", "evaluation.seed", "evaluation.distance_m"),
-    *("evaluation.angle_deg", "conditions.split", "conditions.graph"),
+    "json",
+    "which",
+    "evaluation.episodes",
+    "evaluation.seed",
+    "evaluation.distance_m",
+    "evaluation.angle_deg",
+    "conditions.split",
+    "conditions.graph",
     *(f"probes.{probe.kind}" for probe in task_probes()),
     "env.robot",
 )
@@ -66,8 +74,8 @@ MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 class EpisodeOptions(EvaluationConfig):
     """Episodes and success criteria; conditions and probes have options of their own."""
 
-    test: Annotated[tuple[AnyCondition, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
-    probes: Annotated[tuple[BaseProbe, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
+    test: Annotated[tuple[AnyCondition, ...], Fixed, Suppress] = ()
+    probes: Annotated[tuple[BaseProbe, ...], Fixed, Suppress] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +109,9 @@ class ConditionOptions:
 
     def test(self) -> list[BaseTest]:
         """Return the conditions in the order in which they apply."""
-        conditions: list[BaseTest] = [HeldOutTest()] if self.held_out else []
+        conditions: list[BaseTest] = []
+        if self.held_out:
+            conditions.append(HeldOutTest())
         if self.split is None and self.edited is not None:
             raise UserError("--edited is the graph of split S5: give --split S5.")
         if self.split is not None:
@@ -114,8 +124,13 @@ class ConditionOptions:
         if reasoning != ReasoningTest():
             conditions.append(reasoning)
         if self.damage is not None or self.repair is not None:
-            how: dict[str, Any] = {"share": self.damage_share, "seed": self.damage_seed}
-            conditions.append(DamageTest(damage=self.damage, repair=self.repair, **how))
+            damage = DamageTest(
+                damage=self.damage,
+                share=self.damage_share,
+                seed=self.damage_seed,
+                repair=self.repair,
+            )
+            conditions.append(damage)
         return conditions
 
 
@@ -132,16 +147,21 @@ class RecordOptions:
 
     def probes(self) -> list[BaseProbe]:
         """Return the probes."""
-        probes: list[BaseProbe] = [StepsProbe()] if self.record_steps else []
-        probes += [FilmsProbe(episodes=self.record_films)] if self.record_films else []
-        probes += [BlindProbe(episodes=self.blind_episodes)] if self.blind_episodes else []
-        return [*probes, *(probe() for probe in task_probes() if getattr(self, probe.kind))]
+        probes: list[BaseProbe] = []
+        if self.record_steps:
+            probes.append(StepsProbe())
+        if self.record_films:
+            probes.append(FilmsProbe(episodes=self.record_films))
+        if self.blind_episodes:
+            probes.append(BlindProbe(episodes=self.blind_episodes))
+        probes.extend(probe() for probe in task_probes() if getattr(self, probe.kind))
+        return probes
 
 
 ProbeOptions: type[RecordOptions] = make_dataclass(
     "ProbeOptions",
     [
-        (probe.kind, Annotated[bool, tyro.conf.arg(help=probe.about)], field(default=False))
+        (probe.kind, Annotated[bool, arg(help=probe.about)], field(default=False))
         for probe in task_probes()
     ],
     bases=(RecordOptions,),
@@ -155,17 +175,15 @@ ProbeOptions: type[RecordOptions] = make_dataclass(
 class Evaluate(TableCommand):
     """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
-    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
+    agent: Annotated[Positional[str], arg(metavar="AGENT")]
     """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
-    evaluation: Annotated[EpisodeOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=EpisodeOptions
-    )
+    evaluation: Annotated[EpisodeOptions, OmitArgPrefixes] = field(default_factory=EpisodeOptions)
     """Episodes and success criteria."""
-    conditions: Annotated[ConditionOptions, tyro.conf.OmitArgPrefixes] = field(
+    conditions: Annotated[ConditionOptions, OmitArgPrefixes] = field(
         default_factory=ConditionOptions
     )
     """Conditions of the test."""
-    probes: Annotated[ProbeOptions, tyro.conf.OmitArgPrefixes] = field(  # type: ignore[valid-type]
+    probes: Annotated[ProbeOptions, OmitArgPrefixes] = field(  # type: ignore[valid-type]
         default_factory=ProbeOptions
     )
     """What is recorded and measured."""
@@ -196,11 +214,11 @@ class Evaluate(TableCommand):
         if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
-            for name in ("success_distance_m", "success_angle_deg"):
-                if getattr(self.env, name) != getattr(EnvConfig(), name):
-                    given = name.replace("_", "-")
-                    wanted = given.removeprefix("success-")
-                    raise UserError(f"--env.{given} is of training: give --{wanted} here.")
+            default = EnvConfig()
+            for name in ("distance-m", "angle-deg"):
+                field_name = f"success_{name.replace('-', '_')}"
+                if getattr(self.env, field_name) != getattr(default, field_name):
+                    raise UserError(f"--env.success-{name} is of training: give --{name} here.")
             make = SCRIPTED_AGENTS[self.agent].make
             result = evaluate(
                 lambda env: make(env, how.seed),
@@ -210,9 +228,13 @@ class Evaluate(TableCommand):
                 report=report,
             )
         else:
-            options: dict[str, Any] = {"which": self.which, "perception": self.perception}
-            greedy = how.actions == "greedy"
-            trained = load_agent(self.agent, greedy=greedy, seed=how.seed, **options)
+            trained = load_agent(
+                self.agent,
+                which=self.which,
+                greedy=how.actions == "greedy",
+                seed=how.seed,
+                perception=self.perception,
+            )
             if is_locked(trained.folder.path):
                 report(
                     f"{self.agent} is still training: this is its network of step {trained.step:,}."
@@ -236,12 +258,12 @@ def parse_with_task(
     Only scripted agents take options ``env``. `--env.task` takes the name of a task, or
     package.module:Name.
     """
-    rest, task = take_option(arguments, "--env.task", "package.module:Name")
+    words, task = take_option(arguments, "--env.task", "package.module:Name")
     options: dict[str, Any] = {}
     if task is not None:
         make: Callable[..., Command] = command
         options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
-    parsed: Any = parse_options(command, prog, rest, **options)
+    parsed: Any = parse_options(command, prog, words, **options)
     if any(word.startswith("--env.") for word in arguments) and not is_scripted(parsed.agent):
         raise UserError("A run has its own environment: leave out the --env options.")
     return parsed
@@ -258,21 +280,22 @@ def is_scripted(agent: str) -> bool:
 
 def _print(summary: Summary) -> None:
     """Print the results by target and, where they vary and are few, by target and colour."""
-    targets, facets = (summary.groups[name] for name in ("target", "facet"))
-    _print_groups(
-        f"{summary.agent}: {summary.label}", "target", {"all": summary.numbers, **targets}
-    )
+    targets = summary.groups["target"]
+    facets = summary.groups["facet"]
+    title = f"{summary.agent}: {summary.label}"
+    _print_groups(title, "target", {"all": summary.numbers, **targets})
     if len(targets) < len(facets) <= MOST_FACETS:
         _print_groups("By target and colour", "target/colour", facets)
-    if blind := summary.groups.get("blind"):
+    blind = summary.groups.get("blind")
+    if blind:
         _print_groups("Blind agents, on the first of these episodes", "blind agent", blind)
         for name, entry in BLIND_AGENTS.items():
             print(f"{name}: {entry.about}.")
         gain = measure("vision_gain")
-        shown = summary.interval(gain.name).low > 0
+        depends = "" if summary.interval(gain.name).low > 0 else "not "
+        points = _cell(gain, summary.numbers)
         print(
-            f"Success is {'' if shown else 'not '}shown to depend on vision: "
-            f"{_cell(gain, summary.numbers)} points, the {gain.about}.\n"
+            f"Success is {depends}shown to depend on vision: {points} points, the {gain.about}.\n"
         )
     print(
         f"accuracy: within {summary.config.distance_m} m. success: also within "
@@ -282,10 +305,14 @@ def _print(summary: Summary) -> None:
 
 def _print_groups(title: str, what: str, groups: Mapping[str, Numbers]) -> None:
     """Print one row per group of episodes, and one column per measure that any of them has."""
-    names = dict.fromkeys(name for group in groups.values() for name in group)
-    shown = [each for each in map(measure, names) if not each.detail]
-    rows = [[name, *(_cell(each, group) for each in shown)] for name, group in groups.items()]
-    print_table(title, [what, *(each.title for each in shown)], rows)
+    names = dict.fromkeys(chain.from_iterable(groups.values()))
+    measures = [column for column in map(measure, names) if not column.detail]
+    rows: list[list[Any]] = []
+    for name, numbers in groups.items():
+        cells = [_cell(column, numbers) for column in measures]
+        rows.append([name, *cells])
+    titles = [column.title for column in measures]
+    print_table(title, [what, *titles], rows)
 
 
 def _cell(of: Measure, numbers: Numbers) -> Text:
@@ -295,10 +322,11 @@ def _cell(of: Measure, numbers: Numbers) -> Text:
     if number is None:
         return Text("-")
     form = FORMATS[of.format]
-    if not isinstance(number, Interval):
-        shown = form(number)
+    if isinstance(number, Interval):
+        text, unit, _ = form(number.estimate).partition(f"{NARROW_SPACE}%")
+        low = form(number.low).removesuffix(unit)
+        high = form(number.high).removesuffix(unit)
+        text = f"{text} [{low}, {high}]{unit}"
     else:
-        shown, unit, _ = form(number.estimate).partition(f"{NARROW_SPACE}%")
-        low, high = (form(each).removesuffix(unit) for each in (number.low, number.high))
-        shown = f"{shown} [{low}, {high}]{unit}"
-    return Text(shown.replace(NARROW_SPACE, " "), no_wrap=True)
+        text = form(number)
+    return Text(text.replace(NARROW_SPACE, " "), no_wrap=True)

@@ -4,19 +4,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from knowarm.cli.tables import FolderPath
 from knowarm.experiment.hub import pull_from_hub, push_to_hub
 
-RepoId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER/NAME")]
+RepoId = Annotated[Positional[str], arg(metavar="OWNER/NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
     """Upload a run, a grounding network or a packed study, with a model card."""
 
-    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")]
+    path: Annotated[Positional[Path], arg(metavar="PATH")]
     """Run folder, .safetensors network or .tar.xz pack."""
     repo_id: RepoId
     """Repository; it is made if there is none."""

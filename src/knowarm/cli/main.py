@@ -58,6 +58,10 @@ The core never imports one of them but for its command.
 """
 
 
+ALL = COMMANDS | DOORS
+"""Every command, by name."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return 0, 2 for a user error or 130 after Ctrl-C; exit without ``argv``."""
     if argv is None:
@@ -78,7 +82,7 @@ def _run_command(arguments: list[str]) -> int:
     try:
         if not arguments or arguments[0] in ("-h", "--help", "help"):
             about = "Deep reinforcement learning of robot-arm policies with knowledge graphs."
-            summaries = {name: what for name, (_, what) in {**COMMANDS, **DOORS}.items()}
+            summaries = {name: what for name, (_, what) in ALL.items()}
             print(group_help("knowarm", about, summaries))
         elif arguments[0] in ("--version", "version"):
             print(f"knowarm {version('knowarm')}")
@@ -122,8 +126,8 @@ def with_flags(error: UserError, command: str = "") -> str:
 
     Only `knowarm train` and `knowarm knowledge` have options for parts of an experiment's config.
     """
-    parts = (_flag(p, command) if isinstance(p, Argument) else str(p) for p in error.args)
-    return "".join(parts)
+    words = [_flag(part, command) if isinstance(part, Argument) else part for part in error.args]
+    return "".join(map(str, words))
 
 
 def _flag(argument: Argument, command: str) -> str:
@@ -131,9 +135,9 @@ def _flag(argument: Argument, command: str) -> str:
     if group and command not in ("train", "knowledge"):
         return str(argument)
     name = (argument.name if command == "train" else name).replace("_", "-")
-    if isinstance(argument.value, bool):
-        return f"--{name}" if argument.value else f"--no-{name}"
     value = argument.value
+    if isinstance(value, bool):
+        return f"--{name}" if value else f"--no-{name}"
     words = [*value, *value.values()] if isinstance(value, dict) else [str(value)]
     return shlex.join([f"--{name}", *words])
 
@@ -142,14 +146,14 @@ def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
     # Who names a description in a command trusts it; those that files name are checked.
     trust([word.rpartition("=")[2] for word in arguments])
-    if name not in {**COMMANDS, **DOORS}:
-        raise unknown_name("command", name, [*COMMANDS, *DOORS])
+    if name not in ALL:
+        raise unknown_name("command", name, ALL)
     for flag, (_, register) in OWN.items():
         arguments, import_path = take_option(arguments, flag, "package.module:Name")
         if import_path is not None:
             register(import_path)
     command = find_command(name)
-    _, about = {**COMMANDS, **DOORS}[name]
+    _, about = ALL[name]
     return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)
 
 
@@ -159,13 +163,11 @@ def find_command(name: str) -> Any:
     Raises:
         UserError: it is a door's, and the door is not installed.
     """
-    if name in COMMANDS:
-        module, _, attribute = COMMANDS[name][0].partition(":")
-        return getattr(import_module(f"knowarm.cli.{module}"), attribute)
-    module, _, attribute = DOORS[name][0].partition(":")
+    module, _, attribute = ALL[name][0].partition(":")
+    package = "knowarm.cli" if name in COMMANDS else "knowarm"
     door = f"knowarm.{module.partition('.')[0]}"
     try:
-        return getattr(import_module(f"knowarm.{module}"), attribute)
+        return getattr(import_module(f"{package}.{module}"), attribute)
     except ModuleNotFoundError as error:
         if error.name != door:
             raise

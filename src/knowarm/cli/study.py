@@ -9,16 +9,17 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
 from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
+from tyro.conf import Positional, arg
 
 from knowarm.cli.tables import (
     FilePath,
     FolderPath,
     TableCommand,
+    counted,
     lay_out,
     make_console,
     print_table,
@@ -54,13 +55,16 @@ def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
 
     def show(statuses: Sequence[RunStatus]) -> None:
         nonlocal last_line
-        changed = [each for each in statuses if states.get(each.run) != each.state]
-        for status in changed:
-            if status.run in states or status.state != "waiting":
-                detail = f": {printable(status.detail)}" if status.detail else ""
-                print(f"{status.name} {status.state}{detail}", flush=True)
-        states.update({each.run: each.state for each in statuses})
-        if changed or time.monotonic() - last_line >= EVERY_S:
+        has_changed = False
+        for status in statuses:
+            before = states.get(status.run)
+            states[status.run] = status.state
+            if before == status.state:
+                continue
+            has_changed = True
+            if before is not None or status.state != "waiting":
+                print(state_line(status), flush=True)
+        if has_changed or time.monotonic() - last_line >= EVERY_S:
             last_line = time.monotonic()
             print(summary_line(study, statuses), flush=True)
 
@@ -72,16 +76,15 @@ def status_tables(
 ) -> list[Table | Text]:
     """Return title, table and summary: one row per experiment and one column per seed."""
     left = seconds_left(statuses)
-    found = {each.run: each for each in statuses}
+    cells = {status.run: _cell(status, left) for status in statuses}
     seeds = study.all_seeds()
     rows = []
     for experiment in study.cells():
-        runs = [found.get((experiment, seed)) for seed in seeds]
-        cells = [Text("") if run is None else _cell(run, left) for run in runs]
-        rows.append([Text(experiment), *cells])
-    tables = lay_out(["experiment", *(f"seed {seed}" for seed in seeds)], rows, room)
+        row = [cells.get((experiment, seed), Text("")) for seed in seeds]
+        rows.append([Text(experiment), *row])
+    columns = ["experiment", *(f"seed {seed}" for seed in seeds)]
     title = Text(f"Study {study.name}", style="bold")
-    return [title, *tables, Text(summary_line(study, statuses))]
+    return [title, *lay_out(columns, rows, room), Text(summary_line(study, statuses))]
 
 
 def _cell(status: RunStatus, left: dict[RunKey, float]) -> Text:
@@ -98,22 +101,32 @@ def _cell(status: RunStatus, left: dict[RunKey, float]) -> Text:
     return Text(" · ".join(words), style=STYLES.get(status.state, ""))
 
 
+def state_line(status: RunStatus) -> str:
+    """Return the state of a run and the reason for it, if there is one."""
+    line = f"{status.name} {status.state}"
+    if status.detail:
+        line += f": {printable(status.detail)}"
+    return line
+
+
 def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
     """Return the number of runs per state, and the cost so far and to go."""
     counts, spent, to_go = totals(statuses, study.where.cores).values()
     states = ", ".join(f"{count} {state}" for state, count in counts.items())
-    rest = "" if to_go is None else f", {to_go:.2f} to go"
-    return f"{len(statuses)} runs: {states}. Core hours of training: {spent:.2f}{rest}."
+    line = f"{len(statuses)} runs: {states}. Core hours of training: {spent:.2f}"
+    if to_go is not None:
+        line += f", {to_go:.2f} to go"
+    return f"{line}."
 
 
-Number = Annotated[int | None, tyro.conf.arg(metavar="N")]
+Number = Annotated[int | None, arg(metavar="N")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FolderCommand:
     """Command on the folder of a study."""
 
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    folder: Annotated[Path, Positional, arg(metavar="DIR")]
     """Folder of the study."""
 
 
@@ -121,7 +134,7 @@ class FolderCommand:
 class StudyShow:
     """Print a study: its TOML file and its runs."""
 
-    study: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STUDY]")] = None
+    study: Annotated[str | None, Positional, arg(metavar="[STUDY]")] = None
     """Name of a shipped study, TOML file or folder of a study. Default: list the shipped ones."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
@@ -129,20 +142,21 @@ class StudyShow:
     def run(self) -> None:
         """Print it."""
         if self.study is None:
-            studies = [read_study(name) for name in SHIPPED]
-            rows = [[study.name, len(study.runs()), study.about] for study in studies]
+            studies = map(read_study, SHIPPED)
+            rows = [[shipped.name, len(shipped.runs()), shipped.about] for shipped in studies]
             print_table("Studies", ["study", "runs", "about"], rows)
             return
         study = read_study(self.study, of=self.of)
         file = SHIPPED.get(self.study, Path(self.study))
         if file.is_file():
             print(file.read_text("utf-8"))
-        steps = {config.name: config.total_steps for config in study.runs()}
+        runs = study.runs()
+        steps = {config.name: config.total_steps for config in runs}
         seeds = ", ".join(map(str, study.all_seeds()))
-        title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
+        title = f"Study {study.name}: {len(runs)} runs, seeds {seeds}"
         print_table(title, ["experiment", "steps"], steps.items())
         for evaluation in study.evaluations:
-            seeds = f"{evaluation.seeds} seed{'s' * (evaluation.seeds != 1)}"
+            seeds = counted(evaluation.seeds, "seed")
             print(f"Evaluated on {evaluation.episodes:,} episodes of {seeds}: {evaluation.folder}")
 
 
@@ -150,13 +164,13 @@ class StudyShow:
 class StudyRun:
     """Train and evaluate every run of a study; the same command continues after any end."""
 
-    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
+    study: Annotated[str, Positional, arg(metavar="STUDY")]
     """Name of a shipped study, TOML file or folder of a study."""
     out: FolderPath = None
     """Folder of the study. Default: runs/NAME, or the given folder."""
     of: FilePath = None
     """For the controls: the study whose agents they control."""
-    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...")] = ()
+    seeds: Annotated[tuple[int, ...], arg(metavar="SEED...")] = ()
     """Training seeds instead of the study's."""
     executor: Literal["local", "ray"] | None = None
     """This machine (local), or the nodes of a Ray cluster (ray). Default: the study's, local."""
@@ -170,15 +184,15 @@ class StudyRun:
     def run(self) -> None:
         """Run the study."""
         study = read_study(self.study, of=self.of)
-        chosen: dict[str, Any] = {
-            "kind": self.executor,
-            "at_once": self.at_once,
-            "cores": self.cores,
-        }
-        where = replace(study.where, **{k: v for k, v in chosen.items() if v is not None})
+        chosen = {"kind": self.executor, "at_once": self.at_once, "cores": self.cores}
+        changes: dict[str, Any] = {name: v for name, v in chosen.items() if v is not None}
+        where = replace(study.where, **changes)
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
-        is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()
-        out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
+        out = self.out
+        if out is None:
+            folder = Path(self.study)
+            is_folder = self.study not in SHIPPED and (folder / STUDY_FILE).is_file()
+            out = folder if is_folder else Path("runs") / study.name
         with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(
                 study,
@@ -187,41 +201,29 @@ class StudyRun:
                 should_stop=should_stop,
                 on_status=progress,
             )
-        for status in (bad := [each for each in statuses if each.state in BAD]):
-            print(f"{status.name} {status.state}: {printable(status.detail)}")
-        if any(each.step for each in statuses):
+        for status in statuses:
+            if status.state in BAD:
+                print(state_line(status))
+        if any(status.step for status in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
-        if all(each.state == "done" for each in statuses):
+        states = {status.state for status in statuses}
+        if states <= {"done"}:
             print(f"Complete: {out}")
             return
-        if all(each.state in ("done", "paused") for each in statuses):
+        if states <= {"done", "paused"}:
             print(f"Paused at step {self.until_step:,} of each run: {out}")
             print("Run the same command with a larger --until-step, or without, to continue.")
             return
-        if any(each.state == "failed" for each in bad):
+        if "failed" in states:
             print(f"Let failed runs resume with: knowarm study retry {out}, then the same command.")
-        if any(each.state == "damaged" for each in bad):
+        if "damaged" in states:
             print("Repair or remove what is damaged, then run the same command again.")
-        if not bad:
+        if states.isdisjoint(BAD):
             print("Stopped and saved. Run the same command again to continue.")
         sys.exit(1)
 
 
 PROGRESS = ("run", "state", "steps", "of", "best return", "at step", "steps/s")
-
-
-def progress_row(status: RunStatus) -> list[Any]:
-    """Return steps, best interim evaluation and mean speed of a run, as `PROGRESS` names them."""
-    speed = status.step / status.seconds if status.seconds else None
-    return [
-        status.name,
-        status.state,
-        status.step,
-        status.total_steps,
-        status.best_return,
-        status.best_step,
-        speed,
-    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,29 +237,37 @@ class Status(FolderCommand, TableCommand):
         console = make_console()
         for table in status_tables(study, statuses, console.width):
             console.print(table, crop=False, soft_wrap=isinstance(table, Text))
-        begun = [each for each in statuses if each.step]
-        if begun:
-            print_table("Runs", PROGRESS, [progress_row(each) for each in begun])
-        for each in statuses:
-            if each.detail and each.state in (*BAD, *PAUSED):
-                print(f"{each.name} {each.state}: {printable(each.detail)}")
-        values = {"study": study.name, **totals(statuses, study.where.cores)}
-        return values | {"runs": [asdict(each) for each in statuses]}
+        rows = []
+        for status in statuses:
+            if status.step:
+                row = [status.name, status.state, status.step, status.total_steps]
+                speed = status.step / status.seconds if status.seconds else None
+                rows.append([*row, status.best_return, status.best_step, speed])
+        if rows:
+            print_table("Runs", PROGRESS, rows)
+        for status in statuses:
+            if status.detail and status.state in (*BAD, *PAUSED):
+                print(state_line(status))
+        runs = [asdict(status) for status in statuses]
+        return {"study": study.name, **totals(statuses, study.where.cores), "runs": runs}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Retry(FolderCommand):
     """Let failed runs resume."""
 
-    runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[RUN...]")]] = ()
+    runs: Positional[Annotated[tuple[str, ...], arg(metavar="[RUN...]")]] = ()
     """EXPERIMENT/SEED or EXPERIMENT. Default: every failed run."""
 
     def run(self) -> None:
         """Forget the failures."""
-        for name in (cleared := retry(self.folder, self.runs)):
+        names = retry(self.folder, self.runs)
+        for name in names:
             print(f"{name} will resume.")
-        again = f"Continue with: knowarm study run {self.folder}"
-        print(again if cleared else "No run has failed.")
+        if names:
+            print(f"Continue with: knowarm study run {self.folder}")
+        else:
+            print("No run has failed.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,8 +276,10 @@ class Stop(FolderCommand):
 
     def run(self) -> None:
         """Leave the request in the folder."""
-        asked = "Asked to stop: running trainings save a checkpoint and end."
-        print(asked if request_stop(self.folder) else f"Nothing is running in {self.folder}.")
+        if request_stop(self.folder):
+            print("Asked to stop: running trainings save a checkpoint and end.")
+        else:
+            print(f"Nothing is running in {self.folder}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,7 +312,7 @@ class Pack(FolderCommand):
 class Unpack:
     """Unpack a study, and compare every file with its digest."""
 
-    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    file: Annotated[Path, Positional, arg(metavar="FILE")]
     """What `knowarm study pack` wrote."""
     out: FolderPath = None
     """New folder. Default: the file's name without .tar.xz."""
@@ -318,8 +330,8 @@ class Report(TableCommand):
 
     runs: Annotated[
         tuple[Path, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="RUN...", help_behavior_hint="(required)"),
+        Positional,
+        arg(metavar="RUN...", help_behavior_hint="(required)"),
     ]
     """Run folders, or folders that contain them at any depth."""
     out: Path = Path("runs/report.html")

@@ -8,17 +8,17 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any
 
-import tyro
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from tyro.conf import arg
 
 from knowarm.errors import UserError, printable
 from knowarm.reading import write_json, writing
 
-FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-FolderPath = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+FilePath = Annotated[Path | None, arg(metavar="FILE")]
+FolderPath = Annotated[Path | None, arg(metavar="DIR")]
 """Types of an optional file argument, such as ``--json``, and of a folder."""
 UNLIMITED = 10_000  # width of tables that no terminal shows
 MOST_NAMES = 12
@@ -126,6 +126,11 @@ def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
         spare -= more
         waiting -= 1
     return widths
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number and its noun, in the plural but for 1."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def make_console() -> Console:

@@ -7,9 +7,9 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import tyro
+from tyro.conf import Suppress, arg
 
 from knowarm.cli.arguments import (
     OWN,
@@ -47,8 +47,15 @@ Its options have that experiment's values as defaults:
   knowarm train {DEFAULT_EXPERIMENT} --help-all         all options
   knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
 FIRST = (
-    *("runs", "resume", "config.name", "config.seed", "config.total_steps", "config.env.robot"),
-    *("config.env.targets", "config.env.colours", "graph"),
+    "runs",
+    "resume",
+    "config.name",
+    "config.seed",
+    "config.total_steps",
+    "config.env.robot",
+    "config.env.targets",
+    "config.env.colours",
+    "graph",
     "config.algorithm.learning_rate",
 )
 """The options that `--help` shows."""
@@ -58,32 +65,32 @@ FIRST = (
 class Train:
     """Train one agent, or resume a stopped run."""
 
-    config: Annotated[ExperimentConfig, tyro.conf.arg(name="")]
+    config: Annotated[ExperimentConfig, arg(name="")]
     runs: Path = Path("runs")
     """Parent folder of all runs; this run is saved in RUNS/EXPERIMENT/SEED."""
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
-    graph: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    graph: Annotated[str | None, arg(metavar="FILE")] = None
     """Graph of the knowledge and the questions: a file, or the name of a shipped one."""
-    until_step: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    until_step: Annotated[int | None, arg(metavar="N")] = None
     """Save and end at step N of all; resuming goes on to the last step, or to another N."""
     perception: FilePath = None
     """perception.safetensors of another run, for agents that would train such a network first."""
-    again: tyro.conf.Suppress[str] = ""
+    again: Suppress[str] = ""
     """The command that resumes this run."""
-    own: tyro.conf.Suppress[str] = ""
+    own: Suppress[str] = ""
     """Options by which evaluations find a task and an algorithm of one's own."""
 
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> "Train":
         """Parse the options over the values of the experiment, or those of the run to resume."""
-        name, rest = take_experiment(arguments, USAGE)
-        rest, file = take_option(rest, "--config", "run.toml")
+        name, words = take_experiment(arguments, USAGE)
+        words, file = take_option(words, "--config", "run.toml")
         values = {} if file is None else read_toml(Path(file))
-        rest, task = take_option(rest, "--env.task", "package.module:Name")
-        rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
-        rest, graph = take_option(rest, "--graph", "kitchen.csv")
-        rest, source = take_source(rest, "--knows.source")
+        words, task = take_option(words, "--env.task", "package.module:Name")
+        words, robot = take_option(words, "--env.robot", "my_arm.toml")
+        words, graph = take_option(words, "--graph", "kitchen.csv")
+        words, source = take_source(words, "--knows.source")
         experiment = ExperimentName.parse(name)
         if task is not None:
             base = find_task(experiment.task)
@@ -96,12 +103,12 @@ class Train:
             values["graph"] = graph
         config = experiment.config(**values)
         prog = f"{prog} {name}"
-        rest = answer_help(cls(config=config), prog, rest, FIRST)
+        words = answer_help(cls(config=config), prog, words, FIRST)
 
         def parse_over(config: ExperimentConfig) -> "Train":
             if source is not None:
                 config = override(config, {"knows": {"source": to_dict(source)}})
-            return parse_options(cls, prog, rest, default=cls(config=config))
+            return parse_options(cls, prog, words, default=cls(config=config))
 
         command = parse_over(config)
         if command.resume:
@@ -113,43 +120,52 @@ class Train:
                 raise UserError(f"There is no run to resume in {path}: leave out --resume.")
             command = parse_over(override_experiment(RunFolder.open(path).experiment(), values))
         else:
-            words = [word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest]
-            check_graphs(command.config, [*flatten(values), *words])
-        own = [f" {flag} {places[-1]}" for flag, (of, _) in OWN.items() if (places := named_by(of))]
-        given, _ = take_option(arguments, "--until-step", "N")
-        again = shlex.join(["knowarm", "train", *given, *["--resume"] * (not command.resume)])
-        return replace(command, again=again + "".join(own), own="".join(own))
+            names = [word.partition("=")[0].lstrip("-").replace("-", "_") for word in words]
+            check_graphs(command.config, [*flatten(values), *names])
+        own = ""
+        for flag, (variable, _) in OWN.items():
+            import_paths = named_by(variable)
+            if import_paths:
+                own += f" {flag} {import_paths[-1]}"
+        others, _ = take_option(arguments, "--until-step", "N")
+        again = shlex.join(["knowarm", "train", *others])
+        if not command.resume:
+            again += " --resume"
+        return replace(command, again=again + own, own=own)
 
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
         from knowarm.experiment.run import train
 
-        options: dict[str, Any] = {
-            "resume": self.resume,
-            "perception": self.perception,
-            "until_step": self.until_step,
-        }
         with StopRequest() as should_stop:
-            run = train(self.config, self.runs, should_stop=should_stop, **options)
-        where, result = run.folder.path, run.result
+            run = train(
+                self.config,
+                self.runs,
+                resume=self.resume,
+                should_stop=should_stop,
+                perception=self.perception,
+                until_step=self.until_step,
+            )
+        path = run.folder.path
+        result = run.result
         if result.reason == "stopped":
             if self.until_step is not None and result.step >= self.until_step:
                 total = f"{self.config.total_steps:,}"
-                print(f"Paused at step {result.step:,} of {total} and saved: {where}")
+                print(f"Paused at step {result.step:,} of {total} and saved: {path}")
                 print(f"Resume with: {self.again}")
                 return 0
             print(f"Stopped at step {result.step:,} and saved. Resume with: {self.again}")
             return 130
-        print(f"Trained for {result.step:,} steps: {where}")
-        if (best := result.best_return) is not None:
+        print(f"Trained for {result.step:,} steps: {path}")
+        if result.best_return is not None:
             success = read_json(run.folder.checkpoints / "best" / "meta.json")["facts"]["success"]
             print(
-                f"Best interim evaluation: success {100 * success:.0f} %, return {best:.1f}, at "
-                f"step {result.best_step:,}"
+                f"Best interim evaluation: success {100 * success:.0f} %, "
+                f"return {result.best_return:.1f}, at step {result.best_step:,}"
             )
             if result.best_step == 0:
                 print("That is the untrained network: none after it was better.")
-        print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(where))}{self.own}")
+        print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(path))}{self.own}")
         print(f"Compare runs with: knowarm report {shlex.quote(str(self.runs))}{self.own}")
         return 0
 

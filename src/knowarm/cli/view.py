@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
-import tyro
+from tyro.conf import Positional, arg
 
 from knowarm.cli.arguments import parse_options, take_option
 from knowarm.cli.evaluate import is_scripted
@@ -40,9 +40,9 @@ installed as snaps cannot read the folder of temporary files."""
 class View:
     """Show films of an agent in the browser, or write them to files."""
 
-    robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]")] = None
+    robot: Annotated[str | None, Positional, arg(metavar="[ROBOT]")] = None
     """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
-    agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
+    agent: Annotated[str, arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
     """Number of episodes."""
@@ -78,9 +78,9 @@ class View:
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--task` takes the name of a task."""
-        rest, task = take_option(arguments, "--task", "choose")
+        words, task = take_option(arguments, "--task", "choose")
         default = cls() if task is None else cls(task=find_task(task))
-        return parse_options(cls, prog, rest, default=default)
+        return parse_options(cls, prog, words, default=default)
 
     def run(self) -> None:
         """Play the episodes and show or record them."""
@@ -88,7 +88,7 @@ class View:
         at_least(self, 0, "seed")
         above_zero(self, "angle_deg")
         page = self.page
-        if page is None and self.video is None and self.strip is None and self.rrd is None:
+        if not any((page, self.video, self.strip, self.rrd)):
             page = PAGE
         if page is not None:
             check_page(page)
@@ -99,19 +99,24 @@ class View:
         if self.rrd is not None:
             check_rrd(self.rrd)
         make_agent, config = self._agent()
-        given = {
-            name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
-        } | {"success_angle_deg": self.angle_deg}
-        config = replace(config, **{name: value for name, value in given.items() if value})
-        env = ArmVectorEnv(config, 1)
+        options = {
+            "targets": self.targets,
+            "colours": self.colours,
+            "dynamics": self.dynamics,
+            "ignore_roll": self.ignore_roll,
+            "success_angle_deg": self.angle_deg,
+        }
+        changes: dict[str, Any] = {name: value for name, value in options.items() if value}
+        env = ArmVectorEnv(replace(config, **changes), 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
         films = []
         knowledge = []
         for number in range(len(episodes)):
-            films.append(record_episode(agent, env, episodes[number : number + 1], axes=self.axes))
+            film = record_episode(agent, env, episodes[number : number + 1], axes=self.axes)
+            films.append(film)
             if self.rrd is not None:
-                knowledge.append(self._knowledge(agent, films[-1][0].policy))
+                knowledge.append(self._knowledge(agent, film[0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
         if self.video is not None:

@@ -56,7 +56,8 @@ def _agent(role: Role, about: str, knows: Knows, **fields: Any) -> Agent:
     return Agent(role=role, about=about, knows=knows, **fields)
 
 
-_subject, _privileged = partial(_agent, "knowledge"), partial(_agent, "privileged")
+_subject = partial(_agent, "knowledge")
+_privileged = partial(_agent, "privileged")
 
 
 def _control(about: str, knows: Any, source: Placebo, **fields: Any) -> Agent:
@@ -243,7 +244,8 @@ def controls_of(subject: str, role: Role) -> list[str]:
     whose numbers depend on no description fits every subject with its kind and slots. A capacity
     control has its kind, slots and width, or no knowledge and as many parameters.
     """
-    if (agent := AGENTS.get(subject)) is None:
+    agent = AGENTS.get(subject)
+    if agent is None:
         return []
 
     def matches(control: Agent) -> bool:
@@ -258,7 +260,7 @@ def controls_of(subject: str, role: Role) -> list[str]:
                 return True
             if not other.source.content_free or own.slot_norm is None:
                 return False
-            fields += ["slot_norm"]
+            fields.append("slot_norm")
         return all(getattr(other, name) == getattr(own, name) for name in fields)
 
-    return [name for name, each in AGENTS.items() if each.role == role and matches(each)]
+    return [name for name, other in AGENTS.items() if other.role == role and matches(other)]

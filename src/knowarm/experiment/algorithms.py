@@ -186,7 +186,7 @@ def register_algorithm(import_path: str) -> Algorithm:
 def _add(import_path: str) -> Algorithm:
     needed = "an instance of knowarm.Algorithm"
     algorithm: Algorithm = load(
-        import_path, "algorithm", lambda each: isinstance(each, Algorithm), needed
+        import_path, "algorithm", lambda value: isinstance(value, Algorithm), needed
     )
     if ALGORITHMS.setdefault(algorithm.config.name, algorithm) is not algorithm:
         raise UserError(

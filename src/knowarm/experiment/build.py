@@ -23,14 +23,17 @@ def interim_evaluation(
     """Make the environments, draw the episodes, and return the function that plays them."""
     env = ArmVectorEnv(config, interim.episodes)
     episodes = evaluation_episodes(config, interim.episodes, INTERIM_SEED)
-    task, setting = config.task, env.running.setting
+    task = config.task
+    setting = env.running.setting
 
     def evaluate(policy: Policy) -> dict[str, float]:
         result = play(knowledge.make_agent(policy, greedy=True), env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)
-        own = [each for each in task.measures if each.column in columns and each.among is None]
-        return numbers | {each.name: float(columns[each.column].mean()) for each in own}
+        for measure in task.measures:
+            if measure.column in columns and measure.among is None:
+                numbers[measure.name] = float(columns[measure.column].mean())
+        return numbers
 
     return evaluate
 
@@ -58,10 +61,13 @@ def make_trainer(
     **options: Any,
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
-    evaluation = partial(interim_evaluation, config.env, config.interim, knowledge)
-    options |= {"make_env": partial(knowledge.make_env, config.env), "make_evaluate": evaluation}
     return algorithms()[config.algorithm.name].make_trainer(
-        config.algorithm, policy, seed=config.seed, **options
+        config.algorithm,
+        policy,
+        seed=config.seed,
+        make_env=partial(knowledge.make_env, config.env),
+        make_evaluate=partial(interim_evaluation, config.env, config.interim, knowledge),
+        **options,
     )
 
 

@@ -18,8 +18,6 @@ Which = Literal["best", "latest", "untrained"]
 INTERIM_SEED = 20_250_714
 """Seed of the episodes of interim evaluations: that of all experiments, so that their curves are
 comparable."""
-
-
 MIN_EVALUATIONS = 10
 """Least number of interim evaluations that are spread over a training."""
 
@@ -117,5 +115,6 @@ class ExperimentConfig:
     @property
     def learner(self) -> str:
         """Name of the algorithm in the registry, or of its trainer if it has none."""
-        entry, trainer = algorithms().get(self.algorithm_name), self.algorithm.name
+        entry = algorithms().get(self.algorithm_name)
+        trainer = self.algorithm.name
         return self.algorithm_name if entry and entry.config.name == trainer else trainer

@@ -26,21 +26,20 @@ class CsvLog:
         self._columns: list[str] = []
         if path.exists():
             last = -math.inf if keep_to_step is None else keep_to_step
-            rows = [
-                row
-                for row in read_csv(path)
-                if (step := number_in(row, "step")) is not None
-                and step <= last
-                and step not in drop_steps
-            ]
-            self._columns = list(dict.fromkeys(name for row in rows for name in row))
+            rows = []
+            for row in read_csv(path):
+                step = number_in(row, "step")
+                if step is not None and step <= last and step not in drop_steps:
+                    rows.append(row)
+                    self._columns += [name for name in row if name not in self._columns]
             self._rewrite(rows)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append one row and flush it."""
-        if any(name not in self._columns for name in row):
+        new_columns = [name for name in row if name not in self._columns]
+        if new_columns:
             rows = read_csv(self._path) if self._columns else []
-            self._columns += [name for name in row if name not in self._columns]
+            self._columns += new_columns
             self._rewrite(rows)
         with writing(self._path), self._path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
@@ -58,9 +57,11 @@ class CsvLog:
 
 def training_seconds(clock: Iterable[float]) -> float:
     """Return the time of a training from its ``wall_time_s``, which restarts at every resume."""
-    seconds, before = 0.0, 0.0
+    seconds = 0.0
+    before = 0.0
     for now in clock:
-        seconds, before = seconds + (now - before if now >= before else now), now
+        seconds += now - before if now >= before else now
+        before = now
     return seconds
 
 

@@ -1,6 +1,5 @@
 """Demo study: a baseline and a knowledge agent, trained for a small budget and evaluated."""
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,9 +27,11 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
     for config in demo_experiments(steps):
         path = run_path(folder, config)
         is_started = (path / "config.json").exists()
-        if is_started and (old := RunFolder.open(path).experiment().total_steps) != steps:
-            problem = f"{folder} holds a demo of {old} steps, got {steps}"
-            raise UserError(f"{problem}. Continue it with {old} steps, or give another folder.")
+        if is_started:
+            old = RunFolder.open(path).experiment().total_steps
+            if old != steps:
+                problem = f"{folder} holds a demo of {old} steps, got {steps}"
+                raise UserError(f"{problem}. Continue it with {old} steps, or give another folder.")
         run = train(config, folder, resume=is_started, should_stop=should_stop)
         if run.result.reason == "stopped":
             return None
@@ -44,10 +45,8 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
 
 def demo_experiments(steps: int) -> list[ExperimentConfig]:
     """Return the experiments of the demo: baseline and knowledge, with the demo's algorithm."""
-    return [
-        dataclasses.replace(
-            experiment_config(f"{DEMO_ROBOT}-{first_of_role(role)}-{DEMO_ALGORITHM}"),
-            total_steps=steps,
-        )
-        for role in ("baseline", "knowledge")
-    ]
+    configs = []
+    for role in ("baseline", "knowledge"):
+        name = f"{DEMO_ROBOT}-{first_of_role(role)}-{DEMO_ALGORITHM}"
+        configs.append(experiment_config(name, total_steps=steps))
+    return configs

@@ -13,7 +13,7 @@ import numpy as np
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import EvaluationConfig, Played, Subject, step_columns
-from knowarm.experiment.knows import answers_by_graph, reason_by
+from knowarm.experiment.knows import answers_by_graph, reason_by, row_names
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
@@ -24,6 +24,7 @@ from knowarm.experiment.summary import (
     write_film,
     write_table,
 )
+from knowarm.measures import Measure
 from knowarm.perception.calibration import covered
 from knowarm.policy import PolicyAgent
 from knowarm.reading import write_json, writing
@@ -77,17 +78,18 @@ class EvaluationResult:
         Raises:
             UserError: there is no folder, or it cannot be written to.
         """
-        if folder is None and self.folder is None:
+        if folder is None:
+            folder = self.folder
+        if folder is None:
             raise UserError("This evaluation belongs to no run: pass a folder to write it to.")
-        folder = Path(folder or self.folder or ".")
+        folder = Path(folder)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             for name in ("summary.json", "steps.parquet"):
                 (folder / name).unlink(missing_ok=True)
             shutil.rmtree(folder / "films", ignore_errors=True)
-        write_table(
-            folder / "episodes.parquet", self.episodes, episode_types(self.episodes, self.meanings)
-        )
+        types = episode_types(self.episodes, self.meanings)
+        write_table(folder / "episodes.parquet", self.episodes, types)
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
             write_table(folder / "steps.parquet", self.steps, step_columns(joints))
@@ -139,7 +141,7 @@ def evaluate(
             condition or probe that does not fit agent or task.
     """
     config = override(config or EvaluationConfig(), overrides)
-    agent, trained, config = _loaded(agent, config)
+    agent, trained = _loaded(agent, config)
     subject = config.prepare(_subject(trained, env_config, own_folder=write and not config.label))
     if trained is not None and trained.which != "best":
         config = replace(config, label=f"{config.folder}-{trained.which}")
@@ -157,11 +159,12 @@ def evaluate(
         findings = Findings(columns)
         for probe in config.probes:
             probe.measure(played, findings)
-    measures = [measure for probe in config.probes for measure in probe.measures]
-    numbers, groups = summarize(findings.columns, [*measures, *task.measures])
+    measures: list[Measure] = []
     meanings = dict(task.column_meanings)
     for probe in config.probes:
+        measures += probe.measures
         meanings |= probe.column_meanings
+    numbers, groups = summarize(findings.columns, [*measures, *task.measures])
     summary = Summary(
         agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
         label=config.folder,
@@ -182,7 +185,7 @@ def evaluate(
 
 def _loaded(
     agent: Playable, config: EvaluationConfig
-) -> tuple[AgentProtocol | MakeAgent, TrainedAgent | None, EvaluationConfig]:
+) -> tuple[AgentProtocol | MakeAgent, TrainedAgent | None]:
     """Return what plays, or makes it, and the trained agent, if any, ready to draw actions."""
     if isinstance(agent, Run):
         agent = agent.folder.path
@@ -195,7 +198,7 @@ def _loaded(
                 "Only trained agents can be evaluated with actions. Leave it out, or pass a run "
                 "folder."
             )
-        return agent, None, config
+        return agent, None
     if agent.agent.greedy != greedy:
         raise UserError(
             f"The agent was loaded with greedy={agent.agent.greedy}, and actions is "
@@ -203,7 +206,7 @@ def _loaded(
         )
     if agent.agent.generator is not None:  # another evaluation may have drawn from it
         agent.agent.generator.manual_seed(config.seed)
-    return agent.agent, agent, config
+    return agent.agent, agent
 
 
 def _subject(trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder: bool) -> Subject:
@@ -272,16 +275,17 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
-    own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
-    compared: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
+    shape = trained.policy.shape
+    sizes = (shape.joints, shape.image_size)
+    env_sizes = (env.scene.num_joints, env.config.image_size)
+    compared: dict[str, Any] = {"joints, image size": (sizes, env_sizes)}
     if trained.policy.uses_knowledge and not knows_task:
-        both = (trained.config.env, env.config)
-        compared["knowledge of"] = [c.task.asked.knowledge_rows(facets_of(c)) for c in both]
-    for name, (one, other) in compared.items():
-        if one != other:
+        compared["knowledge of"] = (row_names(trained.config.env), row_names(env.config))
+    for name, (of_agent, of_env) in compared.items():
+        if of_agent != of_env:
             raise UserError(
                 f"{trained.config.name} does not fit this environment (agent | environment): "
-                f"{name} {one!s:.80} | {other!s:.80}. Evaluate it in one like its own."
+                f"{name} {of_agent!s:.80} | {of_env!s:.80}. Evaluate it in one like its own."
             )
 
 
@@ -289,7 +293,8 @@ def episode_columns(
     subject: Subject, result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.parquet``, (n,) each."""
-    count, wide = len(result.length), max(WIDE_ANGLE_DEG, config.angle_deg)
+    count = len(result.length)
+    wide = max(WIDE_ANGLE_DEG, config.angle_deg)
     seeds = config.seed + np.arange(config.seeds)
     targets = np.array([target.name for target in env.scene.targets])
     columns = {
@@ -335,5 +340,7 @@ def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:
     """Draw the fixed episodes: equal shares of each evaluation seed, in order."""
     share = config.episodes // config.seeds
     lists = [evaluation_episodes(env.config, share, config.seed + i) for i in range(config.seeds)]
-    names = [field.name for field in dataclasses.fields(Episodes)]
-    return Episodes(*(np.concatenate([getattr(each, name) for each in lists]) for name in names))
+    columns = {}
+    for column in dataclasses.fields(Episodes):
+        columns[column.name] = np.concatenate([getattr(part, column.name) for part in lists])
+    return Episodes(**columns)

@@ -24,7 +24,7 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.perception.config import LEVEL, Unclear
-from knowarm.statistics import bootstrap, share_difference, wilson
+from knowarm.statistics import Interval, bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
@@ -123,12 +123,14 @@ class SplitTest(BaseTest):
     @property
     def label(self) -> str:
         """The split, and the name of an edited graph."""
-        return self.split.lower() + (f"-{Path(self.edited).stem}" if self.edited else "")
+        return _label(self.split.lower(), Path(self.edited or "").stem)
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the task ask the split's questions, and the agent know the edited graph."""
-        edited = {} if self.edited is None else {"edited": self.edited}
-        env = replace(subject.env, task=subject.env.task.asking(split=self.split, **edited))
+        questions: dict[str, str] = {"split": self.split}
+        if self.edited is not None:
+            questions["edited"] = self.edited
+        env = replace(subject.env, task=subject.env.task.asking(**questions))
         edited_graph = env.task.asked.edited_graph(facets_of(env))
         if edited_graph is None or subject.config is None:
             return replace(subject, env=env)
@@ -140,8 +142,9 @@ class SplitTest(BaseTest):
         if env.task.asked.edited_graph(facets_of(env)) is None:
             return {}
         before = answers_before_edit(env)
-        asked = zip(episodes["query"], episodes["chosen"], strict=True)
-        return {"chose_old_answer": np.array([name in before.get(q, ()) for q, name in asked])}
+        chosen = zip(episodes["query"], episodes["chosen"], strict=True)
+        is_old = [name in before.get(query, ()) for query, name in chosen]
+        return {"chose_old_answer": np.array(is_old)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,12 +193,13 @@ class DamageTest(BaseTest):
     @property
     def label(self) -> str:
         """Kind and share of the damage, the repair, and a seed that is not 0."""
-        parts = [f"{self.damage}-{100 * self.share:g}"] if self.damage else []
-        return "-".join([*parts, *filter(None, [self.repair, str(self.seed or "")])])
+        damage = f"{self.damage}-{100 * self.share:g}" if self.damage else ""
+        return _label(damage, self.repair or "", str(self.seed or ""))
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent know the damaged and repaired graph."""
-        trained, names = subject.trained, target_names(subject.env)
+        trained = subject.trained
+        names = target_names(subject.env)
         graph = subject.graph
         if graph is None:
             graph = read_known_graph(trained.knows)
@@ -235,7 +239,7 @@ class ReasoningTest(BaseTest):
         """What is answered by, whether the arm stays, and the level."""
         unclear = "" if self.unclear == "guess" else self.unclear
         level = "" if self.level is None else f"level-{100 * self.level:g}"
-        return "-".join(filter(None, [self.by, unclear, level]))
+        return _label(self.by or "", unclear, level)
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent answer so."""
@@ -244,6 +248,11 @@ class ReasoningTest(BaseTest):
 
 
 AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest
+
+
+def _label(*words: str) -> str:
+    """Join the words of a label that there are."""
+    return "-".join(filter(None, words))
 
 
 @dataclass(frozen=True)
@@ -345,20 +354,25 @@ class BlindProbe(BaseProbe):
         """
         if not played.is_trained:
             return
-        success = played.result.success
-        own = wilson(int(np.count_nonzero(success)), len(success))
+        share = share_of(played.success)
         numbers: dict[str, dict[str, Any]] = {}
+        gains = []
         for name, entry in BLIND_AGENTS.items():
             blind = entry.make(played.agent, played.env, played.seed)
             chosen = played.episodes[: self.episodes]
             played.report(f"Blind agent {name}: {len(chosen):,} episodes.")
-            solved = play(blind, played.env, chosen).success
-            share = wilson(int(np.count_nonzero(solved)), len(solved))
-            numbers[name] = {"episodes": float(len(solved)), "success": share}
-            numbers[name]["difference"] = share_difference(own, share)
+            success = play(blind, played.env, chosen).success
+            blind_share = share_of(success)
+            difference = share_difference(share, blind_share)
+            numbers[name] = {
+                "episodes": float(len(success)),
+                "success": blind_share,
+                "difference": difference,
+            }
+            if entry.sees_nothing:
+                gains.append(difference)
         findings.groups["blind"] = numbers
-        seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
-        findings.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
+        findings.numbers["vision_gain"] = min(gains, key=lambda gain: gain.estimate)
         is_told = getattr(played.agent, "depends_on_rows", False)
         if is_told and "is_right_object" in played.result.infos:
             self._measure_binding(played, findings)
@@ -371,15 +385,20 @@ class BlindProbe(BaseProbe):
         told = iter(questions[asked])
 
         def misinform(batch: Batch) -> Batch:
-            left = [str(each) for each in islice(told, batch.size)]
-            filled = [*left, *batch.names[len(left) :]]  # the last batch repeats its last episode
-            return replace(batch, names=np.array(filled))
+            names = list(map(str, islice(told, batch.size)))
+            names += batch.names[len(names) :].tolist()  # the last batch repeats its last episode
+            return replace(batch, names=np.array(names))
 
         if len(asked):
             result = play(InformedAgent(played.agent, misinform), played.env, chosen[asked])
-            right, misled = (r.infos["is_right_object"] for r in (played.result, result))
-            gain = right[asked].astype(float) - misled
+            right = played.result.infos["is_right_object"][asked].astype(float)
+            gain = right - result.infos["is_right_object"]
             findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
+
+
+def share_of(is_so: np.ndarray) -> Interval:
+    """Return the share of true values, with its interval."""
+    return wilson(int(np.count_nonzero(is_so)), len(is_so))
 
 
 def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndarray:
@@ -389,8 +408,8 @@ def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndar
     """
     table = questions_of(env.config)
     assert table is not None
-    shown = env.running.first_facet[episodes.objects] + episodes.colours
-    answers = table.satisfies[:, shown]  # (Q, n, m)
+    visible = env.running.first_facet[episodes.objects] + episodes.colours
+    answers = table.satisfies[:, visible]  # (Q, n, m)
     asked = np.asarray(table.askable.any(axis=1))
     fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]
     drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
@@ -435,7 +454,8 @@ class EvaluationConfig:
         at_least(self, 1, "episodes", "seeds")
         above_zero(self, "distance_m", "angle_deg")
         file_name(self, "label")
-        if self.split not in (None, "S1") and any(isinstance(t, GraphTest) for t in self.test):
+        has_graph = any(isinstance(condition, GraphTest) for condition in self.test)
+        if has_graph and self.split not in (None, "S1"):
             raise UserError(
                 "With another graph everything that it can be asked is a question of S1, got "
                 f"split={self.split!r}. Leave split out."
@@ -449,20 +469,25 @@ class EvaluationConfig:
     @property
     def folder(self) -> str:
         """Name of the folder of the evaluation's files."""
-        parts = [f"post-training-{self.actions}", *(each.label for each in self.test)]
-        return self.label or "-".join([*parts, *(p.label for p in self.probes if p.label)])
+        if self.label:
+            return self.label
+        conditions = [condition.label for condition in self.test]
+        probes = [probe.label for probe in self.probes if probe.label]
+        return "-".join([f"post-training-{self.actions}", *conditions, *probes])
 
     @property
     def split(self) -> Split | None:
         """The split that is asked, or None for the questions of training."""
-        return next((each.split for each in self.test if isinstance(each, SplitTest)), None)
+        for condition in self.test:
+            if isinstance(condition, SplitTest):
+                return condition.split
+        return None
 
     @property
     def films(self) -> int:
         """Number of episodes, from the first, whose images are kept."""
-        return max(
-            (each.episodes for each in self.probes if isinstance(each, FilmsProbe)), default=0
-        )
+        counts = [probe.episodes for probe in self.probes if isinstance(probe, FilmsProbe)]
+        return max(counts, default=0)
 
     def prepare(self, subject: Subject) -> Subject:
         """Return a subject under the conditions and thresholds of the evaluation."""

@@ -31,11 +31,13 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
     """
     path = Path(path)
     if path.is_file() and path.suffix in FILES:
-        text, files = f"`{path.name}` for KnowArm.", [path]
+        text = f"`{path.name}` for KnowArm."
+        files = [path]
     else:
         text = _run_text(RunFolder.open(path))
-        found = (sorted(path.glob(pattern)) for pattern in (*RUN_FILES, *POLICY_FILES))
-        files = [file for each in found for file in each if file.is_file()]
+        files = []
+        for pattern in (*RUN_FILES, *POLICY_FILES):
+            files += filter(Path.is_file, sorted(path.glob(pattern)))
         if not any(file.parent.name == "best" for file in files):
             raise UserError(f"{path} has no best policy to share: train it first.")
     base = path if path.is_dir() else path.parent
@@ -44,12 +46,13 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
     with _access(repo_id) as hub:
         api = hub.HfApi(library_name="knowarm")
         api.create_repo(repo_id, private=private, exist_ok=True)
-        added = [
-            hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=data)
-            for name, data in contents.items()
-        ]
-        done = api.create_commit(repo_id, operations=added, commit_message="Upload with KnowArm")
-    return str(done.repo_url)
+        operations = []
+        for name, content in contents.items():
+            operations.append(hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=content))
+        commit = api.create_commit(
+            repo_id, operations=operations, commit_message="Upload with KnowArm"
+        )
+    return str(commit.repo_url)
 
 
 def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None = None) -> Path:
@@ -62,11 +65,16 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
     with _access(repo_id) as hub:
-        wanted = [*RUN_FILES, *POLICY_FILES, *(f"*{suffix}" for suffix in FILES), "README.md"]
-        options = {"revision": revision, "local_dir": to, "allow_patterns": wanted}
         if to is not None:  # without a connection any folder that exists would be returned
             hub.HfApi().repo_info(repo_id, revision=revision)
-        return Path(hub.snapshot_download(repo_id, **options))
+        single_files = [f"*{suffix}" for suffix in FILES]
+        folder = hub.snapshot_download(
+            repo_id,
+            revision=revision,
+            local_dir=to,
+            allow_patterns=[*RUN_FILES, *POLICY_FILES, *single_files, "README.md"],
+        )
+    return Path(folder)
 
 
 def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any) -> TrainedAgent:
@@ -111,23 +119,25 @@ def _run_text(folder: RunFolder) -> str:
     config = folder.experiment()
     lines = [
         f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
-        f"`{config.env.task.name}`, algorithm "
-        f"`{config.learner}`, {folder.steps_trained:,} steps. "
+        f"`{config.env.task.name}`, algorithm `{config.learner}`, {folder.steps_trained:,} steps. "
         "One training seed: no claim about the agent.",
         "",
         "| evaluation | episodes | success % | open-loop % | black images % |",
         "|---|---|---|---|---|",
     ]
     for summary in folder.summaries():
-        success, blind = summary.interval("success"), summary.groups.get("blind", {})
-        controls = [
-            f"{100 * summary.interval('success', 'blind', name).estimate:.1f}"
-            if name in blind
-            else "-"
-            for name in ("open-loop", "blind")
+        success = summary.interval("success")
+        low = f"{100 * success.low:.1f}"
+        high = f"{100 * success.high:.1f}"
+        cells = [
+            summary.label,
+            f"{summary['episodes']:,.0f}",
+            f"{100 * success.estimate:.1f} [{low}, {high}]",
         ]
-        share, low, high = (100 * each for each in (success.estimate, success.low, success.high))
-        shown = f"{share:.1f} [{low:.1f}, {high:.1f}]"
-        cells = [summary.label, f"{summary['episodes']:,.0f}", shown, *controls]
+        for control in ("open-loop", "blind"):
+            cell = "-"
+            if summary.of("blind", control):
+                cell = f"{100 * summary.interval('success', 'blind', control).estimate:.1f}"
+            cells.append(cell)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -18,15 +18,18 @@ from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
-MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
-"""Free memory and disk space that training needs."""
+MIN_MEMORY_GIB = 2.0
+"""Free memory that training needs."""
+MIN_DISK_GIB = 1.0
+"""Free disk space that training needs."""
 
 
 def check_installation(runs: Path) -> Iterator[Check]:
     """Check every part of the installation by using it once; ``runs`` holds run folders."""
-    parts = {"versions": _versions, "knowledge": _knowledge, "world": _world, "policy": _policy}
-    for name, check in parts.items():
-        yield _checked(name, check)
+    yield _checked("versions", _versions)
+    yield _checked("knowledge", _knowledge)
+    yield _checked("world", _world)
+    yield _checked("policy", _policy)
     free = psutil.virtual_memory().available / 2**30
     yield Check(
         name="memory",
@@ -34,8 +37,9 @@ def check_installation(runs: Path) -> Iterator[Check]:
         found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
         remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
     )
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "none; not needed"
     yield _disk(runs)
+    has_gpu = torch.cuda.is_available()
+    gpu = torch.cuda.get_device_name() if has_gpu else "none; not needed"
     yield Check(name="GPU", ok=True, found=gpu)
 
 
@@ -49,18 +53,18 @@ def _checked(name: str, check: Callable[[], str]) -> Check:
 
 
 def _versions() -> str:
-    found = provenance().versions
-    missing = [name for name, version in found.items() if version is None]
+    versions = provenance().versions
+    missing = [name for name, version in versions.items() if version is None]
     if missing:
         raise UserError(f"not installed: {', '.join(missing)}")
-    return ", ".join(f"{name} {version}" for name, version in found.items())
+    return ", ".join(f"{name} {version}" for name, version in versions.items())
 
 
 def _knowledge() -> str:
-    parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    assert parts.knowledge.embedding is not None
-    share = 100 * parts.knowledge.embedding.describe().coverage["share"]
-    return f"vector of {parts.knowledge.embedding.dim} numbers, {share:.0f} % of labels covered"
+    embedding = build(experiment_config(DEFAULT_EXPERIMENT)).knowledge.embedding
+    assert embedding is not None
+    share = 100 * embedding.describe().coverage["share"]
+    return f"vector of {embedding.dim} numbers, {share:.0f} % of labels covered"
 
 
 def _world() -> str:
@@ -71,24 +75,28 @@ def _world() -> str:
     before = infos["angle"].mean()
     for _ in range(5):
         images, _, _, _, infos = env.step(agent.act({"image": images}))
-    if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
+    is_moving = infos["angle"].mean() < before
+    if np.ptp(images) <= 50 or not is_moving:
         raise UserError("the simulation runs, but the image is uniform or the arm does not move")
     return "simulation and ray caster work, without OpenGL"
 
 
 def _policy() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    policy, knowledge = parts.new_policy(0), torch.from_numpy(parts.knowledge.table[:1])
-    image, start = torch.zeros(1, 64, 64, 3, dtype=torch.uint8), torch.ones(1, dtype=torch.bool)
+    policy = parts.new_policy(0)
+    knowledge = torch.from_numpy(parts.knowledge.table[:1])
+    image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
+    start = torch.ones(1, dtype=torch.bool)
     logits, _, _ = policy.step(image, knowledge, policy.initial_state(1), start)
-    if not bool(torch.isfinite(logits).all()):
+    if not torch.isfinite(logits).all():
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
 
 
 def _disk(runs: Path) -> Check:
     """Check the output folder, or its nearest parent that exists."""
-    folder = next(each for each in (runs.absolute(), *runs.absolute().parents) if each.exists())
+    path = runs.absolute()
+    folder = next(parent for parent in (path, *path.parents) if parent.exists())
     free = shutil.disk_usage(folder).free / 2**30
     writable = folder.is_dir() and os.access(folder, os.W_OK)
     return Check(

@@ -113,8 +113,7 @@ class NoKnowledge:
 
     def known(self, env: EnvConfig, run_seed: int, **options: Any) -> Knowledge:
         """Return a table without columns; the options of the others do not matter."""
-        rows = env.task.asked.knowledge_rows(facets_of(env))
-        return Knowledge(np.zeros((len(rows), 0), np.float32))
+        return Knowledge(np.zeros((len(row_names(env)), 0), np.float32))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,6 +303,11 @@ def read_known_graph(knows: Knows) -> KnowledgeGraph | None:
     if isinstance(knows, NoKnowledge):
         return None
     return read_graph(knows.graph)
+
+
+def row_names(env: EnvConfig) -> list[str]:
+    """Name the rows of the knowledge table of a task."""
+    return env.task.asked.knowledge_rows(facets_of(env))
 
 
 def asked(env: EnvConfig) -> QuestionTable:

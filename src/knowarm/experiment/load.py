@@ -12,7 +12,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.knows import Knowledge
+from knowarm.experiment.knows import Knowledge, row_names
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
@@ -22,7 +22,6 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import facets_of
 
 log = logging.getLogger("knowarm.experiment")
 
@@ -52,19 +51,20 @@ class TrainedAgent:
         Raises:
             UserError: the infos lack the facet or query, or the agent does not know it.
         """
-        self._is_new, self._names = True, None
+        self._is_new = True
+        self._names = None
         if not self.agent.depends_on_rows:
             return
-        info, env = self.config.env.task.asked.knowledge_info, self.config.env
-        given = {info: batch.names} if isinstance(batch, Batch) else batch
-        if info not in given:
+        info = self.config.env.task.asked.knowledge_info
+        infos = {info: batch.names} if isinstance(batch, Batch) else batch
+        if info not in infos:
             raise UserError(
                 f"The knowledge of this agent depends on the info {info!r} of the episode: pass "
                 "the infos of the environment's reset, agent.reset(info)."
             )
-        known = env.task.asked.knowledge_rows(facets_of(env))
-        self._names = np.array(given[info], np.str_).reshape(-1)
-        find_rows(f"{info} of {self.config.name}", self._names, dict.fromkeys(known, 0))
+        self._names = np.array(infos[info], np.str_).reshape(-1)
+        known = dict.fromkeys(row_names(self.config.env), 0)
+        find_rows(f"{info} of {self.config.name}", self._names, known)
 
     def act(self, observations: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         """Choose the action of a step in any environment, also one of ``gymnasium.make``.
@@ -82,10 +82,10 @@ class TrainedAgent:
         seen = observations["image"] if isinstance(observations, Mapping) else observations
         images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
         if self._is_new:
-            env = self.config.env
-            any_name = env.task.asked.knowledge_rows(facets_of(env))[:1]
-            names = np.repeat(any_name, len(images)) if self._names is None else self._names
-            self.agent.reset(Batch(env=env, names=names))
+            names = self._names
+            if names is None:
+                names = np.repeat(row_names(self.config.env)[:1], len(images))
+            self.agent.reset(Batch(env=self.config.env, names=names))
             self._is_new = False
         started = 0 if self._is_new is None else len(self.agent.rows)
         if len(images) != started:
@@ -142,10 +142,11 @@ def load_agent(
         UserError: the folder holds no run, no such checkpoint, or a damaged one.
     """
     folder = RunFolder.open(path)
-    config, table, provenance = folder.experiment(), folder.knowledge(), folder.provenance()
+    config = folder.experiment()
+    table = folder.knowledge()
+    stored = folder.provenance().policy
     checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
-    with reading(folder.path / "provenance.json", "Restore the file."):
-        stored = provenance.policy
+    with reading(folder.provenance_path, "Restore the file."):
         choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
         policy = Policy(choices, shape, seed=config.seed)
@@ -161,17 +162,19 @@ def load_agent(
                 f"folder: {one_line(error)}. One of the two was replaced: restore it."
             ) from error
     if which == "best" and step == 0:
-        latest = folder.checkpoint_fact("step", 0)
+        latest_step = folder.checkpoint_fact("step", 0)
         log.warning(
             "%s: this network is untrained, since the best interim evaluation is that of step 0. "
             "The checkpoint 'latest' was trained for %s steps.",
-            *(folder.path, f"{latest:,}"),
+            folder.path,
+            f"{latest_step:,}",
         )
     policy.eval()
     network: GroundingNetwork | None = None
-    if perception is not None or config.knows.grounding is not None:
-        given = perception and given_network(config, perception)
-        network = given or stored_network(config, folder)
+    if perception is not None:
+        network = given_network(config, perception)
+    elif config.knows.grounding is not None:
+        network = stored_network(config, folder)
     knowledge = config.knows.known(config.env, config.seed, table=table, network=network)
     generator = torch.Generator().manual_seed(seed)
     agent = knowledge.make_agent(policy, greedy=greedy, generator=generator)

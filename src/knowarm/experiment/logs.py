@@ -36,7 +36,8 @@ class TrainingProgress:
         self._console = Console(stderr=True)
         self._bar: Progress | None = None
         self._figures = ""
-        self._start_time = self._last_line_time = time.monotonic()
+        self._start_time = time.monotonic()
+        self._last_line_time = self._start_time
         self._first_step: int | None = None
 
     def __enter__(self) -> "TrainingProgress":
@@ -65,9 +66,12 @@ class TrainingProgress:
         step = int(row["step"])
         now = time.monotonic()
         if self._first_step is None:
-            self._first_step, self._start_time = step, now
+            self._first_step = step
+            self._start_time = now
         elapsed = now - self._start_time
-        rate = (step - self._first_step) / elapsed if elapsed > 0 else 0.0
+        rate = 0.0
+        if elapsed > 0:
+            rate = (step - self._first_step) / elapsed
         speed = f"{rate:,.0f} steps/s" if rate else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
@@ -77,24 +81,23 @@ class TrainingProgress:
             remaining = f"{left / rate / 60:.1f} min left" if rate else ""
             share = min(100 * step / self._total, 100)
             figures = (f"{step:,} steps ({share:.1f} %)", speed, remaining, self._figures)
-            self.line(", ".join(each for each in figures if each))
+            self.line(", ".join(filter(None, figures)))
 
     def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
         """Print the result of an interim evaluation."""
+        success = f"success {100 * results['success']:.0f} %"
+        self._figures = f"{success} in the last evaluation"
         best = ", best so far" if is_best else ""
-        self._figures = f"success {100 * results['success']:.0f} % in the last evaluation"
-        self.line(
-            f"evaluation at {step:,}: return {results['return_mean']:.1f}, "
-            f"success {100 * results['success']:.0f} %{best}"
-        )
+        self.line(f"evaluation at {step:,}: return {results['return_mean']:.1f}, {success}{best}")
 
     def line(self, text: str) -> None:
         """Print a line above the bar, or to stderr without one."""
+        line = f"{self._label}: {text}"
         with suppress(OSError):  # the terminal has closed; training goes on, or saves and stops
             if self._bar is not None:
-                self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
+                self._bar.console.print(line, highlight=False, markup=False)
             else:
-                print(f"{self._label}: {text}", file=sys.stderr, flush=True)
+                print(line, file=sys.stderr, flush=True)
 
 
 class RunLogs:
@@ -113,9 +116,8 @@ class RunLogs:
         self._evaluations = CsvLog(
             self._folder.evaluations_path, keep_to_step=keep_to_step, drop_steps=pending
         )
-        self._tensorboard = self._open_tensorboard(
-            purge_step=None if keep_to_step is None else keep_to_step + 1
-        )
+        purge_step = None if keep_to_step is None else keep_to_step + 1
+        self._tensorboard = self._open_tensorboard(purge_step)
 
     def metrics(self, row: Metrics) -> None:
         """Write one row of training metrics."""

@@ -1,7 +1,8 @@
 """Names of experiments, such as ``irb120-full-fast``, and their configs."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,26 +40,26 @@ class ExperimentName:
     algorithm: str
 
     def __post_init__(self) -> None:
+        is_file = self.robot.endswith(SUFFIX)
+        if not is_file and self.robot not in (*ROBOTS, *KNOWN_ARMS):
+            raise unknown_robot(self.robot)
         for what, value, names in (
-            ("robot", self.robot, [*ROBOTS, *KNOWN_ARMS]),
             ("task", self.task, combinations()),
             ("agent", self.agent, AGENTS),
             ("algorithm", self.algorithm, algorithms()),
         ):
-            if value not in names and not (what == "robot" and value.endswith(SUFFIX)):
-                if what == "robot":
-                    raise unknown_robot(value)
+            if value not in names:
                 raise unknown_name(f"{what} of the experiment", value, names)
         if not has_experiment(AGENTS[self.agent], find_task(self.task)):
-            tasks = tasks_of(AGENTS[self.agent])
+            tasks = ", ".join(tasks_of(AGENTS[self.agent]))
             raise UserError(
                 f"The agent {self.agent!r} has no experiment of the task {self.task!r}; it has "
-                f"those of {', '.join(tasks)}."
+                f"those of {tasks}."
             )
-        if self.colours not in colours_of(self.task):
+        allowed = colours_of(self.task)
+        if self.colours not in allowed:
             raise UserError(
-                f"The task {self.task!r} has {' or '.join(colours_of(self.task))} colours, got "
-                f"{self.colours!r}."
+                f"The task {self.task!r} has {' or '.join(allowed)} colours, got {self.colours!r}."
             )
 
     def __str__(self) -> str:
@@ -76,10 +77,10 @@ class ExperimentName:
         """
         robots = [name for name in (*ROBOTS, *KNOWN_ARMS) if text.startswith(f"{name}-")]
         robot = max(robots, key=len, default=DEFAULT_ROBOT)
-        rest = text.removeprefix(f"{robot}-")
-        endings = [name for name in algorithms() if rest.endswith(f"-{name}")]
-        algorithm = max(endings, key=len, default=rest.rpartition("-")[2])
-        middle = rest.removesuffix(algorithm).removesuffix("-")
+        after_robot = text.removeprefix(f"{robot}-")
+        endings = [name for name in algorithms() if after_robot.endswith(f"-{name}")]
+        algorithm = max(endings, key=len, default=after_robot.rpartition("-")[2])
+        middle = after_robot.removesuffix(algorithm).removesuffix("-")
         if not middle:
             raise UserError(
                 "The name of an experiment has the parts ROBOT-TASK-AGENT-ALGORITHM, of which "
@@ -90,9 +91,11 @@ class ExperimentName:
         task, agent = next(split_name(middle), (DEFAULT_TASK, middle))
         colours = colours_of(task)[0]
         if agent not in AGENTS and agent.endswith(RANDOMIZED):
-            agent, colours = agent.removesuffix(RANDOMIZED), "randomized"
+            agent = agent.removesuffix(RANDOMIZED)
+            colours = "randomized"
         if not robots and agent not in AGENTS and tail.endswith(tuple(AGENTS)):
-            robot, agent = head, tail  # a robot that is unknown
+            robot = head  # one that is unknown
+            agent = tail
         name = cls(robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm)
         if str(name) not in (text, f"{robot}-{text}"):
             raise UserError(f"The experiment {text!r} is named {str(name)!r}; give this name.")
@@ -152,22 +155,27 @@ def colours_of(task: str) -> tuple[Colours, ...]:
 
 def experiment_names() -> list[str]:
     """List the names of all experiments of the shipped robots."""
-    return [
-        str(ExperimentName(robot, task, agent, colours, algorithm))
-        for robot in ROBOTS
-        for agent, entry in AGENTS.items()
-        for task in tasks_of(entry)
-        for colours in colours_of(task)
-        for algorithm in algorithms()
-    ]
+    names = []
+    for robot in ROBOTS:
+        for agent, entry in AGENTS.items():
+            for task in tasks_of(entry):
+                for colours, algorithm in product(colours_of(task), algorithms()):
+                    name = ExperimentName(robot, task, agent, colours, algorithm)
+                    names.append(str(name))
+    return names
 
 
 def _example(text: str) -> str:
     """Return a valid name with the parts that a text has."""
     words = (text, *text.split("-"))
-    robot = next((word for word in words if word in {**ROBOTS, **KNOWN_ARMS}), DEFAULT_ROBOT)
-    agent = next((word for word in words if word in AGENTS), first_of_role("knowledge"))
-    algorithm = next((word for word in words if word in algorithms()), next(iter(algorithms())))
+
+    def named_among(names: Iterable[str], default: str) -> str:
+        known = set(names)
+        return next((word for word in words if word in known), default)
+
+    robot = named_among([*ROBOTS, *KNOWN_ARMS], DEFAULT_ROBOT)
+    agent = named_among(AGENTS, first_of_role("knowledge"))
+    algorithm = named_among(algorithms(), next(iter(algorithms())))
     task = tasks_of(AGENTS[agent])[0]
     return str(ExperimentName(robot, task, agent, colours_of(task)[0], algorithm))
 
@@ -204,38 +212,40 @@ def override_experiment(
             a file, or the name of a shipped one.
         where: place of the overrides, for errors.
     """
-    rest = {name: value for name, value in overrides.items() if name != "graph"}
-    graph, task = overrides.get("graph"), config.env.task
-    both: dict[str, Any] = {}
-    if graph is not None and not isinstance(config.knows, NoKnowledge):
-        both["knows"] = {"graph": graph}
-    if graph is not None and task.asked.graph is not None:
-        both["env"] = replace(config.env, task=task.asking(graph=graph))
-    if graph is not None and not both:
-        raise UserError(
-            Argument("graph", graph),
-            f" does not concern {config.name}: neither its knowledge nor its questions are of a "
-            "graph. Leave it out.",
-        )
-    return override(override(config, both), rest, where=where)
+    others = dict(overrides)
+    graph = others.pop("graph", None)
+    if graph is not None:
+        task = config.env.task
+        of_graph: dict[str, Any] = {}
+        if not isinstance(config.knows, NoKnowledge):
+            of_graph["knows"] = {"graph": graph}
+        if task.asked.graph is not None:
+            of_graph["env"] = replace(config.env, task=task.asking(graph=graph))
+        if not of_graph:
+            raise UserError(
+                Argument("graph", graph),
+                f" does not concern {config.name}: neither its knowledge nor its questions are of "
+                "a graph. Leave it out.",
+            )
+        config = override(config, of_graph)
+    return override(config, others, where=where)
 
 
-def check_graphs(config: ExperimentConfig, given: Collection[str]) -> None:
-    """Refuse knowledge and questions of two graphs if only one of them is among ``given``.
+def check_graphs(config: ExperimentConfig, set_fields: Collection[str]) -> None:
+    """Refuse knowledge and questions of two graphs if only one of them is set.
 
-    ``given`` are dotted names of the fields that the user has set.
+    ``set_fields`` are dotted names of the fields that the user has set.
     """
-    asked, named = config.env.task.asked.graph, GRAPH_FIELDS & set(given)
-    if (
-        len(named) == 1
-        and "graph" not in given
-        and asked is not None
-        and not isinstance(config.knows, NoKnowledge)
-        and config.knows.graph != asked
-    ):
-        graph = asked if "env" in named.pop() else config.knows.graph
+    questions = config.env.task.asked.graph
+    named = GRAPH_FIELDS.intersection(set_fields)
+    if len(named) != 1 or "graph" in set_fields:
+        return
+    if questions is None or isinstance(config.knows, NoKnowledge):
+        return
+    if config.knows.graph != questions:
+        graph = config.knows.graph if "knows.graph" in named else questions
         raise UserError(
-            f"The questions are of the graph {asked}, and the knowledge is of another one. "
+            f"The questions are of the graph {questions}, and the knowledge is of another one. "
             "For both pass ",
             Argument("graph", graph),
             "; for two graphs name both: env.task.asked.queries.graph and knows.graph.",

@@ -45,14 +45,14 @@ def with_graph(
     path = _with_names(path, names) if names else path
     task = config.env.task.asking(graph=path, hold_out=())
     is_described = described(read_graph(path), target_names(config.env))
-    targets = [*compress(config.env.targets, is_described)]
+    targets = tuple(compress(config.env.targets, is_described))
     if len(targets) < config.env.task.asked.visible:
         raise UserError(
             f"The graph {path} describes {len(targets)} objects of the task "
             f"({', '.join(targets) or 'none'}), and an episode shows "
             f"{config.env.task.asked.visible}. Give a graph with triples about more of them."
         )
-    env = replace(config.env, task=task, targets=tuple(targets))
+    env = replace(config.env, task=task, targets=targets)
     return override(config, {"env": env, "knows": {"graph": path}})
 
 
@@ -60,19 +60,26 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
     """Write a graph in which objects are labelled as the task names them; return its path."""
     graph = read_graph(path)
     labels = dict(graph.labels)
-    for name, given in names.items():
-        entity = graph.entity_id(given)
-        if (own := graph.find_entity(name)) not in (None, entity):
+    for name, other in names.items():
+        entity = graph.entity_id(other)
+        namesake = graph.find_entity(name)
+        if namesake is not None and namesake != entity:
             raise UserError(
-                f"The graph {path} has an entity {graph.names[own or 0]!r} of its own, so that "
-                f"{name!r} cannot name {given!r}, too. Leave {name}={given} out."
+                f"The graph {path} has an entity {graph.names[namesake]!r} of its own, so that "
+                f"{name!r} cannot name {other!r}, too. Leave {name}={other} out."
             )
         labels[graph.names[entity]] = name
-    file = cache_file("graphs", [*graph], labels).with_suffix(".ttl")
+    file = cache_file("graphs", list(graph), labels).with_suffix(".ttl")
     if not file.exists():
-        everything = (graph.names, graph.relation_names, graph.triples)
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_graph(KnowledgeGraph(*everything, nodes=graph.nodes, labels=labels), file)
+        labelled = KnowledgeGraph(
+            graph.names,
+            graph.relation_names,
+            graph.triples,
+            nodes=graph.nodes,
+            labels=labels,
+        )
+        write_graph(labelled, file)
     return str(file)
 
 
@@ -102,7 +109,7 @@ def meeting(
         if entity not in recognized and not is_blank:
             described_only.append(graph.names.short(entity))
     return {
-        "recognized and described": [*recognized.values()],
+        "recognized and described": list(recognized.values()),
         "recognized only": missing,
         "described only": described_only,
     }
@@ -111,10 +118,10 @@ def meeting(
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
     """Return the objects that answered each query of S5 before the edit, in any colour, by name."""
     before = asked(replace(env, task=env.task.asking(split="train")))
-    return {
-        query.name: {before.facets[facet][0] for facet in np.flatnonzero(row)}
-        for query, row in zip(before.queries, before.satisfies, strict=True)
-    }
+    answers = {}
+    for query, is_answer in zip(before.queries, before.satisfies, strict=True):
+        answers[query.name] = {name for name, _ in compress(before.facets, is_answer)}
+    return answers
 
 
 def target_names(env: EnvConfig) -> list[str]:

@@ -48,17 +48,16 @@ class Provenance:
 
 def provenance(**facts: Any) -> Provenance:
     """Return ``facts`` of a run with the versions, the commit, and the machine."""
-    return Provenance(
-        versions={"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
-        commit=_commit(),
-        machine={
-            "system": f"{platform.system()} {platform.release()}",
-            "processor": processor(),
-            "cores": os.cpu_count(),
-            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
-        },
-        **facts,
-    )
+    versions: dict[str, str | None] = {"python": platform.python_version()}
+    for package in PACKAGES:
+        versions[package] = _version(package)
+    machine: dict[str, str | int | float | None] = {
+        "system": f"{platform.system()} {platform.release()}",
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+    }
+    return Provenance(versions=versions, commit=_commit(), machine=machine, **facts)
 
 
 def _version(package: str) -> str | None:
@@ -69,15 +68,16 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    here = Path(__file__).parent
     try:
-        _git("ls-files", "--error-unmatch", Path(__file__).name, at=here)  # else another project's
-        commit = _git("rev-parse", "HEAD", at=here)
-        return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
+        _git("ls-files", "--error-unmatch", Path(__file__).name)  # else another project's
+        commit = _git("rev-parse", "HEAD")
+        has_changes = _git("status", "--porcelain", "-uno")
     except (OSError, subprocess.CalledProcessError):
         return None  # installed from a wheel, or no git on the machine
+    return f"{commit}+changes" if has_changes else commit
 
 
-def _git(*arguments: str, at: Path) -> str:
-    command = ["git", "-C", str(at), *arguments]
+def _git(*arguments: str) -> str:
+    """Run git in the folder of this file."""
+    command = ["git", "-C", str(Path(__file__).parent), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -164,8 +164,9 @@ def _train_locked(
         if continued:
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
-            if other := folder.note_resumption(trainer.step, to_dict(config.algorithm)):
-                progress.line(f"provenance.json records what has changed: {other}")
+            changes = folder.note_resumption(trainer.step, to_dict(config.algorithm))
+            if changes:
+                progress.line(f"provenance.json records what has changed: {changes}")
             keep_to_step = trainer.step
             more = trainer.step < config.total_steps or trainer.lacks_evaluation
             if more and not should_end():
@@ -182,7 +183,8 @@ def _train_locked(
             result = trainer.train(config.total_steps)
         finally:
             logs.close()
-        if (step := folder.ended_early_at(config.stop_when)) is not None:
+        step = folder.ended_early_at(config.stop_when)
+        if step is not None:
             progress.line(f"learned, as stop_when defines it, at step {step:,}")
             result = replace(result, reason="finished")
     return Run(folder, result)
@@ -191,12 +193,14 @@ def _train_locked(
 def announcements(parts: Parts, policy: Policy) -> list[str]:
     """Describe the policy network and its knowledge vector in a few lines for the terminal."""
     counts = policy.parameter_counts()
-    groups = ", ".join(f"{name} {n:,}" for name, n in counts.items() if name != "total" and n)
-    lines = [f"{counts['total']:,} parameters ({groups})"]
+    total = counts.pop("total")
+    groups = ", ".join(f"{name} {count:,}" for name, count in counts.items() if count)
+    lines = [f"{total:,} parameters ({groups})"]
     embedding = parts.knowledge.embedding
     numbers = parts.knowledge.table.shape[1]
     if embedding is None or numbers == 0:
-        return [*lines, "no knowledge vector"]
+        lines.append("no knowledge vector")
+        return lines
     lines.append(f"knowledge: {numbers} numbers, norm {embedding.norm:.3f}")
     if embedding.constant:
         lines.append(
@@ -205,7 +209,9 @@ def announcements(parts: Parts, policy: Policy) -> list[str]:
         )
     if embedding.privileged:
         lines.append("the knowledge identifies the episode's target: privileged information")
-    return [*lines, *([embedding.note] if embedding.note else [])]
+    if embedding.note:
+        lines.append(embedding.note)
+    return lines
 
 
 def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
@@ -244,17 +250,18 @@ def _describe(
         perception=perception,
         algorithm=to_dict(config.algorithm),
     )
-    write_json(folder.path / "provenance.json", to_dict(about))
+    write_json(folder.provenance_path, to_dict(about))
     folder.write_knowledge(parts.knowledge.table)
     folder.write_experiment(config)
 
 
-def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
+def other_fields(run: RunFolder, config: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which a run and a config differ, each with "field: value | value"."""
-    kept = with_inputs(to_dict(given), run.copy_of)
-    different = differences(to_dict(run.experiment()), kept).items()
-    hint = " (a copy: restore the original from it, which has changed since)"
-    return {
-        name: f"{name}: {one!r}{hint * (str(run.path) in str(one))} | {other!r}"
-        for name, (one, other) in different
-    }
+    kept = with_inputs(to_dict(config), run.copy_of)
+    different = {}
+    for name, (stored, now) in differences(to_dict(run.experiment()), kept).items():
+        different[name] = f"{name}: {stored!r} | {now!r}"
+        if str(run.path) in str(stored):
+            hint = "(a copy: restore the original from it, which has changed since)"
+            different[name] = f"{name}: {stored!r} {hint} | {now!r}"
+    return different

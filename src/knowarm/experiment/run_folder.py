@@ -49,13 +49,15 @@ from knowarm.world.description import SUFFIX, check_trusted, is_trusted, trust
 
 FORMAT = 1
 """Version of the run folder's layout."""
-
-
 PERCEPTION_FILE = "perception.safetensors"
 """Name of the module's file in a run folder."""
 RUN_FILES = (
-    *("config.json", "provenance.json", "knowledge.safetensors"),
-    *("graphs/**/*", "descriptions/**/*", "evaluation/*/summary.json"),
+    "config.json",
+    "provenance.json",
+    "knowledge.safetensors",
+    "graphs/**/*",
+    "descriptions/**/*",
+    "evaluation/*/summary.json",
 )
 """Patterns of the files that describe a run and its evaluations."""
 POLICY_FILES = ("checkpoints/best/*", PERCEPTION_FILE)
@@ -74,6 +76,8 @@ class RunFolder:
 
     def __post_init__(self) -> None:
         self.config_path = self.path / "config.json"
+        self.provenance_path = self.path / "provenance.json"
+        self.knowledge_path = self.path / "knowledge.safetensors"
         self.checkpoints = self.path / "checkpoints"
         self.tensorboard = self.path / "tensorboard"
         self.metrics_path = self.path / "metrics.csv"
@@ -97,18 +101,21 @@ class RunFolder:
         """Open an existing run folder, of a format that can be read, without links out of it."""
         folder = cls(Path(path))
         if not folder.config_path.is_file():
-            what = "has no config.json" if folder.path.is_dir() else "does not exist"
-            what = "is a file" if folder.path.is_file() else what
-            inside = sorted(folder.path.glob("**/config.json")) if folder.path.is_dir() else []
+            what = "does not exist"
             give = "Give RUNS/EXPERIMENT/SEED of a training; its last line names the folder."
-            if inside:
-                give = f"Give a run, such as {inside[0].parent}."
+            if folder.path.is_file():
+                what = "is a file"
+            elif folder.path.is_dir():
+                what = "has no config.json"
+                inside = sorted(folder.path.glob("**/config.json"))
+                if inside:
+                    give = f"Give a run, such as {inside[0].parent}."
             raise UserError(f"{path} is not a run folder: it {what}. {give}")
         refuse_links(folder.path)
-        found = folder.config().get("format")
-        if found != FORMAT:
+        version = folder.config().get("format")
+        if version != FORMAT:
             raise UserError(
-                f"{path} was written in run format {found!r}; this version reads format "
+                f"{path} was written in run format {version!r}; this version reads format "
                 f"{FORMAT}. Read it with the version named in its provenance.json."
             )
         return folder
@@ -167,9 +174,9 @@ class RunFolder:
 
     def _copy(self, name: str) -> Path:
         """Where the copy of an input is; inputs of one name lie in folders of their own."""
-        place = hashlib.sha256(str(Path(name)).encode()).hexdigest()[:8]
+        number = hashlib.sha256(str(Path(name)).encode()).hexdigest()[:8]
         kind = "descriptions" if name.endswith(SUFFIX) else "graphs"
-        return self.path / kind / place / Path(name).name
+        return self.path / kind / number / Path(name).name
 
     def _kept_input(self, name: str) -> str:
         """Return the path of the copy of an input; it is trusted as its original is."""
@@ -185,14 +192,17 @@ class RunFolder:
     def copy_of(self, name: str) -> str:
         """Return the path of the copy of an input; of the input, where it has none or differs."""
         copy = self._copy(name)
-        is_kept = copy.exists() and (not Path(name).exists() or is_copy_of(copy, name))
+        if not copy.exists():
+            return name
+        is_kept = not Path(name).exists() or is_copy_of(copy, name)
         return str(copy) if is_kept else name
 
     def checkpoint_fact(self, name: str, missing: int) -> int:
         """Return a number that the latest checkpoint states."""
-        for each in ("latest", "previous"):
+        for checkpoint in ("latest", "previous"):
             with suppress(UserError, KeyError, TypeError, ValueError, OverflowError):
-                return int(read_json(self.checkpoints / each / "meta.json")["facts"][name])
+                meta = read_json(self.checkpoints / checkpoint / "meta.json")
+                return int(meta["facts"][name])
         return missing
 
     @property
@@ -206,60 +216,63 @@ class RunFolder:
         """Return the step at which an early end was reached, or None."""
         if rule is None or not self.evaluations_path.exists():
             return None
-        rows = read_csv(self.evaluations_path)
-        cells = [(number_in(row, "step"), number_in(row, "success")) for row in rows]
-        return rule.met_at((int(a), b) for a, b in cells if a is not None and b is not None)
+        curve = []
+        for row in read_csv(self.evaluations_path):
+            step = number_in(row, "step")
+            success = number_in(row, "success")
+            if step is not None and success is not None:
+                curve.append((int(step), success))
+        return rule.met_at(curve)
 
     def provenance(self) -> Provenance:
         """Read what a run was trained with, and on."""
-        path = self.path / "provenance.json"
-        with reading(path, "Restore the file."):
-            return from_dict(Provenance, read_json(path))
+        with reading(self.provenance_path, "Restore the file."):
+            return from_dict(Provenance, read_json(self.provenance_path))
 
     def note_resumption(self, step: int, algorithm: Mapping[str, Any]) -> str:
         """Store versions, commit, machine and options from a step on; return what is another."""
-        path, before = self.path / "provenance.json", self.provenance()
+        stored = self.provenance()
         here = to_dict(provenance(algorithm=algorithm))
-        with reading(path, "Restore the file."):
-            last = before.resumed[-1] if before.resumed else to_dict(before)
-            first, now = ({name: each[name] for name in CHANGING} for each in (last, here))
-        different = differences(first, now)
+        with reading(self.provenance_path, "Restore the file."):
+            last = stored.resumed[-1] if stored.resumed else to_dict(stored)
+            before = {name: last[name] for name in CHANGING}
+        now = {name: here[name] for name in CHANGING}
+        different = differences(before, now)
         if different:
-            resumed = (*before.resumed, {"step": step, **now})
-            write_json(path, to_dict(replace(before, resumed=resumed)))
+            resumed = (*stored.resumed, {"step": step, **now})
+            write_json(self.provenance_path, to_dict(replace(stored, resumed=resumed)))
         return "; ".join(f"{name} {old} | {new}" for name, (old, new) in different.items())
 
     def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""
-        found = sorted(self.path.glob("evaluation/*/summary.json"))
-        return [Summary.read(path.parent) for path in found]
+        files = sorted(self.path.glob("evaluation/*/summary.json"))
+        return [Summary.read(file.parent) for file in files]
 
     def write_knowledge(self, table: np.ndarray) -> None:
         """Store the knowledge table (F, K), float32."""
-        path = self.path / "knowledge.safetensors"
-        with replacing(path) as temporary:
+        with replacing(self.knowledge_path) as temporary:
             temporary.write_bytes(save({"table": np.ascontiguousarray(table)}))
 
     def knowledge(self) -> np.ndarray:
         """Read the knowledge table (F, K), float32, that the policy was trained with."""
-        file, remedy = self.path / "knowledge.safetensors", "Restore the file or train again."
-        with reading(file, remedy):
-            table = read_arrays(file, remedy=remedy)["table"]
+        remedy = "Restore the file or train again."
+        with reading(self.knowledge_path, remedy):
+            table = read_arrays(self.knowledge_path, remedy=remedy)["table"]
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
 
 
 def network_for_training(
-    config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
+    config: ExperimentConfig, resumed: RunFolder | None, file: Path | str | None
 ) -> GroundingNetwork | None:
-    """Return the grounding network of a run, given as a file or in a folder to resume, or None."""
-    network: GroundingNetwork | None = None if given is None else given_network(config, given)
+    """Return the grounding network of a run, of a file or in a folder to resume, or None."""
+    network = None if file is None else given_network(config, file)
     if resumed is not None and (resumed.path / PERCEPTION_FILE).exists():
         stored = stored_network(config, resumed)
         if network is not None and network.to_bytes() != stored.to_bytes():
             raise UserError(
-                f"{resumed.path} was trained with another grounding network than {given}. Resume "
+                f"{resumed.path} was trained with another grounding network than {file}. Resume "
                 "without perception, or pass another runs folder or seed to start a new run."
             )
         network = stored

@@ -1,6 +1,5 @@
 """Files of the user that the configuration of a run names: graphs, robots and objects."""
 
-import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +22,8 @@ def with_inputs(values: Any, renamed: Callable[[str], str], field: str = "") -> 
         return [with_inputs(value, renamed, field) for value in values]
     if not isinstance(values, str):
         return values
-    is_input = values.endswith(SUFFIX) or (field in GRAPHS and values not in SHIPPED)
-    return renamed(values) if is_input else values
+    is_graph = field in GRAPHS and values not in SHIPPED
+    return renamed(values) if is_graph or values.endswith(SUFFIX) else values
 
 
 def input_files(name: str) -> dict[str, Path | bytes]:
@@ -51,8 +50,9 @@ def copy_input(name: str, copy: Path) -> None:
         for folder in (temporary, copy.parent):  # what a killed process left
             shutil.rmtree(folder, ignore_errors=True)
         for file, source in input_files(name).items():
-            (temporary / file).parent.mkdir(parents=True, exist_ok=True)
-            (temporary / file).write_bytes(content_of(source))
+            target = temporary / file
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content_of(source))
         for source in input_files(str(temporary / copy.name)).values():
             if isinstance(source, Path) and not source.is_relative_to(temporary):
                 raise UserError(
@@ -66,7 +66,7 @@ def copy_input(name: str, copy: Path) -> None:
 def is_copy_of(copy: Path, name: str) -> bool:
     """Tell whether each file of a copy equals that of the original, which may have others, too."""
     originals = input_files(name)
-    for file in (each for each in copy.parent.rglob("*") if each.is_file()):
+    for file in filter(Path.is_file, copy.parent.rglob("*")):
         original = originals.get(str(file.relative_to(copy.parent)))
         if original is None or content_of(original) != file.read_bytes():
             return False
@@ -80,7 +80,8 @@ def content_of(source: Path | bytes) -> bytes:
 
 def input_content(name: str) -> str:
     """Return the name of a graph or description with a digest of the content, wherever it is."""
-    whole = hashlib.sha256()
+    lines = []
     for file, source in sorted(input_files(name).items()):
-        whole.update(f"{file} {digest(content_of(source))}\n".encode())
-    return f"{Path(name).name} ({whole.hexdigest()[:16]})"
+        lines.append(f"{file} {digest(content_of(source))}\n")
+    whole = digest("".join(lines).encode())
+    return f"{Path(name).name} ({whole[:16]})"

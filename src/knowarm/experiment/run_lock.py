@@ -16,8 +16,10 @@ from filelock import FileLock, Timeout
 from knowarm.errors import UserError
 from knowarm.reading import refuse_links, write_json
 
-LOCK, HOLDER = ".lock", ".lock.json"
-"""Files that the kernel locks, and that names its holder; both outlive the process."""
+LOCK = ".lock"
+"""File that the kernel locks; it outlives the process."""
+HOLDER = ".lock.json"
+"""File that names the holder of the lock; it outlives the process."""
 SECONDS = 1.0
 """How long to wait for the lock: `is_locked` holds it for a moment."""
 

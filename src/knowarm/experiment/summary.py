@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from PIL import Image, ImageSequence
 
 from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig, share_of
 from knowarm.measures import Columns, Measure
 from knowarm.reading import read_json, reading, replacing
-from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.statistics import Interval, bootstrap
 from knowarm.world.tasks import task_measures
 
 AGAIN = "Evaluate the run again."
@@ -28,12 +29,8 @@ Number = float | Interval
 Numbers = dict[str, Number]
 
 
-def _share(values: np.ndarray) -> Interval:
-    return wilson(int(np.count_nonzero(values)), len(values))
-
-
 STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
-    "share": _share,
+    "share": share_of,
     "mean": partial(bootstrap, repetitions=2_000),
     "average": np.mean,
     "std": lambda values: np.std(values, ddof=1) if len(values) > 1 else 0.0,
@@ -42,20 +39,18 @@ STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
 }
 
 
-def _choice_corrected(episodes: Columns) -> Interval | None:
+def _choice_corrected(episodes: Columns) -> Interval:
     """Return the share of right choices: 0 for a choice at random, 1 if all are right."""
-    if "chance" not in episodes:
-        return None
-    choice, chance = _share(episodes["choice_correct"]), episodes["chance"][0]
+    choice = share_of(episodes["choice_correct"])
+    chance = episodes["chance"][0]
     ends = (choice.estimate, choice.low, choice.high)
     return Interval(*(float((end - chance) / (1 - chance)) for end in ends))
 
 
-def _success_corrected(episodes: Columns) -> float | None:
+def _success_corrected(episodes: Columns) -> float:
     """Return the success; 0 for an agent that reaches as often what it chooses at random."""
-    if "chance" not in episodes:
-        return None
-    success, right = episodes["success"], episodes["choice_correct"]
+    success = episodes["success"]
+    right = episodes["choice_correct"]
     chance = episodes["chance"][0]
     guessed = chance * (success[right].mean() if right.any() else 0.0)
     return float((success.mean() - guessed) / (1 - chance))
@@ -63,29 +58,24 @@ def _success_corrected(episodes: Columns) -> float | None:
 
 def _switched(episodes: Columns) -> Interval | None:
     """Return the share of the new answer among the episodes that ended at the new or the old."""
-    right, old = episodes.get("choice_correct"), episodes.get("chose_old_answer")
-    if right is None or old is None or not (either := right | old).any():
-        return None
-    return _share(right[either])
+    right = episodes["choice_correct"]
+    either = right | episodes["chose_old_answer"]
+    return share_of(right[either]) if either.any() else None
 
 
-def _saw(is_so: Callable[[np.ndarray], np.ndarray]) -> Callable[[Columns], Interval | None]:
-    """Return the share of first images in which an agent sees so many answers."""
-    name = "visible_answers"
-    return lambda episodes: _share(is_so(episodes[name])) if name in episodes else None
+def _saw_several(episodes: Columns) -> Interval:
+    """Return the share of first images in which an agent sees more than one answer."""
+    return share_of(episodes["visible_answers"] > 1)
 
 
-def _asks(episodes: Columns) -> Interval | None:
+def _asks(episodes: Columns) -> Interval:
     """Return the share of first images in which an agent sees not exactly one candidate."""
-    return _saw(lambda count: count != 1)(episodes) if "covered" in episodes else None
+    return share_of(episodes["visible_answers"] != 1)
 
 
-_points: dict[str, Any] = {"format": "points", "compute": lambda _: None}  # a probe computes it
-_metres: dict[str, Any] = {"format": "number3"}
-_failed = _metres | {"among": lambda episodes: ~episodes["success"]}
-_CORRECTED = "corrected for chance"
+_failure: dict[str, Any] = {"format": "number3", "among": lambda episodes: ~episodes["success"]}
 
-_ALL = (
+MEASURES = (
     Measure("episodes", "episodes", "return", "count", format="integer"),
     Measure("success", "success", "success", about="distance and angle at one step"),
     Measure("success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True),
@@ -94,46 +84,67 @@ _ALL = (
     Measure("return_std", "std of return", "return", "std", format="number1", detail=True),
     Measure("length_mean", "steps", "length", "mean", format="number1"),
     Measure("length_std", "std of steps", "length", "std", format="number1", detail=True),
-    Measure("failure_distance_mean", "failure dist. [m]", "distance_m", "average", **_failed),
-    Measure("failure_distance_std", "its std [m]", "distance_m", "std", **_failed, detail=True),
-    Measure("failure_distance_max", "its max [m]", "distance_m", "max", **_failed, detail=True),
-    Measure("distance_mean", "distance [m]", "distance_m", "average", **_metres, detail=True),
+    Measure("failure_distance_mean", "failure dist. [m]", "distance_m", "average", **_failure),
+    Measure("failure_distance_std", "its std [m]", "distance_m", "std", **_failure, detail=True),
+    Measure("failure_distance_max", "its max [m]", "distance_m", "max", **_failure, detail=True),
+    Measure(
+        "distance_mean", "distance [m]", "distance_m", "average", format="number3", detail=True
+    ),
     Measure("angle_mean", "angle [deg]", "angle_deg", "average", format="number1", detail=True),
     Measure("choice_chance", "chance", "chance", "average"),
-    Measure("choice_corrected", _CORRECTED, compute=_choice_corrected, detail=True),
-    Measure("success_corrected", _CORRECTED, compute=_success_corrected, detail=True),
+    Measure(
+        "choice_corrected",
+        "corrected for chance",
+        "chance",
+        compute=_choice_corrected,
+        detail=True,
+    ),
+    Measure(
+        "success_corrected",
+        "corrected for chance",
+        "chance",
+        compute=_success_corrected,
+        detail=True,
+    ),
     Measure("chose_old_answer", "old answer", "chose_old_answer"),
-    Measure("switched", "switched", compute=_switched, about="new of new and old answers"),
-    Measure("saw_no_answer", "saw no answer", compute=_saw(lambda count: count == 0)),
-    Measure("saw_several_answers", "saw several", compute=_saw(lambda count: count > 1)),
+    Measure(
+        "switched",
+        "switched",
+        "chose_old_answer",
+        compute=_switched,
+        about="new of new and old answers",
+    ),
+    Measure("saw_no_answer", "saw no answer", "visible_answers", equals=0),
+    Measure("saw_several_answers", "saw several", "visible_answers", compute=_saw_several),
     Measure("coverage", "right one among the candidates", "covered"),
-    Measure("questions", "asks", compute=_asks, about="not exactly one candidate"),
-    Measure("difference", "agent minus this [points]", **_points),
+    Measure("questions", "asks", "covered", compute=_asks, about="not exactly one candidate"),
+    # A probe computes these; no column holds them.
+    Measure("difference", "agent minus this [points]", format="points"),
     Measure(
         "vision_gain",
         "depends on vision [points]",
-        about="success minus that of the better agent that sees nothing",
+        format="points",
         detail=True,
-        **_points,
+        about="success minus that of the better agent that sees nothing",
     ),
     Measure(
         "binding",
         "follows its question [points]",
+        format="points",
         about="right choices, minus those when told the question of another visible object",
-        **_points,
     ),
 )
-MEASURES = {each.name: each for each in _ALL}
-"""Measures of every evaluation, by name, in the order in which they are stored and shown."""
+"""Measures of every evaluation, in the order in which they are stored and shown."""
 OF_QUERIES = ("episodes", "success", "choice")
 """Measures that are stored for every single query, of which there may be hundreds."""
 
 
 def find_measure(name: str) -> Measure | None:
     """Return a measure of every evaluation or of a task by its name, or None."""
-    if name in MEASURES:
-        return MEASURES[name]
-    return next((each for each in task_measures() if each.name == name), None)
+    for candidate in (*MEASURES, *task_measures()):
+        if candidate.name == name:
+            return candidate
+    return None
 
 
 def measure(name: str) -> Measure:
@@ -154,41 +165,46 @@ def summarize(
         episodes: the columns.
         measures: those of the task and of the probes.
     """
-    wanted = [*_ALL, *measures]
-    groups = {
-        group: {
-            str(value): _numbers(
-                {name: each[episodes[group] == value] for name, each in episodes.items()},
-                [m for m in wanted if group != "query" or m.name in OF_QUERIES],
-            )
-            for value in np.unique(episodes[group])
-        }
-        for group in GROUPS
-        if group in episodes
-    }
-    return _numbers(episodes, wanted), groups
+    measures = [*MEASURES, *measures]
+    of_queries = [measure for measure in measures if measure.name in OF_QUERIES]
+    groups: dict[str, dict[str, Numbers]] = {}
+    for group in GROUPS:
+        if group not in episodes:
+            continue
+        groups[group] = {}
+        for value in np.unique(episodes[group]):
+            has_value = episodes[group] == value
+            members = {name: column[has_value] for name, column in episodes.items()}
+            numbers = _numbers(members, of_queries if group == "query" else measures)
+            groups[group][str(value)] = numbers
+    return _numbers(episodes, measures), groups
 
 
 def _numbers(episodes: Columns, measures: Sequence[Measure]) -> Numbers:
-    found = {each.name: _compute(each, episodes) for each in measures}
-    return {
-        name: each if isinstance(each, Interval) else float(each)
-        for name, each in found.items()
-        if each is not None
-    }
+    numbers: Numbers = {}
+    for measure in measures:
+        number = _compute(measure, episodes)
+        if isinstance(number, Interval):
+            numbers[measure.name] = number
+        elif number is not None:
+            numbers[measure.name] = float(number)
+    return numbers
 
 
-def _compute(of: Measure, episodes: Columns) -> Number | None:
+def _compute(measure: Measure, episodes: Columns) -> Number | None:
     """Return a measure of some episodes; None if they lack its column, or none counts."""
-    if of.compute is not None:
-        return of.compute(episodes)
-    if (values := episodes.get(of.column)) is None:
+    if measure.column not in episodes:
         return None
-    if of.equals is not None:
-        values = values == of.equals
-    if (among := of.among) is not None:
-        values = values[episodes[among] if isinstance(among, str) else among(episodes)]
-    return STATISTICS[of.statistic](values) if len(values) else None
+    if measure.compute is not None:
+        return measure.compute(episodes)
+    values = episodes[measure.column]
+    if measure.equals is not None:
+        values = values == measure.equals
+    if isinstance(measure.among, str):
+        values = values[episodes[measure.among]]
+    elif measure.among is not None:
+        values = values[measure.among(episodes)]
+    return STATISTICS[measure.statistic](values) if len(values) else None
 
 
 FORMAT = 2
@@ -224,7 +240,8 @@ class Summary:
     def __post_init__(self) -> None:
         check_values(self.numbers, where="numbers")
         check_values(self.groups, where="groups")
-        if missing := [name for name in NEEDED if name not in self.numbers]:
+        missing = [name for name in NEEDED if name not in self.numbers]
+        if missing:
             raise UserError(f"numbers of the summary {self.label} lack {', '.join(missing)}.")
 
     def __getitem__(self, name: str) -> float:
@@ -237,7 +254,9 @@ class Summary:
 
     def of(self, group: str = "", value: str = "") -> Numbers:
         """Return the numbers of all episodes, or of those with a value of `GROUPS`, if any."""
-        return self.groups.get(group, {}).get(value, {}) if group else self.numbers
+        if not group:
+            return self.numbers
+        return self.groups.get(group, {}).get(value, {})
 
     def interval(self, name: str, group: str = "", value: str = "") -> Interval:
         """Return a number with its interval over episodes, of no width if it has none."""
@@ -277,8 +296,10 @@ FURTHER_COLUMNS = {
 }
 """Further columns of some evaluations; tasks and probes add their own."""
 
-FRAME_MS, LAST_MS = 120, 1_200
-"""Display time of each image, and of the last before the animation repeats [ms]."""
+FRAME_MS = 120
+"""Display time of each image of a film [ms]."""
+LAST_MS = 1_200
+"""Display time of the last image, before the animation repeats [ms]."""
 MAX_FRAMES = 10_000
 """Most images of a film that is read; an episode has at most a few hundred steps."""
 
@@ -292,24 +313,26 @@ def episode_types(
         episodes: the columns.
         meanings: of those that the task and the probes add.
     """
-    known, kinds = EPISODE_COLUMNS | FURTHER_COLUMNS, {"b": "bool", "i": "int64", "f": "float64"}
-    return {
-        name: known.get(name)
-        or (kinds.get(values.dtype.kind, "string"), meanings.get(name, "of the task"))
-        for name, values in episodes.items()
-    }
+    known = EPISODE_COLUMNS | FURTHER_COLUMNS
+    kinds = {"b": "bool", "i": "int64", "f": "float64"}
+    types = {}
+    for name, values in episodes.items():
+        kind = kinds.get(values.dtype.kind, "string")
+        types[name] = known.get(name, (kind, meanings.get(name, "of the task")))
+    return types
 
 
 def write_table(
     path: Path, columns: Mapping[str, np.ndarray], described: Mapping[str, tuple[str, str]]
 ) -> None:
     """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
-    types = {"string": pa.dictionary(pa.int32(), pa.string())}
-    fields = [
-        pa.field(name, types.get(kind) or pa.type_for_alias(kind), metadata={"meaning": meaning})
-        for name, (kind, meaning) in described.items()
-    ]
-    arrays = [pa.array(columns[f.name]).cast(f.type) for f in fields]
+    fields = []
+    arrays = []
+    for name, (kind, meaning) in described.items():
+        is_text = kind == "string"
+        arrow = pa.dictionary(pa.int32(), pa.string()) if is_text else pa.type_for_alias(kind)
+        fields.append(pa.field(name, arrow, metadata={"meaning": meaning}))
+        arrays.append(pa.array(columns[name]).cast(arrow))
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
     with replacing(path) as temporary:
         pq.write_table(table, temporary, compression="zstd")
@@ -325,10 +348,18 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 def write_film(path: Path, frames: np.ndarray) -> None:
     """Write images (T, H, W, 3) as a lossless animated WebP, which `read_film` reads."""
     images = [Image.fromarray(frame) for frame in frames]
-    durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]
-    options: dict[str, Any] = {"duration": durations, "loop": 0, "lossless": True, "method": 4}
+    durations = [FRAME_MS for _ in images]
+    durations[-1] = LAST_MS
     with replacing(path) as temporary:
-        images[0].save(temporary, save_all=True, append_images=images[1:], **options)
+        images[0].save(
+            temporary,
+            save_all=True,
+            append_images=images[1:],
+            duration=durations,
+            loop=0,
+            lossless=True,
+            method=4,
+        )
 
 
 def read_film(path: Path) -> np.ndarray:
@@ -339,10 +370,10 @@ def read_film(path: Path) -> np.ndarray:
             for number, frame in enumerate(ImageSequence.Iterator(film)):
                 image = np.asarray(frame.convert("RGB"))
                 # The encoder stores equal neighbours once, with the sum of their times.
-                shown = int(frame.info.get("duration", 0))  # a single image has none
+                shown_ms = int(frame.info.get("duration", 0))  # a single image has none
                 is_last = number == getattr(film, "n_frames", 1) - 1
-                extra = shown - (LAST_MS if is_last else FRAME_MS)
-                frames += [image] * (1 + max(0, extra) // FRAME_MS)
+                extra_ms = shown_ms - (LAST_MS if is_last else FRAME_MS)
+                frames.extend(repeat(image, 1 + max(0, extra_ms) // FRAME_MS))
                 if len(frames) > MAX_FRAMES:
                     raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
         return np.stack(frames)

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import OmitArgPrefixes
 
 from knowarm.cli.knowledge.options import GraphOptions
 from knowarm.cli.tables import TableCommand, check_out, is_terminal
@@ -21,7 +21,7 @@ class Fit(GraphOptions, TableCommand):
 
     valid: float = 0.1
     """Share of triples for early stopping."""
-    training: Annotated[KgeConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=KgeConfig)
+    training: Annotated[KgeConfig, OmitArgPrefixes] = field(default_factory=KgeConfig)
     """The model and its training."""
     out: Path | None = None
     """Write the model: FILE.safetensors, for `embed --source FILE.safetensors`."""
@@ -45,18 +45,25 @@ class Fit(GraphOptions, TableCommand):
             now = time.monotonic()
             if mrr is not None:
                 latest = f", validation MRR {mrr:.4f}"
-            if mrr is not None or now - said > SILENT_S:
-                said = now
-                left = (config.epochs - epoch) * (now - started) / epoch / 60
-                line = f"epoch {epoch} of {config.epochs}: loss {loss:.4f}{latest}"
-                print(f"{line}, at most {left:.1f} min left", end=end, flush=True)
+            elif now - said <= SILENT_S:
+                return
+            said = now
+            minutes_left = (config.epochs - epoch) * (now - started) / epoch / 60
+            line = f"epoch {epoch} of {config.epochs}: loss {loss:.4f}{latest}"
+            print(f"{line}, at most {minutes_left:.1f} min left", end=end, flush=True)
 
-        sizes = len(graph.names), len(graph.relation_names)
-        done = train(config, triples, *sizes, valid=valid, on_epoch=on_epoch)
+        trained = train(
+            config,
+            triples,
+            len(graph.names),
+            len(graph.relation_names),
+            valid=valid,
+            on_epoch=on_epoch,
+        )
         print(end="\n" if end == "\r" else "")
-        mrr = dict(done.valid_mrr)[done.best_epoch]
-        print(f"Best of {done.epochs} epochs: {done.best_epoch}, validation MRR {mrr:.4f}.")
+        mrr = dict(trained.valid_mrr)[trained.best_epoch]
+        print(f"Best of {trained.epochs} epochs: {trained.best_epoch}, validation MRR {mrr:.4f}.")
         if self.out is not None:
-            save_model(done.model, config, graph, self.out)
+            save_model(trained.model, config, graph, self.out)
             print(f"Wrote {self.out}")
-        return {"valid_mrr": mrr, "epochs": done.best_epoch, "config": asdict(config)}
+        return {"valid_mrr": mrr, "epochs": trained.best_epoch, "config": asdict(config)}

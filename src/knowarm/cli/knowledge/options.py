@@ -1,12 +1,13 @@
 """Options shared by the `knowarm knowledge` commands: graph, objects, embedding and source."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 from knowarm.cli.arguments import parse_options, take_source
 from knowarm.cli.tables import TableCommand
@@ -53,17 +54,30 @@ class ObjectOptions(GraphOptions):
 
     def facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
         """Return the objects with the colours that each can have."""
-        roots = [graph.names.short(i) for i in np.setdiff1d(graph.heads, graph.tails)]
-        named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
-        names = self.objects or [name for name in named if name not in self.colours]
+        names = self.objects
+        if not names:
+            roots = map(graph.names.short, np.setdiff1d(graph.heads, graph.tails))
+            named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
+            names = tuple(name for name in named if name not in self.colours)
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
-        facets = []
+        facets: list[tuple[str, str]] = []
         for name in names:
-            colours = TARGETS[name].colours if name in TARGETS else self.colours
-            is_stated = name not in TARGETS and states_colours
-            stated = graph_facets([name], graph) if is_stated else [(name, "")]
-            facets += stated if stated[0][1] else [(name, colour) for colour in colours]
+            colours = self.colours
+            if name in TARGETS:
+                colours = tuple(TARGETS[name].colours)
+            elif states_colours:
+                stated = _colours_in(graph, name)
+                if stated[0]:
+                    colours = stated
+            facets += product([name], colours)
         return facets
+
+
+def _colours_in(
+    graph: KnowledgeGraph, name: str, relation: str = COLOUR_RELATION
+) -> tuple[str, ...]:
+    """Return the colours that a graph states of an object, or "" alone."""
+    return tuple(colour for _, colour in graph_facets([name], graph, relation))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,39 +95,33 @@ class SceneOptions(TableCommand):
     agent: str | None = None
     """Take the settings of this agent (see `knowarm list agents`), without those below; or those of
     this run folder, and its objects and colours."""
-    knowledge: Annotated[KnowledgeConfig, tyro.conf.arg(name="")] = field(
-        default_factory=lambda: FULL
-    )
+    knowledge: Annotated[KnowledgeConfig, arg(name="")] = field(default_factory=lambda: FULL)
     """Settings of the embedding."""
 
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--source` takes the short name of a source."""
-        rest, source = take_source(arguments, "--source")
+        words, source = take_source(arguments, "--source")
         default = source and cls(knowledge=KnowledgeConfig(detail="full", source=source))
-        return parse_options(cls, prog, rest, default=default)
+        return parse_options(cls, prog, words, default=default)
 
-    def config(self) -> KnowledgeConfig:
-        """Return the settings of the agent, or the given ones."""
-        if self.agent is None:
-            return self.knowledge
+    def scene(self) -> tuple[KnowledgeConfig, list[tuple[str, str]], int]:
+        """Return the settings, the (object, colour) pairs, and the seed that placebos draw from."""
         run = self._run()
-        if self.agent not in AGENTS and run is None:
-            raise unknown_name("agent (a name or a run folder)", self.agent, AGENTS)
-        if self.knowledge != FULL or (run and self.objects != OBJECTS):
-            raise UserError(
-                f"--agent {self.agent} has its own graph, source and settings: leave out --agent, "
-                "or the options of the knowledge and, of a run, the objects."
-            )
-        knows = run.knows if run else AGENTS[self.agent].knows
-        if isinstance(knows, NoKnowledge):
-            raise UserError(f"--agent {self.agent} knows nothing: take another, or leave it out.")
-        return knows
-
-    def run_seed(self) -> int:
-        """Return the training seed of the run, from which placebos are drawn."""
-        run = self._run()
-        return run.seed if run else 0
+        config = self._config(run)
+        if run is not None:
+            return config, list(facets_of(run.env)), run.seed
+        facets: list[tuple[str, str]] = []
+        for name in self.objects:
+            if name in TARGETS:
+                colours = tuple(TARGETS[name].colours)
+            else:
+                graph = read_graph(config.graph)
+                colours = _colours_in(graph, config.graph_name(name), config.colour_relation)
+            if self.colours == "fixed":
+                colours = colours[:1]
+            facets += product([name], colours)
+        return config, facets, 0
 
     def _run(self) -> ExperimentConfig | None:
         """Return the settings of the run, if the agent is a run folder."""
@@ -124,17 +132,26 @@ class SceneOptions(TableCommand):
 
         return RunFolder.open(folder).experiment()
 
-    def facets(self) -> list[tuple[str, str]]:
-        """Return the (object, colour) pairs: a target's colours are its own, else the graph's."""
-        config, facets = self.config(), []
-        if run := self._run():
-            return list(facets_of(run.env))
-        for name in self.objects:
-            if name in TARGETS:
-                pairs = [(name, colour) for colour in TARGETS[name].colours]
-            else:
-                graph, named = read_graph(config.graph), config.graph_name(name)
-                found = graph_facets([named], graph, config.colour_relation)
-                pairs = [(name, colour) for _, colour in found]
-            facets += pairs[:1] if self.colours == "fixed" else pairs
-        return facets
+    def _config(self, run: ExperimentConfig | None) -> KnowledgeConfig:
+        """Return the settings of the agent, or the given ones."""
+        if self.agent is None:
+            return self.knowledge
+        if run is not None:
+            knows = run.knows
+        elif self.agent in AGENTS:
+            knows = AGENTS[self.agent].knows
+        else:
+            raise unknown_name("agent (a name or a run folder)", self.agent, AGENTS)
+        if self.knowledge != FULL or (run and self.objects != OBJECTS):
+            raise UserError(
+                f"--agent {self.agent} has its own graph, source and settings: leave out --agent, "
+                "or the options of the knowledge and, of a run, the objects."
+            )
+        if isinstance(knows, NoKnowledge):
+            raise UserError(f"--agent {self.agent} knows nothing: take another, or leave it out.")
+        return knows
+
+
+def short_names(rows: Iterable[Sequence[str]]) -> list[list[str]]:
+    """Return rows of a table with the local names of entities and relations."""
+    return [list(map(local_name, row)) for row in rows]

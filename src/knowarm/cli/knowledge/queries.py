@@ -1,5 +1,6 @@
 """`knowarm knowledge queries` and `subgraph`: questions, answers, splits, and one subgraph."""
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, ObjectOptions
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, ObjectOptions, short_names
 from knowarm.cli.tables import TableCommand, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
@@ -27,7 +28,7 @@ from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.questions import QuestionTable
 from knowarm.reading import read_text, replacing
 
-SHOWN = 60  # most triples that are printed
+MOST_TRIPLES = 60  # most triples that are printed
 MOST_HELD = 12  # most held-out pairs or new triples that are printed
 
 
@@ -58,68 +59,103 @@ class Queries(ObjectOptions, TableCommand):
         """Read the graph, make the tables and print them."""
         graph = self.read()
         facets = self.facets(graph)
-        asked = QueryGraph(graph, facets)
+        query_graph = QueryGraph(graph, facets)
         if self.agent is not None:
-            return self._print_agreement(self.agent, asked)
-        names = ("seed", "pairs", "hold_out")
-        options: dict[str, Any] = {name: getattr(self, name) for name in names}
-        edited = None if self.edited is None else read_graph(self.edited)
-        count = self.objects_per_episode
-        splits = query_splits(graph, facets, objects=count, edited=edited, **options)
-        if self.split is not None:
-            questions = _questions(splits.test(self.split))
-            rows = [[query, ", ".join(targets)] for query, targets in questions.items()]
-            print_table(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
-            return {"split": self.split, "questions": questions}
-        return _print_overview(asked, splits)
+            return self._print_agreement(self.agent, query_graph)
+        splits = query_splits(
+            graph,
+            facets,
+            seed=self.seed,
+            pairs=self.pairs,
+            objects=self.objects_per_episode,
+            hold_out=self.hold_out,
+            edited=None if self.edited is None else read_graph(self.edited),
+        )
+        if self.split is None:
+            return _print_overview(query_graph, splits)
+        questions = _questions(splits.test(self.split))
+        rows = [[query, ", ".join(targets)] for query, targets in questions.items()]
+        print_table(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
+        return {"split": self.split, "questions": questions}
 
-    def _print_agreement(self, agent: str, asked: QueryGraph) -> dict[str, Any]:
-        known = [name for name, each in AGENTS.items() if each.knows.scope == "query"]
+    def _print_agreement(self, agent: str, query_graph: QueryGraph) -> dict[str, Any]:
+        known = [name for name, entry in AGENTS.items() if entry.knows.scope == "query"]
         if agent not in known:
             raise unknown_name("agent with knowledge of queries", agent, known)
         knows = cast(KnowledgeConfig, AGENTS[agent].knows)
-        found = query_agreement(knows, asked, run_seed=self.seed)
-        shown = "undefined: all conditions are equally similar" if found is None else f"{found:.3f}"
-        print(f"Rank correlation of similar vectors and common answers, {agent}: {shown}.")
-        return {"agent": agent, "rank_correlation": found}
+        correlation = query_agreement(knows, query_graph, run_seed=self.seed)
+        text = "undefined: all conditions are equally similar"
+        if correlation is not None:
+            text = f"{correlation:.3f}"
+        print(f"Rank correlation of similar vectors and common answers, {agent}: {text}.")
+        return {"agent": agent, "rank_correlation": correlation}
 
 
-def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
-    single = asked.queries("none")
-    conditions = {
-        query.name: list(dict.fromkeys(asked.facets[i][0] for i in np.flatnonzero(row)))
-        for query, row in zip(single, asked.answers(single), strict=True)
-    }
-    title = f"{len(splits.train.queries)} queries: {len(single)} of one condition"
-    rows: list[list[Any]] = [
-        [name, "all" if len(names) == len(asked.objects) else ", ".join(names)]
-        for name, names in conditions.items()
-    ]
-    print_table(title, ["condition", "objects"], rows)
-    sizes = {}
-    for name, table in {"training": splits.train, **splits.tests}.items():
-        of_one = table.askable[[query.name in conditions for query in table.queries]]
-        counted = {"questions": table.askable, "of_one_condition": of_one}
-        counted["facets_shown"] = table.shown
-        sizes[name] = {what: int(each.sum()) for what, each in counted.items()}
-    about = {"training": "without the questions that the tests below hold out", **SPLITS}
-    rows = [[name, about[name], *size.values()] for name, size in sizes.items()]
-    columns = ["table", "asks", "questions", "of one condition", "facets shown"]
-    print_table("Splits", columns, rows)
+def _print_overview(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
+    conditions = _print_conditions(query_graph, len(splits.train.queries))
+    sizes = _print_sizes(splits, conditions)
     for name, reason in splits.reasons.items():
         print(f"No {name} ({SPLITS[name]}): {reason}")
-    held = splits.held_out
-    kept = {
-        "S2": sorted(f"{name}: {condition.name}" for condition, name in held.pairs),
-        **{name: sorted(held.new.get(name, ())) for name in ("S3", *held.new)},
-        "S4": sorted(held.values),
-        "S5": sorted(" ".join(triple) for triple in set(splits.edited or ()) - set(asked.graph)),
-    }
-    for name, words in kept.items():
+    held_out = _held_out(query_graph, splits)
+    for name, words in held_out.items():
         what = "New in the graph of" if name == "S5" else "Held out for"
-        more = f"; ... ({len(words)}, --json FILE writes all)" if len(words) > MOST_HELD else ""
-        print(f"{what} {name}: {'; '.join(words[:MOST_HELD]) or 'nothing'}{more}.")
-    return {"conditions": conditions, "splits": sizes, "held_out": kept, "empty": splits.reasons}
+        listed = "; ".join(words[:MOST_HELD]) or "nothing"
+        if len(words) > MOST_HELD:
+            listed += f"; ... ({len(words)}, --json FILE writes all)"
+        print(f"{what} {name}: {listed}.")
+    return {
+        "conditions": conditions,
+        "splits": sizes,
+        "held_out": held_out,
+        "empty": splits.reasons,
+    }
+
+
+def _print_conditions(query_graph: QueryGraph, query_count: int) -> dict[str, list[str]]:
+    """Print the objects that satisfy each condition, and return them by its name."""
+    queries = query_graph.queries("none")
+    objects = np.array([name for name, _ in query_graph.facets])
+    conditions = {}
+    rows = []
+    for query, is_answer in zip(queries, query_graph.answers(queries), strict=True):
+        names = list(dict.fromkeys(objects[is_answer].tolist()))
+        conditions[query.name] = names
+        is_all = len(names) == len(query_graph.objects)
+        rows.append([query.name, "all" if is_all else ", ".join(names)])
+    title = f"{query_count} queries: {len(queries)} of one condition"
+    print_table(title, ["condition", "objects"], rows)
+    return conditions
+
+
+def _print_sizes(splits: QuerySplits, conditions: Collection[str]) -> dict[str, dict[str, int]]:
+    """Print the size of each split, and return them; ``conditions`` name queries of one."""
+    sizes = {}
+    rows = []
+    for name, table in {"training": splits.train, **splits.tests}.items():
+        is_single = [query.name in conditions for query in table.queries]
+        sizes[name] = {
+            "questions": int(table.askable.sum()),
+            "of_one_condition": int(table.askable[is_single].sum()),
+            "facets_shown": int(table.shown.sum()),
+        }
+        about = SPLITS.get(name, "without the questions that the tests below hold out")
+        rows.append([name, about, *sizes[name].values()])
+    columns = ["table", "asks", "questions", "of one condition", "facets shown"]
+    print_table("Splits", columns, rows)
+    return sizes
+
+
+def _held_out(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, list[str]]:
+    """Return what training leaves out, and what is new in the edited graph, by split."""
+    held = splits.held_out
+    pairs = [f"{name}: {condition.name}" for condition, name in held.pairs]
+    names: dict[str, list[str]] = {"S2": sorted(pairs), "S3": []}
+    for split, objects in held.new.items():
+        names[split] = sorted(objects)
+    names["S4"] = sorted(held.values)
+    edits = set(splits.edited or ()) - set(query_graph.graph)
+    names["S5"] = sorted(map(" ".join, edits))
+    return names
 
 
 def _questions(table: QuestionTable) -> dict[str, dict[str, list[str]]]:
@@ -152,8 +188,14 @@ class SelectionOptions(GraphOptions):
         """Return the neighbourhood of the objects."""
         if not self.objects:
             return graph
-        names = ("hops", "direction", "relations", "max_degree")
-        return gamma(graph, self.objects, **{name: getattr(self, name) for name in names})
+        return gamma(
+            graph,
+            self.objects,
+            hops=self.hops,
+            direction=self.direction,
+            relations=self.relations,
+            max_degree=self.max_degree,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,23 +242,26 @@ class Subgraph(SelectionOptions, TableCommand):
             graph = union(graph, read_graph(self.union))
         if self.minus is not None:
             graph = difference(graph, read_graph(self.minus))
-        if self.sparql is not None:
+        if self.sparql is None:
+            graph = self.select(graph)
+        else:
             answer = sparql(graph, _text(self.sparql))
             if answer.graph is None:
-                if self.out is not None:
-                    need = "--out writes a graph, but SELECT and ASK return none"
-                    raise UserError(f"{need}. Use CONSTRUCT.")
-                shown = [list(map(local_name, row)) for row in answer.rows]
-                print_table(f"{len(shown)} answers", answer.columns, shown)
-                return {"columns": list(answer.columns), "rows": list(map(list, answer.rows))}
+                return self._print_answers(answer.columns, answer.rows)
             graph = answer.graph
-        else:
-            graph = self.select(graph)
         printed = _print_statistics(graph) if self.statistics else _print_triples(graph)
         if self.out is not None:
             write_graph(graph, self.out)
             print(f"Wrote {self.out}")
         return {"triples": len(graph), "entities": len(graph.nodes), **printed}
+
+    def _print_answers(
+        self, columns: Sequence[str], answers: Sequence[Sequence[str]]
+    ) -> dict[str, Any]:
+        if self.out is not None:
+            raise UserError("--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT.")
+        print_table(f"{len(answers)} answers", columns, short_names(answers))
+        return {"columns": list(columns), "rows": list(map(list, answers))}
 
 
 def _text(query: str) -> str:
@@ -227,24 +272,22 @@ def _text(query: str) -> str:
 
 
 def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
-    rows = [[local_name(name) for name in triple] for triple in islice(graph, SHOWN)]
     title = f"{len(graph):,} triples, {len(graph.nodes):,} entities"
-    print_table(title, ["head", "relation", "tail"], rows)
-    if len(graph) > SHOWN:
-        print(f"... and {len(graph) - SHOWN:,} more; --out FILE writes all.")
+    print_table(title, ["head", "relation", "tail"], short_names(islice(graph, MOST_TRIPLES)))
+    if len(graph) > MOST_TRIPLES:
+        print(f"... and {len(graph) - MOST_TRIPLES:,} more; --out FILE writes all.")
     return {"facts": list(graph)}
 
 
 def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
     statistics = graph_statistics(graph)
     values = statistics._asdict()
-    single = [each for each in values.items() if isinstance(each[1], int)]
-    print_table("Graph", ["what", "count"], single)
+    counts = [(name, value) for name, value in values.items() if isinstance(value, int)]
+    print_table("Graph", ["what", "count"], counts)
     relations = [(local_name(name), count) for name, count in statistics.by_relation.items()]
     print_table("Relations", ["relation", "triples"], relations)
-    print_table(
-        "Hubs", ["entity", "edges"], [(local_name(n), count) for n, count in statistics.hubs]
-    )
+    hubs = [(local_name(name), count) for name, count in statistics.hubs]
+    print_table("Hubs", ["entity", "edges"], hubs)
     for relation, entities in statistics.cycles:
         names = ", ".join(map(local_name, entities))
         print(f"Cycle along {local_name(relation)}: {names}.")

@@ -1,17 +1,17 @@
 """`knowarm knowledge show`, `embed` and `probe`: sentences and vectors of a scene's objects."""
 
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from safetensors.numpy import save_file
 
-from knowarm.cli.knowledge.options import SceneOptions
-from knowarm.cli.tables import check_out, print_table
+from knowarm.cli.knowledge.options import SceneOptions, short_names
+from knowarm.cli.tables import check_out, counted, print_table
 from knowarm.config import to_dict
 from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
-from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import NEARLY_SAME, probe
 from knowarm.reading import replacing
 
@@ -22,22 +22,23 @@ class KnowledgeShow(SceneOptions):
 
     def result(self) -> dict[str, Any]:
         """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
-        config, facets = self.config(), self.facets()
-        seed = self.run_seed()
+        config, facets, seed = self.scene()
         embedding = scene_embedding(config, facets, run_seed=seed)
         subgraph = scene_subgraph(config, facets, run_seed=seed)
         triples = list(subgraph)
         title = f"Subgraph: {len(triples)} triples, {len(subgraph.nodes)} entities"
-        facts = [[local_name(name) for name in triple] for triple in triples]
-        print_table(title, ["head", "relation", "tail"], facts)
+        print_table(title, ["head", "relation", "tail"], short_names(triples))
         sentences = scene_sentences(config, facets, run_seed=seed)
         print_table("Sentences", ["slot", "sentence"], sentences.items())
         described = embedding.describe()
+        dim = embedding.slot_dim
         norms = zip(described.slots, described.slot_norms, strict=True)
-        title = f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
-        title += f"source {config.source.short_name}, scope {config.scope}"
-        rows = [[name, embedding.slot_dim, norm] for name, norm in norms]
-        print_table(title, ["slot", "numbers", "norm"], rows)
+        print_table(
+            f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
+            f"source {config.source.short_name}, scope {config.scope}",
+            ["slot", "numbers", "norm"],
+            [[name, dim, norm] for name, norm in norms],
+        )
         coverage = described.coverage
         if coverage["labels"]:
             print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
@@ -49,9 +50,14 @@ class KnowledgeShow(SceneOptions):
             print("Every episode gets the same numbers, which act as a bias of the policy.")
         if embedding.privileged:
             print("The numbers identify the episode's object and colour: privileged information.")
-        shown = {"triples": triples, "entities": subgraph.entities, **to_dict(described)}
-        numbers = {"shape": [embedding.dim], "vector": embedding.vector.tolist()}
-        return {**shown, "sentences": sentences, **numbers}
+        return {
+            "triples": triples,
+            "entities": subgraph.entities,
+            **to_dict(described),
+            "sentences": sentences,
+            "shape": [embedding.dim],
+            "vector": embedding.vector.tolist(),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +70,14 @@ class Embed(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Embed, print and write."""
         check_out(self.out, "vectors", (".npy", ".safetensors"))
-        embedding = scene_embedding(self.config(), self.facets(), run_seed=self.run_seed())
-        rows = [
-            [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
-            for slot, row in zip(embedding.slots, embedding.matrix, strict=True)
-        ]
-        slots = f"{len(rows)} slot{'s' * (len(rows) != 1)} of {embedding.slot_dim} numbers"
-        title = f"{slots}, {embedding.dim} to the policy"
+        config, facets, seed = self.scene()
+        embedding = scene_embedding(config, facets, run_seed=seed)
+        rows = []
+        for slot, vector in zip(embedding.slots, embedding.matrix, strict=True):
+            numbers = " ".join(f"{x:.3f}" for x in vector[:6])
+            rows.append([slot.name, f"{numbers} ...", float(np.linalg.norm(vector))])
+        slots = counted(len(rows), "slot")
+        title = f"{slots} of {embedding.slot_dim} numbers, {embedding.dim} to the policy"
         print_table(title, ["slot", "numbers", "norm"], rows)
         if self.out is not None:
             with replacing(self.out, "Give another path.") as temporary:
@@ -93,18 +100,22 @@ class ProbeCommand(SceneOptions):
 
     def result(self) -> dict[str, Any]:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
-        config = self.config()
-        separation = probe(config, self.facets(), run_seed=self.run_seed())
+        config, facets, seed = self.scene()
+        separation = probe(config, facets, run_seed=seed)
+        columns = ["", "facet"]
+        rows: list[list[Any]] = []
+        for name, cosines in zip(separation.slots, separation.cosine.tolist(), strict=True):
+            number = str(len(rows) + 1)
+            columns.append(number)
+            cells = [None if isnan(cosine) else cosine for cosine in cosines]
+            rows.append([number, name, *cells])
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
-        numbers = [str(i) for i in range(1, len(separation.slots) + 1)]
-        rows = [
-            [number, name, *(None if np.isnan(x) else float(x) for x in row)]
-            for number, name, row in zip(numbers, separation.slots, separation.cosine, strict=True)
-        ]
-        print_table(title, ["", "facet", *numbers], rows)
+        print_table(title, columns, rows)
         if separation.recovered:
             columns = ["target", "the task's", "all objects'", "by guessing"]
-            shares = [[n, s["task"], s["all"], s["guess"]] for n, s in separation.recovered.items()]
+            shares = []
+            for name, share in separation.recovered.items():
+                shares.append([name, share["task"], share["all"], share["guess"]])
             print_table("Share recovered by a linear probe", columns, shares)
         elif not config.source.placebo:
             print("Nothing to recover: no object, colour or value describes two facets.")
