@@ -169,20 +169,30 @@ def content_row(cells: Sequence[Cell]) -> tuple[str, str]:
 
 
 def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
-    """Return the paper's figures beside these."""
+    """Return the paper's figures beside these, one row per cell."""
     rows = []
     for task, agents in found:
-        base = published_result(task, "bm")
-        for name in ("bm", "partial", "full"):
-            paper = published_result(task, name)
-            if paper is None or base is None or name not in agents or "bm" not in agents:
-                continue
-            own = time_saved(agents[name].steps.mean(), agents["bm"].steps.mean())
-            its = time_saved(paper["best_step"], base["best_step"])
-            best, steps = f"{100 * paper['accuracy']:.0f}", f"{paper['best_step'] / 1e6:.0f} M"
-            saved = ["", ""] if name == "bm" else [f"{100 * x:.0f} %" for x in (its or 0, own or 0)]
-            rows.append([title_of(task), f"`{name}`", best, steps, *saved])
-    columns = ["cell", "agent", "paper's accuracy [%]", "best at", "steps saved", "here: saved"]
+        paper = {name: published_result(task, name) for name in ("bm", "partial", "full")}
+        base = paper["bm"]
+        if base is None or "bm" not in agents:
+            continue
+        known = {name: each for name, each in paper.items() if each and name in agents}
+        better = [name for name in paper if name in known and name != "bm"]
+        its = [time_saved(known[name]["best_step"], base["best_step"]) for name in better]
+        own = [time_saved(agents[n].steps.mean(), agents["bm"].steps.mean()) for n in better]
+        rows.append(
+            [
+                title_of(task),
+                ", ".join(f"`{name}`" for name in known),
+                ", ".join(f"{100 * each['accuracy']:.0f}" for each in known.values()),
+                ", ".join(f"{each['best_step'] / 1e6:.0f}" for each in known.values()),
+                *(", ".join(f"{100 * (x or 0):.0f}" for x in values) for values in (its, own)),
+            ]
+        )
+    columns = [
+        *("cell", "agents", "paper's accuracy [%]", "best at [M steps]"),
+        *("steps saved against `bm` [%]", "here: saved [%]"),
+    ]
     return table(columns, rows)
 
 
