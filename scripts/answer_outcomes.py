@@ -102,7 +102,7 @@ def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
         )
     columns = ["cell", "agent", "outcome", "against `bm` [points]", "p", "finding"]
     parts = ["## All outcomes", OUTCOMES_TEXT, table(columns, rows)]
-    for (title, name, outcome), finding in found.items():
+    for (title, _, outcome), finding in found.items():
         others = larger(known, title, outcome)
         if gate_of(finding).verdict == "better" and others:
             words = ", ".join(f"`{each}` {points(claim)}" for each, claim in others.items())
@@ -213,7 +213,8 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
     assert largest > max(published), "write the text for what is found"
     text = (
         f"**Two training seeds of one and the same agent give F values up to {largest:.0f}, more "
-        f"than the paper's largest of {max(published):.0f}.** Of all {len(own)} pairs of training seeds of one agent {share(own)} differ "
+        f"than the paper's largest of {max(published):.0f}.** Of all {len(own)} pairs of training "
+        f"seeds of one agent {share(own)} differ "
         f"with p < .05 (median F {spread(own)[0]}, 95 % of them below {spread(own)[1]})."
     )
     return ["## The paper's analysis of variance", ANOVA_TEXT, table(columns, rows), text]

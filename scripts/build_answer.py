@@ -240,8 +240,8 @@ def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Se
 HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
 # Does semantic knowledge help a robot arm to learn?"""
 
-TOP = """**Protocol.** {runs} runs with `fast`: 1.5 million steps, one process, training seeds {seeds};
-studies `answer` (IRB120), `answer-tiago` and, for TIAGo with randomized colours, `paper`.
+TOP = """**Protocol.** {runs} runs with `fast`: 1.5 million steps, one process, training seeds
+{seeds}; studies `answer` (IRB120), `answer-tiago` and, for TIAGo with randomized colours, `paper`.
 {progress} The outcomes of `answer` were fixed when seeds 0 to 2 of `bm`, `partial` and `full` were
 known, those of `answer-tiago` before its runs. Primary: environment steps until 80 % of the 40
 interim episodes succeed (5 cm, 15 degrees); a run that never does counts as 1.5 million, and as
