@@ -30,8 +30,7 @@ TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperpar
 workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} Interim
 success (5 cm, 15 degrees) in percent, and return, each the mean of the last {count} evaluations of
 40 episodes. An update learns from {batch:,} steps, the paper's from 50 or fewer, so there are
-{updates:,} updates instead of 1.4 million. Workers update in any order, so a command does not
-repeat to the byte."""
+{updates:,} updates instead of 1.4 million."""
 
 TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
 {progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
@@ -124,7 +123,7 @@ def conclusion(task: TaskData) -> str:
     lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:
         lines.append(
-            "- One training seed each and no control of the network's size: nothing about the "
-            "knowledge follows from the difference."
+            "- One training seed each, no control: nothing about the knowledge follows from the "
+            "difference."
         )
     return "\n".join(lines)

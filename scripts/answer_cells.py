@@ -206,7 +206,7 @@ def verdict(cell: Cell) -> str:
     if p_value >= SIGNIFICANT:
         low = -100 * compared.share.low
         return (
-            f"**{title}**: no effect of full knowledge is found ({length}); the interval "
+            f"**{title}**: no effect is found ({length}); the interval "
             f"excludes a saving of more than {max(0, low):.0f} %."
             f"{uncorrected(cell, compared)}"
         )

@@ -13,9 +13,6 @@ from benchmarks.a3c_changes import (
     groups_of,
     names_of,
     outcome,
-    published,
-    settings,
-    tuned,
 )
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
@@ -55,7 +52,7 @@ def changes_section(packs: Path) -> list[str]:
     for steps, name, measures in read_variants(packs):
         found.setdefault(steps, {})[name] = measures
         runs += len(measures["success"])
-    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs), settings_table()]
+    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs), settings_list()]
     lines = []
     for steps, measured in sorted(found.items()):
         ordered = {name: measured[name] for name in sorted(measured, key=place)}
@@ -89,17 +86,15 @@ def place(name: str) -> tuple[int, int]:
     return len(groups_of(name)), names.index(name) if name in names else -1
 
 
-def settings_table() -> str:
-    """Say what each change changes."""
-    before, after = settings(published()), settings(tuned())
-    rows = [
-        [
-            f"`{name}`",
-            "; ".join(f"`{field}` {before[field]}, {after[field]}" for field in fields),
-        ]
-        for name, fields in GROUPS.items()
-    ]
-    return table(["change", "settings, from and to"], rows)
+def settings_list() -> str:
+    """Say which settings each change sets."""
+    listed = (f"`{name}` ({', '.join(map(code, fields))})" for name, fields in GROUPS.items())
+    return f"Changes ([values](../reference/algorithms.md#a3c)): {', '.join(listed)}."
+
+
+def code(name: str) -> str:
+    """Format a name."""
+    return f"`{name}`"
 
 
 def measures_table(measured: Mapping[str, Variant]) -> str:
@@ -165,7 +160,7 @@ def left_out(measured: Mapping[str, Variant], steps: int) -> str:
         f"One change left out of all {len(GROUPS)} for {steps / 1e6:g} million steps, one training "
         f"seed: less than {100 * ENOUGH:.0f} % of the success of all without {quoted(needed)}, "
         f"and at least as much without {quoted(dropped)}. One seed is no result; it chose the "
-        "sets that three seeds try."
+        "sets of three seeds."
     )
 
 
@@ -193,4 +188,4 @@ def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
 
 def quoted(names: Sequence[str]) -> str:
     """List names of changes."""
-    return ", ".join(f"`{name}`" for name in names) or "none of them"
+    return ", ".join(map(code, names)) or "none of them"

@@ -36,7 +36,7 @@ def found_on(task: TaskData, split: str) -> dict[str, SplitGroup]:
     return {each.group.agent: each for each in split_groups(task).get(split, [])}
 
 
-def conclusion(how: str, right: Mapping[str, np.ndarray], chance: float) -> str:
+def conclusion(how: str, right: Mapping[str, np.ndarray]) -> str:
     """Compare the best fusion with the others, by right choices over training seeds."""
     usable = {name: values for name, values in right.items() if len(values) >= FEWEST}
     best = max(usable, key=lambda name: float(usable[name].mean()))
@@ -44,11 +44,8 @@ def conclusion(how: str, right: Mapping[str, np.ndarray], chance: float) -> str:
     adjusted = holm([welch(usable[best], usable[name]).p_value for name in others])
     beaten = [name for name, p in zip(others, adjusted, strict=True) if p < 0.05]
     names = "every other fusion" if len(beaten) == len(others) else ", ".join(map(code, beaten))
-    low = [name for name in usable if usable[name].max() < chance + 0.1]
     text = f"- By {how}, {code(best)} is right most often, in {100 * usable[best].mean():.1f} %"
     text += f", significantly more often than {names}" if beaten else ""
-    if low:
-        text += f"; {', '.join(map(code, low))} stay within 10 points of chance with every seed"
     return text + "."
 
 
@@ -77,7 +74,7 @@ def fusions_section(
             row.append("")
         right = {name: np.array(values) for name, values in found.items()}
         if any(len(values) >= FEWEST for values in right.values()):
-            conclusions.append(conclusion(f"position from {images:,} images", right, chance))
+            conclusions.append(conclusion(f"position from {images:,} images", right))
     for algorithm, how in ALGORITHMS.items():
         agents = found_on(tasks[algorithm], SPLIT)
         by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS}
@@ -87,7 +84,7 @@ def fusions_section(
         for row, each in zip(last, others.values(), strict=True):
             row.append(shares(each.scores("choice")) if algorithm == "fast" else "")
         right = {name: each.scores("choice") for name, each in by_fusion.items() if each}
-        conclusions.append(conclusion(how, right, chance))
+        conclusions.append(conclusion(how, right))
     lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, *last)]
     seeds = sorted({run.config.seed for task in tasks.values() for run in task.runs})
     text = TEXT.format(

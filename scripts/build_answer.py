@@ -169,20 +169,30 @@ def content_row(cells: Sequence[Cell]) -> tuple[str, str]:
 
 
 def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
-    """Return the paper's figures beside these."""
+    """Return the paper's figures beside these, one row per cell."""
     rows = []
     for task, agents in found:
-        base = published_result(task, "bm")
-        for name in ("bm", "partial", "full"):
-            paper = published_result(task, name)
-            if paper is None or base is None or name not in agents or "bm" not in agents:
-                continue
-            own = time_saved(agents[name].steps.mean(), agents["bm"].steps.mean())
-            its = time_saved(paper["best_step"], base["best_step"])
-            best, steps = f"{100 * paper['accuracy']:.0f}", f"{paper['best_step'] / 1e6:.0f} M"
-            saved = ["", ""] if name == "bm" else [f"{100 * x:.0f} %" for x in (its or 0, own or 0)]
-            rows.append([title_of(task), f"`{name}`", best, steps, *saved])
-    columns = ["cell", "agent", "paper's accuracy [%]", "best at", "steps saved", "here: saved"]
+        paper = {name: published_result(task, name) for name in ("bm", "partial", "full")}
+        base = paper["bm"]
+        if base is None or "bm" not in agents:
+            continue
+        known = {name: each for name, each in paper.items() if each and name in agents}
+        better = [name for name in paper if name in known and name != "bm"]
+        its = [time_saved(known[name]["best_step"], base["best_step"]) for name in better]
+        own = [time_saved(agents[n].steps.mean(), agents["bm"].steps.mean()) for n in better]
+        rows.append(
+            [
+                title_of(task),
+                ", ".join(f"`{name}`" for name in known),
+                ", ".join(f"{100 * each['accuracy']:.0f}" for each in known.values()),
+                ", ".join(f"{each['best_step'] / 1e6:.0f}" for each in known.values()),
+                *(", ".join(f"{100 * (x or 0):.0f}" for x in values) for values in (its, own)),
+            ]
+        )
+    columns = [
+        *("cell", "agents", "paper's accuracy [%]", "best at [M steps]"),
+        *("steps saved against `bm` [%]", "here: saved [%]"),
+    ]
     return table(columns, rows)
 
 
@@ -230,45 +240,39 @@ def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Se
 HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
 # Does semantic knowledge help a robot arm to learn?"""
 
-TOP = """**Protocol.** {runs} runs of the paper's task with `fast`: 1.5 million steps, one process,
-training seeds {seeds}; IRB120 from the study `answer`, TIAGo from `answer-tiago`, with randomized
-colours from `paper`. {progress} The outcomes and comparisons of `answer` were fixed when seeds 0 to
-2 of `bm`, `partial` and `full` were known, and before any other run; those of `answer-tiago` before
-its runs. Primary: environment steps until 80 % of the 40 interim episodes succeed (5 cm, 15
-degrees); a run that never does counts as 1.5 million, and as censored in the log-rank test.
-Secondary: success of 1,000 episodes after training (10 cm, 17 degrees); *area*, the mean success
-during training. Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below
-about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of
-a cell. Every run: `answer-runs.csv`; every comparison, also of `partial` with `bm`:
-`answer-comparisons.csv`.
+TOP = """**Protocol.** {runs} runs with `fast`: 1.5 million steps, one process, training seeds
+{seeds}; studies `answer` (IRB120), `answer-tiago` and, for TIAGo with randomized colours, `paper`.
+{progress} The outcomes of `answer` were fixed when seeds 0 to 2 of `bm`, `partial` and `full` were
+known, those of `answer-tiago` before its runs. Primary: environment steps until 80 % of the 40
+interim episodes succeed (5 cm, 15 degrees); a run that never does counts as 1.5 million, and as
+censored in the log-rank test. Secondary: success of 1,000 episodes after training (10 cm, 17
+degrees); *area*, the mean success during training. Brackets: 95 % intervals over training seeds
+(bootstrap of means, too narrow below about ten seeds; Welch's t for differences). p: log-rank,
+Holm's correction over the comparisons of a cell. Every run: `answer-runs.csv`; every comparison,
+also of `partial` with `bm`: `answer-comparisons.csv`.
 
 {controls}"""
 
 WITH_CONTROLS = """Controls: `wide` is a network as large without knowledge, `zeros` a constant
 vector, `random` has random numbers in place of each slot, `shuffled` a graph whose tails are
-permuted within each relation. An effect of the content of the knowledge must exceed all of them."""
+permuted within each relation. An effect of what the knowledge says must exceed all of them."""
 
 WITHOUT_CONTROLS = """**No control is among these runs**, so a difference could not be attributed to
 knowledge or to network size."""
 
-PAPER = """The paper's accuracy counts the distance alone, for one training seed per agent with A3C,
-after the step of its best model. Here success counts distance and angle, as means over seeds, with
-another algorithm and simulator."""
+PAPER = """The paper's accuracy counts the distance alone, of the best model of one A3C training per
+agent; here success counts distance and angle, as a mean over seeds."""
 
 FIGURE = "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
 
 BOTTOM = """## What this cannot say
 
-- The vector of this task is constant within an episode and names what the image shows anyway, so it
-  can save the recognition of the object, nothing else. Where the graph decides what to do, it
+- The vector of this task names what the image shows anyway. Where the graph decides what to do, it
   matters: [choose](choose.md), [answers](answers.md).
-- `fast` uses the simulator's state in the critic and an auxiliary loss. Settings with which A3C
-  learns: [A3C](a3c.md).
-- The runs used several kinds of processors. They round differently, so the same seed is another
-  training on each.
+- `fast` uses the simulator's state in the critic and an auxiliary loss.
+- The runs used several kinds of processors, which round differently.
 - Interim evaluations are 50,000 steps apart: smaller differences are not seen in one run.
-- On TIAGo success has reached its ceiling, so only the steps and the area can differ. With
-  randomized colours its runs have no controls.
+- On TIAGo success has reached its ceiling, so only the steps and the area can differ.
 
 Repeat: `knowarm study run` with the studies named above, and `python -m benchmarks.a3c_changes`
 with `add --steps 2000000`, `leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python
