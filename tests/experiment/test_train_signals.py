@@ -16,7 +16,6 @@ from knowarm.cli.main import main
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
-from tests.forked import Forked
 from tests.tiny import ALGORITHM, flags
 
 WAIT_S = 120.0
@@ -28,18 +27,26 @@ def rows(folder):
 
 
 def interrupted(arguments, folder, tmp_path, number):
-    """Run a command, send it a signal after its next update, and return how it ended."""
+    """Run a command, send it a signal after its next update, and return how it ended.
+
+    It is a new process: a fork of one that has trained before may wait for its threads for ever.
+    """
     before = max(rows(folder), 1)  # the header alone
-    running = Forked(lambda: main(arguments), tmp_path, cwd=tmp_path)
+    output = tmp_path / "output"
+    with output.open("w") as file:
+        running = subprocess.Popen(
+            [sys.executable, "-m", "knowarm", *arguments], cwd=tmp_path, stdout=file, stderr=file
+        )
     try:
         deadline = time.monotonic() + WAIT_S
         while rows(folder) <= before and time.monotonic() < deadline:
-            assert not running.ended(0.05), running.stderr
-        os.kill(running.process.pid, number)
-        assert running.ended(WAIT_S)
+            assert running.poll() is None, output.read_text()
+            time.sleep(0.05)
+        running.send_signal(number)
+        running.wait(WAIT_S)
     finally:
-        running.process.kill()
-    return running
+        running.kill()
+    return running.returncode, output.read_text()
 
 
 def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
@@ -49,11 +56,11 @@ def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
     command = ["train", "irb120-bm-ppo", *numbers, "--interim.every-steps=10000000", *algorithm]
     steps = [0]
     for number in (signal.SIGINT, signal.SIGTERM):
-        running = interrupted(command, folder, tmp_path, number)
-        assert running.returncode == 130, running.stderr
+        code, output = interrupted(command, folder, tmp_path, number)
+        assert code == 130, output
         steps.append(folder.checkpoint_fact("step", -1))
-        assert f"Stopped at step {steps[-1]:,} and saved." in running.stdout
-        again = running.stdout.split("Resume with: knowarm ")[1].splitlines()[0]
+        assert f"Stopped at step {steps[-1]:,} and saved." in output
+        again = output.split("Resume with: knowarm ")[1].splitlines()[0]
         command = shlex.split(again)
     assert steps == sorted({*steps}), "the second command goes on behind the first"
 
