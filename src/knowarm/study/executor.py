@@ -22,7 +22,9 @@ RunKey = tuple[str, int]
 """Experiment and training seed: names a run of a study."""
 
 LOG = "log.txt"  # in a run folder: what its workers printed
-TIMEOUT_S = 15.0  # how long workers that were asked to end may take before they are killed
+TIMEOUT_S = 60.0
+"""How long workers that were asked to end may take before they are killed: they save after a whole
+round, and one of A3C on a loaded machine takes longer than 15 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
