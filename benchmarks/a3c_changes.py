@@ -72,14 +72,22 @@ def tuned() -> ExperimentConfig:
 def differences() -> dict[str, Any]:
     """Return the settings of `tuned` that differ from those of `published`."""
     before = settings(published())
-    return {name: value for name, value in settings(tuned()).items() if value != before[name]}
+    return {
+        name: value
+        for name, value in settings(tuned()).items()
+        if value != before[name]
+    }
 
 
 def study_of(name: str, steps: int, seeds: Sequence[int]) -> StudyConfig:
     """Return the study of one set of changes: settings of `published`, some as in `tuned`."""
     study, values = read_study("a3c"), settings(tuned())
-    fields = {field: values[field] for group in groups_of(name) for field in GROUPS[group]}
-    policy = {field: v for field, v in fields.items() if hasattr(published().policy, field)}
+    fields = {
+        field: values[field] for group in groups_of(name) for field in GROUPS[group]
+    }
+    policy = {
+        field: v for field, v in fields.items() if hasattr(published().policy, field)
+    }
     algorithm = {field: v for field, v in fields.items() if field not in policy}
     interim = {"every_steps": steps // 20}
     parts = {"policy": policy, "algorithm": algorithm, "interim": interim}
@@ -91,7 +99,10 @@ def study_of(name: str, steps: int, seeds: Sequence[int]) -> StudyConfig:
         seeds=tuple(seeds),
         overrides={
             "total_steps": steps,
-            **{part: {**study.overrides.get(part, {}), **each} for part, each in parts.items()},
+            **{
+                part: {**study.overrides.get(part, {}), **each}
+                for part, each in parts.items()
+            },
         },
         evaluations=(),
     )
@@ -112,8 +123,14 @@ def outcome(folder: RunFolder) -> dict[str, Any]:
     first = float(log[-1]["step"]) * (1 - EVALUATIONS / 20)
     training = [row for row in log if float(row["step"]) > first]
     return {
-        **{name: _mean(evaluations, name) for name in ("success", "accuracy", "return_mean")},
-        **{f"training_{name}": _mean(training, name) for name in ("success", "return_mean")},
+        **{
+            name: _mean(evaluations, name)
+            for name in ("success", "accuracy", "return_mean")
+        },
+        **{
+            f"training_{name}": _mean(training, name)
+            for name in ("success", "return_mean")
+        },
         "entropy": _mean(training, "entropy"),
     }
 
@@ -125,7 +142,9 @@ def _mean(rows: list[dict[str, str]], name: str) -> float:
 
 def name_of(groups: Collection[str]) -> str:
     """Return the name of a set of changes, whatever their order: what it has, or what it lacks."""
-    named, missing = ([g for g in GROUPS if (g in groups) == there] for there in (True, False))
+    named, missing = (
+        [g for g in GROUPS if (g in groups) == there] for there in (True, False)
+    )
     if len(named) > len(missing):
         return f"without-{'_'.join(missing)}" if missing else "all"
     return "_".join(named) or "none"
@@ -140,7 +159,9 @@ def groups_of(name: str) -> tuple[str, ...]:
         return tuple(GROUPS) if name == "all" else ()
     named = name.removeprefix("without-").split("_")
     if not set(named) <= set(GROUPS):
-        raise ValueError(f"no set of changes is named {name!r}; changes: {', '.join(GROUPS)}")
+        raise ValueError(
+            f"no set of changes is named {name!r}; changes: {', '.join(GROUPS)}"
+        )
     lacks = name.startswith("without-")
     return tuple(group for group in GROUPS if (group in named) != lacks)
 
@@ -163,7 +184,9 @@ def pack(runs: Path, out: Path) -> None:
         study = study_of(name, steps, seeds)
         for config in study.runs():
             if not is_trained(RunFolder(run_path(folder, config)), config):
-                raise SystemExit(f"{run_path(folder, config)} is not done: finish or remove it.")
+                raise SystemExit(
+                    f"{run_path(folder, config)} is not done: finish or remove it."
+                )
         write_study(study, folder)
         out.mkdir(parents=True, exist_ok=True)
         pack_study(folder, out / f"{steps}-{name}{SUFFIX}", leave_out=["policies"])

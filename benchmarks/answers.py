@@ -59,7 +59,9 @@ def network_of(trained: TrainedAgent) -> GroundingNetwork:
     return trained.network
 
 
-def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Tensor) -> np.ndarray:
+def right_object(
+    trained: TrainedAgent, labels: LabelledImages, frames: torch.Tensor
+) -> np.ndarray:
     """Return whether the grasp points of frames (n, 9) are nearest to the wanted object's."""
     network = network_of(trained)
     position = frames[:, :3] * network.position_std + network.position_mean
@@ -90,7 +92,9 @@ def measure(
         frames = known(labels.images, labels.queries)
         return {"right": right_object(trained, labels, frames)}
     facets = network.spec.facets
-    answers = cast(Grounded, knows).answers(env, seed, facets, graph=graph, reasoning=reasoning)
+    answers = cast(Grounded, knows).answers(
+        env, seed, facets, graph=graph, reasoning=reasoning
+    )
     known = AnswerGrounding(network, answers)
     parts = zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True)
     seen = [known.see(images, known.of_rows(rows)) for images, rows in parts]
@@ -144,24 +148,45 @@ def doubted(
     score = noise + np.where(kept, apart / 2, -apart / 2)
     confidence = expit(apart * score + logit(kept[about].mean())).tolist()
     return graph_of(
-        facts, nodes=graph.entities, confidence=dict(zip(facts, confidence, strict=True))
+        facts,
+        nodes=graph.entities,
+        confidence=dict(zip(facts, confidence, strict=True)),
     )
 
 
 def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> None:
     """Write the curves of damaged graphs as CSV."""
-    columns = ["robot", "agent", "training_seed", "split", "kind", "share", "damage_seed"]
+    columns = [
+        "robot",
+        "agent",
+        "training_seed",
+        "split",
+        "kind",
+        "share",
+        "damage_seed",
+    ]
     rows = csv.writer(sys.stdout, lineterminator="\n")
     measured = ["right", "perfect_names", "sees_none"]
     rows.writerow([*columns, "reasoning", "repair", *measured, "confidence"])
-    graphs: dict[tuple[object, ...], KnowledgeGraph | None] = {}  # completing one takes seconds
+    graphs: dict[
+        tuple[object, ...], KnowledgeGraph | None
+    ] = {}  # completing one takes seconds
     for trained in runs:
         config = trained.config
         tasks = tasks_of(trained, arguments.splits, arguments.images)
         seeds, repairs = range(arguments.damage_seeds), arguments.repair or [None]
         aucs = [None, *arguments.confidence]
-        options = arguments.damage, arguments.shares, seeds, arguments.reasoning, repairs, aucs
-        for split, kind, share, seed, reasoning, repair, auc in product(tasks, *options):
+        options = (
+            arguments.damage,
+            arguments.shares,
+            seeds,
+            arguments.reasoning,
+            repairs,
+            aucs,
+        )
+        for split, kind, share, seed, reasoning, repair, auc in product(
+            tasks, *options
+        ):
             if share == 0 and seed > 0 and repair is None:  # nothing is drawn
                 continue
             damage = {"damage": kind, "share": share, "seed": seed, "repair": repair}
@@ -175,7 +200,10 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
             if key not in graphs:
                 known = Subject(env=env, config=config, graph=edited_graph(env))
                 graphs[key] = override(DamageTest(), damage).prepare(known).graph
-            graph, true = graphs[key], edited_graph(env) or read_known_graph(config.knows)
+            graph, true = (
+                graphs[key],
+                edited_graph(env) or read_known_graph(config.knows),
+            )
             if auc is not None:
                 assert graph is not None
                 assert true is not None
@@ -185,8 +213,18 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
                 f"{found[name].mean():.4f}" if name in found else ""
                 for name in ("right", "perfect", "sees_none")
             ]
-            facts = [config.env.robot, config.agent, config.seed, split, kind, share, seed]
-            rows.writerow([*facts, reasoning, repair or "", *shares, "" if auc is None else auc])
+            facts = [
+                config.env.robot,
+                config.agent,
+                config.seed,
+                split,
+                kind,
+                share,
+                seed,
+            ]
+            rows.writerow(
+                [*facts, reasoning, repair or "", *shares, "" if auc is None else auc]
+            )
             sys.stdout.flush()
 
 
@@ -198,27 +236,44 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=500)
     parser.add_argument("--reasoning", nargs="+", default=["vector", "graph"])
     kinds = get_args(Damage)
-    parser.add_argument("--damage", nargs="*", choices=kinds, help="kinds; none given: all")
+    parser.add_argument(
+        "--damage", nargs="*", choices=kinds, help="kinds; none given: all"
+    )
     parser.add_argument("--shares", type=float, nargs="+", default=SHARES)
-    parser.add_argument("--graph", help="another graph, asked all that it can be asked (S1)")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the images")
+    parser.add_argument(
+        "--graph", help="another graph, asked all that it can be asked (S1)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[0], help="of the images"
+    )
     parser.add_argument("--damage-seeds", type=int, default=5)
     parser.add_argument("--repair", nargs="+", choices=sorted(MODELS))
-    parser.add_argument("--confidence", type=float, nargs="+", default=[], help="AUC, .5 to 1")
+    parser.add_argument(
+        "--confidence", type=float, nargs="+", default=[], help="AUC, .5 to 1"
+    )
     arguments = parser.parse_args()
     runs = [load_agent(run) for run in arguments.runs]
     if arguments.graph is not None:
         arguments.splits = ["S1"]
-        runs = [replace(run, config=with_graph(run.config, arguments.graph)) for run in runs]
+        runs = [
+            replace(run, config=with_graph(run.config, arguments.graph)) for run in runs
+        ]
     if arguments.damage is not None:
         arguments.damage = arguments.damage or kinds
         write_curves(runs, arguments)
         return
     for trained, seed in product(runs, arguments.seeds):
-        for split, task in tasks_of(trained, arguments.splits, arguments.images, seed).items():
+        for split, task in tasks_of(
+            trained, arguments.splits, arguments.images, seed
+        ).items():
             for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
                 found = measure(trained, task, reasoning, edited_graph(task[0]))
-                run = (trained.config.name, trained.config.seed, f"episodes {seed}", split)
+                run = (
+                    trained.config.name,
+                    trained.config.seed,
+                    f"episodes {seed}",
+                    split,
+                )
                 print(*run, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
 
 

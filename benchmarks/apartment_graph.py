@@ -17,7 +17,14 @@ import numpy as np
 from benchmarks.triple_splits import Split, split_graph
 from knowarm.knowledge import KnowledgeGraph, graph_of, household
 
-INHERITED = ("isMadeOf", "hasShape", "usedFor", "graspedAt", "approachedFrom", "hasSize")
+INHERITED = (
+    "isMadeOf",
+    "hasShape",
+    "usedFor",
+    "graspedAt",
+    "approachedFrom",
+    "hasSize",
+)
 PEOPLE = ("ana", "ben", "chen", "dora", "emil", "fay")
 
 
@@ -28,7 +35,9 @@ def apartment_graph(instances: int = 5, seed: int = 0) -> KnowledgeGraph:
     by_kind: dict[str, list[tuple[str, str]]] = {}
     for head, relation, tail in base:
         by_kind.setdefault(head, []).append((relation, tail))
-    kinds = sorted(k for k, facts in by_kind.items() if any(r == "hasColor" for r, _ in facts))
+    kinds = sorted(
+        k for k, facts in by_kind.items() if any(r == "hasColor" for r, _ in facts)
+    )
     triples = list(base)
     for i, person in enumerate(PEOPLE):
         triples.append((person, "isA", "person"))
@@ -52,7 +61,9 @@ def apartment_graph(instances: int = 5, seed: int = 0) -> KnowledgeGraph:
                 (place, "holds", thing),
             ]
             triples += [
-                (thing, relation, tail) for relation, tail in facts if relation in INHERITED
+                (thing, relation, tail)
+                for relation, tail in facts
+                if relation in INHERITED
             ]
             placed.setdefault(place, []).append(thing)
     for place, things in sorted(placed.items()):
@@ -68,10 +79,15 @@ def write_openke(split: Split, folder: Path) -> None:
     """Write the folder that `read_split` reads."""
 
     def write(name: str, lines: list[str]) -> None:
-        (folder / f"{name}2id.txt").write_text("\n".join([str(len(lines)), *lines]) + "\n")
+        (folder / f"{name}2id.txt").write_text(
+            "\n".join([str(len(lines)), *lines]) + "\n"
+        )
 
     folder.mkdir(parents=True, exist_ok=True)
-    for kind, names in (("entity", split.graph.names), ("relation", split.graph.relation_names)):
+    for kind, names in (
+        ("entity", split.graph.names),
+        ("relation", split.graph.relation_names),
+    ):
         write(kind, [f"{name}\t{i}" for i, name in enumerate(names)])
     for part in ("train", "valid", "test"):
         write(part, [f"{h} {t} {r}" for h, r, t in getattr(split, part).tolist()])

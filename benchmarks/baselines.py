@@ -80,7 +80,9 @@ class Coarse(BaseFeaturesExtractor):
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Compute the features, (B, 800 + J)."""
-        return torch.cat([self.image(observations["image"]), observations["joint_targets"]], 1)
+        return torch.cat(
+            [self.image(observations["image"]), observations["joint_targets"]], 1
+        )
 
 
 class Continuous(VectorWrapper):
@@ -94,11 +96,16 @@ class Continuous(VectorWrapper):
         self._arm = env
         n, joints = env.num_envs, env.scene.num_joints
         self._increments = joint_increments(env.scene.robot, env.config)
-        targets = [spaces.Box(-np.inf, np.inf, (*each, joints), np.float32) for each in ((), (n,))]
+        targets = [
+            spaces.Box(-np.inf, np.inf, (*each, joints), np.float32)
+            for each in ((), (n,))
+        ]
         self.single_observation_space, self.observation_space = (
             spaces.Dict({"image": image, "joint_targets": space})
             for image, space in zip(
-                (env.single_observation_space, env.observation_space), targets, strict=True
+                (env.single_observation_space, env.observation_space),
+                targets,
+                strict=True,
             )
         )
         self.single_action_space = spaces.Box(-1, 1, (joints,), np.float32)
@@ -119,13 +126,18 @@ class Continuous(VectorWrapper):
         if "final_obs" in infos:
             final = infos["final_obs"].copy()
             for i in np.flatnonzero(infos["_final_obs"]):
-                final[i] = {"image": final[i], "joint_targets": reached[i].astype(np.float32)}
+                final[i] = {
+                    "image": final[i],
+                    "joint_targets": reached[i].astype(np.float32),
+                }
             infos = infos | {"final_obs": final}
         seen = self._observe(images, self._arm.joint_targets)
         return seen, SAC_REWARD_SCALE * rewards, terminated, truncated, infos
 
     @staticmethod
-    def _observe(images: NDArray[np.uint8], targets: NDArray[np.float64]) -> dict[str, Any]:
+    def _observe(
+        images: NDArray[np.uint8], targets: NDArray[np.float64]
+    ) -> dict[str, Any]:
         return {"image": images, "joint_targets": targets.astype(np.float32)}
 
 
@@ -138,11 +150,16 @@ class Progress(BaseCallback):
         self._ends: list[bool] = []
 
     def _on_step(self) -> bool:
-        self._ends += [info["is_success"] for info in self.locals["infos"] if "is_success" in info]
+        self._ends += [
+            info["is_success"] for info in self.locals["infos"] if "is_success" in info
+        ]
         spent = time.process_time() - self._begin
         if spent > self._next and self._ends:
             share = np.mean(self._ends[-500:])
-            print(f"{self.num_timesteps:8,} steps, {spent:4.0f} s: {share:.3f}", flush=True)
+            print(
+                f"{self.num_timesteps:8,} steps, {spent:4.0f} s: {share:.3f}",
+                flush=True,
+            )
             self._next = spent + 10
         return True
 
@@ -150,7 +167,9 @@ class Progress(BaseCallback):
 def recurrent_ppo(cell: Cell, seed: int, out: Path) -> None:
     """Train sb3-contrib's recurrent PPO on images, with the settings of KnowArm's `PPOConfig`."""
     arm = ArmVectorEnv(cell.env, 128, num_threads=1)
-    env = SB3VecEnv(TransformReward(arm, lambda rewards: PPO_REWARD_SCALE * rewards), seed=seed)
+    env = SB3VecEnv(
+        TransformReward(arm, lambda rewards: PPO_REWARD_SCALE * rewards), seed=seed
+    )
     model = RecurrentPPO(
         "CnnLstmPolicy",
         env,
@@ -204,7 +223,9 @@ class Cloned(nn.Module):
         super().__init__()
         self.image = convolutions()
         self.head = nn.Sequential(
-            nn.Linear(512 + joints, 256), nn.ReLU(), nn.Linear(256, joints * len(LEVELS))
+            nn.Linear(512 + joints, 256),
+            nn.ReLU(),
+            nn.Linear(256, joints * len(LEVELS)),
         )
 
     def forward(self, image: torch.Tensor, joint_targets: torch.Tensor) -> torch.Tensor:
@@ -229,10 +250,14 @@ class Disturbed:
         """Return actions (n, J)."""
         self.labels = self._oracle.act(observations)
         random = self._rng.integers(len(LEVELS), size=self.labels.shape)
-        return np.where(self._rng.random((len(random), 1)) < self._share, random, self.labels)
+        return np.where(
+            self._rng.random((len(random), 1)) < self._share, random, self.labels
+        )
 
 
-def demonstrations(config: EnvConfig, count: int, seed: int) -> tuple[torch.Tensor, ...]:
+def demonstrations(
+    config: EnvConfig, count: int, seed: int
+) -> tuple[torch.Tensor, ...]:
     """Play training episodes; return images, joint targets and the oracle's actions."""
     env = ArmVectorEnv(config, 100, num_threads=1)
     agent = Disturbed(env, seed)
@@ -243,7 +268,9 @@ def demonstrations(config: EnvConfig, count: int, seed: int) -> tuple[torch.Tens
         seen = None
         for moment in play_steps(agent, env, draw_episodes(config, streams, numbers)):
             if seen is not None:
-                rows.append(tuple(each[moment.played] for each in (*seen, agent.labels)))
+                rows.append(
+                    tuple(each[moment.played] for each in (*seen, agent.labels))
+                )
             seen = moment.images.copy(), env.joint_targets
     images, targets, labels = map(np.concatenate, zip(*rows, strict=True))
     return tuple(map(torch.from_numpy, (images, targets.astype(np.float32), labels)))
@@ -272,14 +299,18 @@ def cloning(cell: Cell, seed: int, out: Path) -> None:
             print(f"{len(images):,} images, loss {loss.item():.3f}", flush=True)
     path = out / f"cloning-{cell.name}-{seed}.onnx"
     example = images[:2], targets[:2]
-    export_onnx(model, example, path, inputs=("image", "joint_targets"), outputs=("logits",))
+    export_onnx(
+        model, example, path, inputs=("image", "joint_targets"), outputs=("logits",)
+    )
     declare(path)
 
 
 def declare(path: Path) -> None:
     """Store in an ONNX file how it was trained."""
     model = onnx.load(path)
-    training = f"{DEMONSTRATIONS:,} episodes of the oracle, which reads the simulator's state"
+    training = (
+        f"{DEMONSTRATIONS:,} episodes of the oracle, which reads the simulator's state"
+    )
     onnx.helper.set_model_props(model, {"training": training})
     onnx.save(model, path)
 
@@ -304,7 +335,10 @@ def main() -> None:
     for seed in given.seeds:
         begin = time.process_time()
         METHODS[given.method](cell, seed, given.out)
-        print(f"{given.method} seed {seed}: {time.process_time() - begin:.0f} s", flush=True)
+        print(
+            f"{given.method} seed {seed}: {time.process_time() - begin:.0f} s",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

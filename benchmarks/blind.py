@@ -65,12 +65,19 @@ def rows_of_run(path: Path, episodes: int) -> list[dict]:
     trained = load_agent(path, seed=EvaluationConfig().seed)
     names = ["trained", *(name for name in BLIND_AGENTS if name not in SCRIPTED_AGENTS)]
     label = f"{trained.config.agent}, seed {trained.config.seed}"
-    rows = [{"robot": trained.config.env.robot, "agent": f"{label}: {name}"} for name in names]
+    rows = [
+        {"robot": trained.config.env.robot, "agent": f"{label}: {name}"}
+        for name in names
+    ]
     for thresholds in THRESHOLDS:
-        found = evaluate(trained, config=evaluation(episodes, thresholds), write=False).summary
+        found = evaluate(
+            trained, config=evaluation(episodes, thresholds), write=False
+        ).summary
         for row, name in zip(rows, names, strict=True):
             row |= cells(
-                found.interval("success", *(() if name == "trained" else ("blind", name))),
+                found.interval(
+                    "success", *(() if name == "trained" else ("blind", name))
+                ),
                 thresholds,
             )
     for row in rows:
@@ -87,7 +94,9 @@ def line(row: dict) -> str:
     """Format a row in Markdown, in percent with the 95 % interval."""
     values = list(row.values())
     shares = [values[i : i + 3] for i in range(2, len(values), 3)]
-    texts = [f"{100 * s:.1f} [{100 * low:.1f}, {100 * high:.1f}]" for s, low, high in shares]
+    texts = [
+        f"{100 * s:.1f} [{100 * low:.1f}, {100 * high:.1f}]" for s, low, high in shares
+    ]
     return f"| {' | '.join([row['robot'], row['agent'], *texts])} |"
 
 
@@ -99,7 +108,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     rows = []
-    print("| robot | agent | success %, 10 cm and 17 deg | success %, 5 cm and 15 deg |")
+    print(
+        "| robot | agent | success %, 10 cm and 17 deg | success %, 5 cm and 15 deg |"
+    )
     print("|---" * 4 + "|")
     for path in arguments.runs:
         rows += rows_of_run(path, arguments.episodes)

@@ -90,7 +90,9 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
         "success": success,
         "ratio_vs_sb3": speed["ppo"] / speed["sb3"],
         "ratio_best_vs_sb3": max(speed[row["name"]] for row in learners) / speed["sb3"],
-        "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"] if config.opengl else None,
+        "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"]
+        if config.opengl
+        else None,
     }
 
 
@@ -103,7 +105,9 @@ def sb3_environments(
     """Return the environment that Stable-Baselines3 learns from, with rewards scaled as ours."""
     threads = config.cores
     vector = ArmVectorEnv(env, ppo.num_envs, threads, observe=SHOWN, knowledge=table)
-    return SB3VecEnv(TransformReward(vector, lambda r: ppo.reward_scale * r), seed=config.seed)
+    return SB3VecEnv(
+        TransformReward(vector, lambda r: ppo.reward_scale * r), seed=config.seed
+    )
 
 
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
@@ -115,7 +119,9 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
         # A quarter of the rollout, which would take a minute; the cost per step is the same.
         ppo = replace(ppo, num_envs=config.opengl_envs, rollout_steps=100)
         env = single_environments(
-            replace(chosen.env, renderer="opengl"), parts.knowledge.table, config.opengl_envs
+            replace(chosen.env, renderer="opengl"),
+            parts.knowledge.table,
+            config.opengl_envs,
         )
     else:
         env = sb3_environments(config, chosen.env, parts.knowledge.table, ppo)
@@ -124,7 +130,11 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
     model.learn(10**9, callback=clock)
     env.close()
     (first_step, first_s), (last_step, last_s) = clock.marks[1], clock.marks[-1]
-    where = "single environments, MuJoCo's OpenGL" if opengl else "KnowArm's vector environment"
+    where = (
+        "single environments, MuJoCo's OpenGL"
+        if opengl
+        else "KnowArm's vector environment"
+    )
     return {
         "name": "sb3-opengl" if opengl else "sb3",
         "what": f"sb3-contrib, RecurrentPPO, {where}",
@@ -143,7 +153,9 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     callback = SuccessCallback(chosen.env, parts.knowledge.table, config.success_steps)
     model.learn(10**9, callback=callback)
-    return callback.clock.row("sb3", "sb3-contrib, RecurrentPPO, KnowArm's vector environment")
+    return callback.clock.row(
+        "sb3", "sb3-contrib, RecurrentPPO, KnowArm's vector environment"
+    )
 
 
 class SB3Agent:
@@ -214,10 +226,14 @@ class PaperFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         """(N, 3, H, W) scaled to 0..1 and (N, K) -> (N, features + K)."""
-        return torch.cat((self.image(observations["image"]), observations["knowledge"]), 1)
+        return torch.cat(
+            (self.image(observations["image"]), observations["knowledge"]), 1
+        )
 
 
-def recurrent_ppo(policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int) -> RecurrentPPO:
+def recurrent_ppo(
+    policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int
+) -> RecurrentPPO:
     """Build RecurrentPPO with KnowArm's network, epochs and minibatches.
 
     One LSTM serves actor and critic, and the heads are single layers, as in KnowArm.
@@ -274,7 +290,9 @@ class RolloutClock(BaseCallback):
         self.marks.append((self.num_timesteps, time.perf_counter()))
 
     def _on_step(self) -> bool:
-        return len(self.marks) < 3 or self.marks[-1][1] - self.marks[1][1] < self._seconds
+        return (
+            len(self.marks) < 3 or self.marks[-1][1] - self.marks[1][1] < self._seconds
+        )
 
 
 def parameter_count(model: Any) -> int:

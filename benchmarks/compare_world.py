@@ -76,7 +76,9 @@ def compare_world(config: CompareWorldConfig) -> dict[str, Any]:
             theirs = measure(task, config)
             row |= {f"{name}_{key}": value for key, value in theirs._asdict().items()}
             row[f"ratio_vs_{name}"] = row["steps_per_s"] / theirs.steps_per_s
-            row[f"cpu_ratio_vs_{name}"] = row["steps_per_cpu_s"] / theirs.steps_per_cpu_s
+            row[f"cpu_ratio_vs_{name}"] = (
+                row["steps_per_cpu_s"] / theirs.steps_per_cpu_s
+            )
 
     # The others are measured right after KnowArm's row, under the same load of the machine.
     return bench_world(config, on_row=add_others)
@@ -103,7 +105,8 @@ def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
         "task": config.task,
     }
     env = AsyncVectorEnv(
-        [lambda: gymnasium.make(gym_id, disable_env_checker=True, **options)] * bench.workers,
+        [lambda: gymnasium.make(gym_id, disable_env_checker=True, **options)]
+        * bench.workers,
         autoreset_mode=AutoresetMode.SAME_STEP,
         context="spawn",
     )
@@ -212,9 +215,9 @@ class MjWarpRenderer:
             self._mjw.refit_bvh(self._model, self._data, self._context)
             self._mjw.render(self._model, self._data, self._context)
         packed = self._packed[:count].reshape(count, self._size, self._size)
-        return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1).astype(
-            np.uint8
-        )
+        return np.stack(
+            [packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1
+        ).astype(np.uint8)
 
 
 def main() -> None:
@@ -223,7 +226,9 @@ def main() -> None:
     result = compare_world(config)
     # CPU times are in the JSON only.
     rows = [{k: v for k, v in row.items() if "cpu" not in k} for row in result["rows"]]
-    title = f"Environment steps/s with images, {config.workers} threads or processes each"
+    title = (
+        f"Environment steps/s with images, {config.workers} threads or processes each"
+    )
     print_table(title, list(rows[0]), [list(row.values()) for row in rows])
     write_json_table(config.json, result)
 

@@ -79,7 +79,11 @@ class ClockedRobot(RobotNode):
         self.executor_.add_node(self.node)
         topic = self._topics.positions or self._topics.trajectory
         self._spin_until(
-            lambda: self.node.count_publishers(topic) == self.node.count_subscribers(topic) == 1
+            lambda: (
+                self.node.count_publishers(topic)
+                == self.node.count_subscribers(topic)
+                == 1
+            )
         )
         solved = self.play(episode, periods)
         self.executor_.remove_node(self.node)
@@ -98,7 +102,9 @@ class ClockedRobot(RobotNode):
         self._spin_until(lambda: driver.images == driver.states == seen)
         if not driver.end:
             self._clock.publish(Clock(clock=self.now()))
-            self._spin_until(lambda: self.node.get_clock().now().nanoseconds == self._now)
+            self._spin_until(
+                lambda: self.node.get_clock().now().nanoseconds == self._now
+            )
             timer = next(iter(self.node.timers))
             self._spin_until(lambda: not timer.is_ready())
             self._spin_until(lambda: self.commands == driver.steps)
@@ -128,7 +134,9 @@ def by_ros(
         episode = episodes[number : number + 1]
         robot.running.reset(None, {"episodes": episode})
         row = rows[int(robot.running.knowledge_input[0]) if len(rows) > 1 else 0]
-        driver = Watched(parts.runner(), partial(tcp_position, parts.scene), safety, row)
+        driver = Watched(
+            parts.runner(), partial(tcp_position, parts.scene), safety, row
+        )
         solved.append(robot.play_with(driver, episode, periods))
         ends += [] if solved[-1] else [driver.status]
     robot.executor_.shutdown()
@@ -182,8 +190,14 @@ def main() -> None:
         server.close()
         add("served", theirs.success, same_joints=same(theirs, ours))
     for delay_s in arguments.delays:
-        solved, ends = by_ros(config, parts, episodes, delay_s, arguments.joint_map, **topics)
-        add(f"ROS 2, {1000 * delay_s:.0f} ms", solved, failed=dict(Counter(ends).most_common(3)))
+        solved, ends = by_ros(
+            config, parts, episodes, delay_s, arguments.joint_map, **topics
+        )
+        add(
+            f"ROS 2, {1000 * delay_s:.0f} ms",
+            solved,
+            failed=dict(Counter(ends).most_common(3)),
+        )
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
 

@@ -36,7 +36,9 @@ def measure(algorithm: str, device: str, steps: int, seed: int) -> dict[str, Any
             interim={"every_steps": max(1, steps // EVALUATIONS)},
         ).folder
         seconds = time.perf_counter() - start
-        speeds = sorted(float(row["steps_per_s"]) for row in read_csv(folder.metrics_path))
+        speeds = sorted(
+            float(row["steps_per_s"]) for row in read_csv(folder.metrics_path)
+        )
         evaluations = read_csv(folder.evaluations_path)
     return {
         "algorithm": algorithm,

@@ -34,10 +34,14 @@ def errors(network: GroundingNetwork, labels: LabelledImages) -> str:
     """Describe the errors of the frames at the true places."""
     places = place_of(labels.pixels, network.spec.image_size)
     parts = zip(labels.images.split(BATCH), places.split(BATCH), strict=True)
-    frames = torch.cat([network.frames(network.encoder.features(i), p) for i, p in parts])
+    frames = torch.cat(
+        [network.frames(network.encoder.features(i), p) for i, p in parts]
+    )
     position = frames[..., :3] * network.position_std + network.position_mean
     distance = 100 * (position - labels.grasp_position).norm(dim=-1).flatten()
-    axes = zip(frames[..., 3:].split(3, -1), labels.grasp_axes.split(3, -1), strict=True)
+    axes = zip(
+        frames[..., 3:].split(3, -1), labels.grasp_axes.split(3, -1), strict=True
+    )
     cosines = [torch.cosine_similarity(*pair, dim=-1).flatten() for pair in axes]
     angle = torch.stack(cosines).amin(0).clamp(-1, 1).acos().rad2deg()
     within = ((distance < 5) & (angle < 15)).float().mean()
@@ -60,7 +64,9 @@ def main() -> None:
     if trained.network is None:
         raise SystemExit("Give a run with a grounding network.")
     seed, env = trained.config.seed, trained.config.env
-    config = replace(cast(Grounded, trained.config.knows).grounding, images=arguments.images)
+    config = replace(
+        cast(Grounded, trained.config.knows).grounding, images=arguments.images
+    )
     made = train_frame_head(trained.network, env, config, seed=seed, report=print)
     assert made is not None
     with torch_threads(1):

@@ -62,7 +62,9 @@ def predicted(policy: Policy, starts: Starts, rows: Tensor) -> Tensor:
     """Predict where the wanted objects of ``rows`` stand, (N, 2), by the head of the actor."""
     start = torch.ones(len(rows), dtype=torch.bool)
     state = policy.initial_state(len(rows))
-    return policy.step(starts.image[rows], starts.knowledge[rows], state, start)[0].squeeze(2)
+    return policy.step(starts.image[rows], starts.knowledge[rows], state, start)[
+        0
+    ].squeeze(2)
 
 
 @torch.no_grad()
@@ -93,10 +95,14 @@ def main() -> None:
     """Train a network per seed and fusion and print the share found in new images."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fusions", nargs="+", default=FUSED, choices=FUSED)
-    parser.add_argument("--experiment", default="irb120-choose-subgraph-before-lstm-fast")
+    parser.add_argument(
+        "--experiment", default="irb120-choose-subgraph-before-lstm-fast"
+    )
     parser.add_argument("--images", type=int, default=20_000)
     parser.add_argument("--epochs", type=int, default=8)
-    parser.add_argument("--size", type=int, default=64, help="height and width of images [px]")
+    parser.add_argument(
+        "--size", type=int, default=64, help="height and width of images [px]"
+    )
     parser.add_argument("--pairs", default="colour", choices=["none", "colour", "all"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, help="CSV of all shares")
@@ -108,9 +114,13 @@ def main() -> None:
     found = []
     for seed in arguments.seeds:
         parts = build(replace(config, env=env_config, seed=seed))
-        shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
+        shape = replace(
+            parts.policy_shape, joints=2, levels=1
+        )  # x and y instead of actions
         env = ArmVectorEnv(env_config, 512, 1)
-        starts = draw_starts(env, parts.knowledge.table, arguments.images + TEST_IMAGES, seed)
+        starts = draw_starts(
+            env, parts.knowledge.table, arguments.images + TEST_IMAGES, seed
+        )
         for fusion in arguments.fusions:
             policy_config = PolicyConfig(
                 fusion=fusion, hidden="fixed", pixel_shift=0.5, pixel_scale=4.0
@@ -118,7 +128,10 @@ def main() -> None:
             policy = Policy(policy_config, shape, seed=seed)
             generator = torch.Generator().manual_seed(seed)
             share = train(policy, starts, arguments.images, arguments.epochs, generator)
-            print(f"{fusion}, seed {seed}: right in new images {100 * share:.1f} %", flush=True)
+            print(
+                f"{fusion}, seed {seed}: right in new images {100 * share:.1f} %",
+                flush=True,
+            )
             budget = f"{arguments.images},{arguments.epochs}"
             found.append(f"{budget},{fusion},{seed},{100 * share:.1f}")
             if arguments.out is not None:

@@ -84,13 +84,19 @@ def main() -> None:
             for number, split in enumerate(("S1", "S2", "S3", "S4", "S5"), 1):
                 env = with_split(config.env, split)
                 labels = sample_images(
-                    env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
+                    env,
+                    network.spec,
+                    arguments.test_images,
+                    derive_seed(0, "perception", number),
                 )
                 graph = env.task.asked.edited_graph(facets_of(env))
                 described = knows.known(env, seed, graph=graph, trained=config.env)
                 known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")
-            print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
+            print(
+                f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -16,7 +16,9 @@ def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
         cov = gaussian_filter(x * y, 1.5) - mean_x * mean_y
         c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
         score = (2 * mean_x * mean_y + c1) * (2 * cov + c2)
-        values.append((score / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))).mean())
+        values.append(
+            (score / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))).mean()
+        )
     return float(np.mean(values))
 
 

@@ -15,16 +15,27 @@ from benchmarks.time_to_success import SUCCESS
 from knowarm.cli.tables import print_table
 from knowarm.experiment.summary import Summary
 
-COLUMNS = ("run", "steps to 80 %", "seconds", "steps", "all seconds", "last %", "success %")
+COLUMNS = (
+    "run",
+    "steps to 80 %",
+    "seconds",
+    "steps",
+    "all seconds",
+    "last %",
+    "success %",
+)
 
 
 def row_of(run: Path) -> dict[str, Any]:
     """Return the figures of one run folder, by column; None where it has none."""
     evaluations, metrics = (
-        list(csv.DictReader((run / name).open())) for name in ("evaluations.csv", "metrics.csv")
+        list(csv.DictReader((run / name).open()))
+        for name in ("evaluations.csv", "metrics.csv")
     )
     seconds = {int(row["step"]): float(row["wall_time_s"]) for row in metrics}
-    reached = [int(row["step"]) for row in evaluations if float(row["success"]) >= SUCCESS]
+    reached = [
+        int(row["step"]) for row in evaluations if float(row["success"]) >= SUCCESS
+    ]
     first, last = min(reached, default=None), int(evaluations[-1]["step"])
     summary = run / "evaluation" / "post-training-greedy" / "summary.json"
     success = Summary.read(summary.parent)["success"] if summary.exists() else None

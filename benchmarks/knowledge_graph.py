@@ -38,17 +38,32 @@ def write_random_graph(path: Path, triples: int, seed: int = 0) -> None:
     to_hub = generator.random(triples) < 0.05
     tails[to_hub] = generator.integers(hubs, size=to_hub.sum())
     relations = generator.integers(RELATIONS, size=triples)
-    name, relation = "http://example.org/home/thing/{:08d}", "http://example.org/home/rel/{:02d}"
+    name, relation = (
+        "http://example.org/home/thing/{:08d}",
+        "http://example.org/home/rel/{:02d}",
+    )
     with path.open("w") as file:
-        for h, r, t in zip(heads.tolist(), relations.tolist(), tails.tolist(), strict=True):
-            file.write(f"<{name.format(h)}> <{relation.format(r)}> <{name.format(t)}> .\n")
+        for h, r, t in zip(
+            heads.tolist(), relations.tolist(), tails.tolist(), strict=True
+        ):
+            file.write(
+                f"<{name.format(h)}> <{relation.format(r)}> <{name.format(t)}> .\n"
+            )
 
 
 def own_bytes(graph: KnowledgeGraph) -> int:
     """Count the bytes held by triples and names."""
-    arrays = (graph.heads, graph.relations, graph.tails, graph.by_tail, graph.tails_sorted)
+    arrays = (
+        graph.heads,
+        graph.relations,
+        graph.tails,
+        graph.by_tail,
+        graph.tails_sorted,
+    )
     tables = (graph.names, graph.relation_names)
-    names = sum(sys.getsizeof(table) + sum(map(sys.getsizeof, table)) for table in tables)
+    names = sum(
+        sys.getsizeof(table) + sum(map(sys.getsizeof, table)) for table in tables
+    )
     return sum(a.nbytes for a in arrays) + graph.nodes.nbytes + names
 
 
@@ -68,7 +83,10 @@ def measure(path: Path) -> dict[str, float]:
     degree = np.bincount(graph.tails, minlength=len(graph.names))
     hubs = [graph.names[i] for i in np.argsort(-degree)[: QUERIES // 20]]
     values = {"triples": len(graph), "load_s": load, "load_cpu_s": load_cpu}
-    values |= {"triples_per_s": len(graph) / load, "triples_per_cpu_s": len(graph) / load_cpu}
+    values |= {
+        "triples_per_s": len(graph) / load,
+        "triples_per_cpu_s": len(graph) / load_cpu,
+    }
     values |= {"own_bytes_per_triple": own / len(graph)}
     values |= {"rss_bytes_per_triple": held / len(graph)}
     rows: list[tuple[str, list[str], Direction]] = [
@@ -107,7 +125,9 @@ def main() -> None:
             path.unlink()
     sizes = [f"{row['triples']:,} triples" for row in rows]
     print_table(
-        "Graph store", ["measure", *sizes], [[k, *(row[k] for row in rows)] for k in rows[0]]
+        "Graph store",
+        ["measure", *sizes],
+        [[k, *(row[k] for row in rows)] for k in rows[0]],
     )
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)

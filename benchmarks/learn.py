@@ -29,7 +29,11 @@ from knowarm.learn.algorithms import MinibatchConfig
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
 
-PPOS = [name for name, entry in ALGORITHMS.items() if isinstance(entry.config, MinibatchConfig)]
+PPOS = [
+    name
+    for name, entry in ALGORITHMS.items()
+    if isinstance(entry.config, MinibatchConfig)
+]
 """Algorithms that learn from minibatches: configurations of PPO, and imitation."""
 
 PPO, A3C = PPOConfig().name, A3CConfig().name
@@ -79,11 +83,15 @@ class LearnBenchConfig:
         if self.turns < 1:
             raise UserError(f"turns must be at least 1, got {self.turns}.")
         if self.success_steps < 0:
-            raise UserError(f"success_steps must be 0 or more, got {self.success_steps}.")
+            raise UserError(
+                f"success_steps must be 0 or more, got {self.success_steps}."
+            )
 
     def ppo(self, name: str = PPO) -> MinibatchConfig:
         """Return the settings of a registered algorithm."""
-        return replace(cast(MinibatchConfig, ALGORITHMS[name].config), processes=self.cores)
+        return replace(
+            cast(MinibatchConfig, ALGORITHMS[name].config), processes=self.cores
+        )
 
 
 def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
@@ -261,7 +269,9 @@ def a3c_rows(config: LearnBenchConfig) -> list[Row]:
     ]
 
 
-def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worker: int) -> Row:
+def a3c_row(
+    config: LearnBenchConfig, name: str, *, workers: int, envs_per_worker: int
+) -> Row:
     """Measure A3C with a number of worker processes and environments per worker."""
     chosen = experiment_config(config.experiment)
     parts = build(chosen)

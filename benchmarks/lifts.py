@@ -22,7 +22,12 @@ from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
 from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from knowarm.world.tasks.skills.ik import InverseKinematics
-from knowarm.world.tasks.skills.lift.probe import LiftTrial, build_trial_scene, lift, plan_lifts
+from knowarm.world.tasks.skills.lift.probe import (
+    LiftTrial,
+    build_trial_scene,
+    lift,
+    plan_lifts,
+)
 
 SEED = 7
 APPROACH_M, POSES = 0.12, 6  # Way to the grasp frame, and poses on it
@@ -31,7 +36,13 @@ SHOWN_S = (0.2, 0.6, 1.6, 2.6, 3.6, 5.6)  # Times of the film's frames
 
 def scene_of(robot: str, target: str) -> Scene:
     """Load the scene of the task in which a target is grasped, with this target alone."""
-    area = "purpose" if target in PARTS else "choose" if target in CHOOSE_TARGETS else "reach"
+    area = (
+        "purpose"
+        if target in PARTS
+        else "choose"
+        if target in CHOOSE_TARGETS
+        else "reach"
+    )
     return load_scene(robot, (target,), 0, area)
 
 
@@ -58,7 +69,9 @@ def row(robot: str, target: str, places: int) -> dict:
     offset = np.random.default_rng(SEED).uniform(-1, 1, (places, 2)) * half
     position = np.array(described.rectangle_centre_m) + offset
     paths, reached = straight_paths(scene, position)
-    lifts = lift(scene, list(paths), np.zeros((places, 1), dtype=np.int64), position[:, None])
+    lifts = lift(
+        scene, list(paths), np.zeros((places, 1), dtype=np.int64), position[:, None]
+    )
     return {
         "robot": robot,
         "target": target,
@@ -80,7 +93,11 @@ def film(robot: str, targets: list[str], path: Path) -> None:
         paths, _ = straight_paths(scene, position)
         trial = LiftTrial(build_trial_scene(scene.robot, scene.targets), 1)
         model = trial.simulator.scene.model
-        renderer, frames, data = mujoco.Renderer(model, 240, 240), [], mujoco.MjData(model)
+        renderer, frames, data = (
+            mujoco.Renderer(model, 240, 240),
+            [],
+            mujoco.MjData(model),
+        )
         camera = mujoco.MjvCamera()
         camera.lookat = target_places(scene, position)[0] + scene.grasp_position[0]
         camera.distance, camera.azimuth, camera.elevation = 0.6, 150, -20
@@ -101,7 +118,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="irb120")
     parser.add_argument("--targets", default=",".join(TARGETS))
-    parser.add_argument("--parts", action="store_true", help="the parts of the purpose task")
+    parser.add_argument(
+        "--parts", action="store_true", help="the parts of the purpose task"
+    )
     parser.add_argument("--places", type=int, default=20)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--film", type=Path)
@@ -117,7 +136,9 @@ def main() -> None:
         if given.json:
             given.json.write_text(json.dumps(rows, indent=1) + "\n")
     counted = [each for each in rows if not each["excluded"]]
-    lifted, places = (sum(each[name] for each in counted) for name in ("lifted", "places"))
+    lifted, places = (
+        sum(each[name] for each in counted) for name in ("lifted", "places")
+    )
     share = wilson(lifted, places)
     print(
         f"{given.robot}: {lifted} of {places} lifted, {100 * share.estimate:.1f} % "

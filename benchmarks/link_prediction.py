@@ -102,7 +102,9 @@ def theirs(name: str, split: Split, seed: int, epochs: int) -> dict[str, float]:
 
     def factory(triples: np.ndarray) -> CoreTriplesFactory:
         return CoreTriplesFactory(
-            torch.from_numpy(triples), num_entities=split.entities, num_relations=split.relations
+            torch.from_numpy(triples),
+            num_entities=split.entities,
+            num_relations=split.relations,
         )
 
     class AnalogyInteraction(Interaction):
@@ -110,7 +112,9 @@ def theirs(name: str, split: Split, seed: int, epochs: int) -> dict[str, float]:
 
         relation_shape = entity_shape = ("d",)
 
-        def forward(self, h: torch.Tensor, r: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        def forward(
+            self, h: torch.Tensor, r: torch.Tensor, t: torch.Tensor
+        ) -> torch.Tensor:
             pairs = h.shape[-1] // 4
             scalars = h.shape[-1] - 2 * pairs
             (hs, ha, hb), (rs, ra, rb), (ts, ta, tb) = (
@@ -155,7 +159,9 @@ def theirs(name: str, split: Split, seed: int, epochs: int) -> dict[str, float]:
 def main() -> None:
     MODELS.update(OWN_MODELS)
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--graph", type=Path, help="folder with its own split; leaves out PyKEEN")
+    parser.add_argument(
+        "--graph", type=Path, help="folder with its own split; leaves out PyKEEN"
+    )
     parser.add_argument("--models", nargs="+", default=list(MODELS))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--pykeen-epochs", type=int, default=2000)
@@ -168,7 +174,9 @@ def main() -> None:
     chosen = {name: value for name, value in vars(arguments).items() if name in options}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     split = (
-        split_graph(apartment_graph()) if arguments.graph is None else read_split(arguments.graph)
+        split_graph(apartment_graph())
+        if arguments.graph is None
+        else read_split(arguments.graph)
     )
     rows, values = [], []
     for name in arguments.models:
@@ -176,22 +184,36 @@ def main() -> None:
         seeds = range(arguments.seeds)
         sides = {"KnowArm": [ours(replace(config, seed=seed), split) for seed in seeds]}
         if arguments.graph is None and not arguments.skip_pykeen:
-            sides["PyKEEN"] = [theirs(name, split, seed, arguments.pykeen_epochs) for seed in seeds]
+            sides["PyKEEN"] = [
+                theirs(name, split, seed, arguments.pykeen_epochs) for seed in seeds
+            ]
         for side, runs in sides.items():
             mean = {key: float(np.mean([run[key] for run in runs])) for key in runs[0]}
             spread = float(np.ptp([run["mrr"] for run in runs]))
-            columns = [mean[key] for key in ("mrr", "hits_at_1", "hits_at_10", "seconds", "epochs")]
+            columns = [
+                mean[key]
+                for key in ("mrr", "hits_at_1", "hits_at_10", "seconds", "epochs")
+            ]
             rows.append([name, side, *columns, spread])
             values.append({"model": name, "side": side, **mean, "runs": runs})
             print(rows[-1], flush=True)
-    title = (
-        f"Link prediction: {split.graph}, {len(split.test)} test triples, {arguments.seeds} seeds"
-    )
-    headings = ["model", "library", "MRR", "Hits@1", "Hits@10", "seconds", "epochs", "MRR max-min"]
+    title = f"Link prediction: {split.graph}, {len(split.test)} test triples, {arguments.seeds} seeds"
+    headings = [
+        "model",
+        "library",
+        "MRR",
+        "Hits@1",
+        "Hits@10",
+        "seconds",
+        "epochs",
+        "MRR max-min",
+    ]
     print_table(title, headings, rows)
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(json.dumps({"title": title, "rows": values}, indent=2) + "\n")
+        arguments.json.write_text(
+            json.dumps({"title": title, "rows": values}, indent=2) + "\n"
+        )
 
 
 if __name__ == "__main__":

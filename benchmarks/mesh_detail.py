@@ -26,7 +26,9 @@ from knowarm.world.scene.scene import Scene, load_scene
 TARGETS = ("mug", "bottle", "cereal_box")
 
 
-def random_poses(scene: Scene, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def random_poses(
+    scene: Scene, count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw poses of all geoms with the joints uniform in their ranges."""
     rng = np.random.default_rng(0)
     data = mujoco.MjData(scene.model)
@@ -46,7 +48,12 @@ def compare(robot: str, states: int, side: int) -> dict[str, Any]:
     shown: dict[str, Any] = {}
     for name, size in (("full", None), ("simple", MESH_TRIANGLE_PX)):
         caster = Raycaster(
-            scene.model, scene.camera, side, side, antialiasing=True, mesh_triangle_px=size
+            scene.model,
+            scene.camera,
+            side,
+            side,
+            antialiasing=True,
+            mesh_triangle_px=size,
         )
         edges = Raycaster(scene.model, scene.camera, side, side, mesh_triangle_px=size)
         geom = edges.trace(*poses).geom
@@ -57,7 +64,9 @@ def compare(robot: str, states: int, side: int) -> dict[str, Any]:
         shown[name] = (
             caster.draw(*poses), (geom >= 0) & own[geom], int((span[:, 3] - span[:, 2]).sum())
         )  # fmt: skip
-    similar = [ssim(a, b) for a, b in zip(shown["full"][0], shown["simple"][0], strict=True)]
+    similar = [
+        ssim(a, b) for a, b in zip(shown["full"][0], shown["simple"][0], strict=True)
+    ]
     return {
         "robot": Path(robot).stem,
         "triangles": shown["full"][2],
@@ -79,9 +88,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     check_output(arguments.json)
-    rows = [compare(robot, arguments.states, arguments.side) for robot in arguments.robots]
+    rows = [
+        compare(robot, arguments.states, arguments.side) for robot in arguments.robots
+    ]
     envs = [
-        ArmVectorEnv(EnvConfig(robot=robot, image_size=arguments.side), arguments.num_envs, 1)
+        ArmVectorEnv(
+            EnvConfig(robot=robot, image_size=arguments.side), arguments.num_envs, 1
+        )
         for robot in arguments.robots
     ]
     speeds = np.array(
@@ -91,17 +104,23 @@ def main() -> None:
         ]
     )
     for row, speed, ratio in zip(
-        rows, np.median(speeds, axis=0), np.median(speeds / speeds[:, :1], axis=0), strict=True
+        rows,
+        np.median(speeds, axis=0),
+        np.median(speeds / speeds[:, :1], axis=0),
+        strict=True,
     ):
         row["steps_per_cpu_s"] = round(float(speed))
         row["of_first"] = float(ratio)
-    print_table("Simplified meshes", list(rows[0]), [list(row.values()) for row in rows])
+    print_table(
+        "Simplified meshes", list(rows[0]), [list(row.values()) for row in rows]
+    )
     write_json_table(
         arguments.json,
         {
             "rows": rows,
             "config": {
-                name: getattr(arguments, name) for name in ("states", "side", "turns", "num_envs")
+                name: getattr(arguments, name)
+                for name in ("states", "side", "turns", "num_envs")
             },
         },
     )

@@ -52,7 +52,9 @@ def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict
 
 def tracking_row(robot: str, dynamics: Dynamics, episodes: int) -> dict:
     """Measure the distance of joints from their targets after actions of a random agent [rad]."""
-    env = ArmVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
+    env = ArmVectorEnv(
+        EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes
+    )
     env.reset(options={"episodes": evaluation_episodes(env.config, episodes, SEED)})
     agent = RandomAgent(SEED)
     agent.reset(Batch.of(env))
@@ -85,7 +87,9 @@ def main() -> None:
             tracking.append(tracking_row(robot, dynamics, arguments.episodes))
             print(tracking[-1], flush=True)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"tasks": tasks, "tracking": tracking}, indent=2))
+        arguments.json.write_text(
+            json.dumps({"tasks": tasks, "tracking": tracking}, indent=2)
+        )
 
 
 if __name__ == "__main__":

@@ -49,10 +49,15 @@ class FineLift(Lift):
 def lift_row(robot: str, timestep_ms: float, episodes: int) -> dict[str, Any]:
     """Play the oracle of the lifting task."""
     env = ArmVectorEnv(
-        EnvConfig(robot=robot, task=Task(skill=FineLift().at(timestep_ms)), image_size=8), episodes
+        EnvConfig(
+            robot=robot, task=Task(skill=FineLift().at(timestep_ms)), image_size=8
+        ),
+        episodes,
     )
     assert env.scene.model.opt.timestep == timestep_ms / 1000
-    played = play(OracleAgent(env), env, evaluation_episodes(env.config, episodes, SEED))
+    played = play(
+        OracleAgent(env), env, evaluation_episodes(env.config, episodes, SEED)
+    )
     share = wilson(int(played.success.sum()), episodes)
     return {
         "robot": robot,
@@ -66,7 +71,9 @@ def lift_row(robot: str, timestep_ms: float, episodes: int) -> dict[str, Any]:
 def overlap_row(robot: str, episodes: int) -> dict[str, Any]:
     """Count the oracle's reaching episodes in which links of the arm overlap."""
     env = ArmVectorEnv(EnvConfig(robot=robot, image_size=8), episodes)
-    played = play(OracleAgent(env), env, evaluation_episodes(env.config, episodes, SEED))
+    played = play(
+        OracleAgent(env), env, evaluation_episodes(env.config, episodes, SEED)
+    )
     depth = overlaps(env.scene, played.steps.joint_positions)
     deep = np.unique(played.steps.episode[depth > OVERLAP_M])
     return {
@@ -81,10 +88,13 @@ def overlaps(scene: Scene, joints: np.ndarray) -> np.ndarray:
     """Return how deep links that are apart in the home pose overlap, (n,) [m], of angles (n, J)."""
     model = copy.copy(scene.model)
     of_robot = [
-        model.body(model.geom_bodyid[i]).name.startswith("robot/") for i in range(model.ngeom)
+        model.body(model.geom_bodyid[i]).name.startswith("robot/")
+        for i in range(model.ngeom)
     ]
     model.geom_contype[:] = model.geom_conaffinity[:] = np.array(of_robot, dtype=int)
-    model.body_contype[:] = model.body_conaffinity[:] = 1  # what the broad phase looks at
+    model.body_contype[:] = model.body_conaffinity[:] = (
+        1  # what the broad phase looks at
+    )
     data = mujoco.MjData(model)
 
     def depths(angles: np.ndarray) -> dict[tuple[int, int], float]:
@@ -95,13 +105,18 @@ def overlaps(scene: Scene, joints: np.ndarray) -> np.ndarray:
         found: dict[tuple[int, int], float] = {}
         for i in range(data.ncon):
             one, other = sorted(model.geom_bodyid[data.contact.geom[i]].tolist())
-            found[one, other] = max(found.get((one, other), 0.0), -float(data.contact.dist[i]))
+            found[one, other] = max(
+                found.get((one, other), 0.0), -float(data.contact.dist[i])
+            )
         return found
 
     touching = depths(scene.home).keys()
     return np.array(
         [
-            max((d for pair, d in depths(each).items() if pair not in touching), default=0.0)
+            max(
+                (d for pair, d in depths(each).items() if pair not in touching),
+                default=0.0,
+            )
             for each in joints
         ]
     )
@@ -119,16 +134,25 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=40)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    lifts = [lift_row(robot, ms, given.episodes) for robot in ROBOTS for ms in TIMESTEPS_MS]
+    lifts = [
+        lift_row(robot, ms, given.episodes) for robot in ROBOTS for ms in TIMESTEPS_MS
+    ]
     links = [overlap_row(robot, given.episodes) for robot in ROBOTS]
     cells = []
     for row in lifts:
         share, low, high = (100 * value for value in row["lifted"])
         lifted = f"{share:.1f} [{low:.1f}, {high:.1f}]"
         cells.append(
-            [row["robot"], f"{row['timestep_ms']:g} ms", lifted, f"{row['steps_mean']:.1f}"]
+            [
+                row["robot"],
+                f"{row['timestep_ms']:g} ms",
+                lifted,
+                f"{row['steps_mean']:.1f}",
+            ]
         )
-    print(table("Lifting, oracle", ["robot", "time step", "lifted [%]", "steps"], cells))
+    print(
+        table("Lifting, oracle", ["robot", "time step", "lifted [%]", "steps"], cells)
+    )
     cells = [
         [
             row["robot"],
@@ -139,11 +163,15 @@ def main() -> None:
     ]
     print(
         table(
-            "Links that overlap by 5 mm, reaching, oracle", ["robot", "episodes", "deepest"], cells
+            "Links that overlap by 5 mm, reaching, oracle",
+            ["robot", "episodes", "deepest"],
+            cells,
         )
     )
     if given.json:
-        given.json.write_text(json.dumps({"lifts": lifts, "overlaps": links}, indent=1) + "\n")
+        given.json.write_text(
+            json.dumps({"lifts": lifts, "overlaps": links}, indent=1) + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -31,7 +31,9 @@ COLUMNS = (
 )
 ROBOTS = ("irb120", "tiago")
 
-Batch = tuple[mujoco.MjModel, int, NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]
+Batch = tuple[
+    mujoco.MjModel, int, NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]
+]
 """Model, camera, geom positions, geom matrices and colours of n states."""
 
 
@@ -40,24 +42,35 @@ def robot_states(robot: str, count: int) -> Batch:
     scene = load_scene(robot, ("mug", "bottle", "cereal_box"))
     model, rng = scene.model, np.random.default_rng(0)
     data = mujoco.MjData(model)
-    centre, half = np.array(scene.robot.rectangle_centre_m), scene.robot.rectangle_half_size_m
+    centre, half = (
+        np.array(scene.robot.rectangle_centre_m),
+        scene.robot.rectangle_half_size_m,
+    )
     positions = np.empty((count, model.ngeom, 3))
     matrices = np.empty((count, model.ngeom, 9))
-    rgba = np.repeat(Raycaster(model, scene.camera, 4, 4).geom_rgba[None], count, axis=0)
+    rgba = np.repeat(
+        Raycaster(model, scene.camera, 4, 4).geom_rgba[None], count, axis=0
+    )
     for e in range(count):
         angles = scene.home + rng.uniform(-0.5, 0.5, scene.num_joints)
-        data.qpos[scene.qpos_index] = np.clip(angles, scene.joint_lower, scene.joint_upper)
+        data.qpos[scene.qpos_index] = np.clip(
+            angles, scene.joint_lower, scene.joint_upper
+        )
         data.mocap_pos[:, :2] = centre + half * rng.uniform(-1, 1, 2)
         data.mocap_pos[:, 2] = scene.robot.support_height_m
         mujoco.mj_kinematics(model, data)
         positions[e], matrices[e] = data.geom_xpos, data.geom_xmat
-        rgba[e, (scene.geom_target >= 0) & (scene.geom_target != rng.integers(3)), 3] = 0
+        rgba[
+            e, (scene.geom_target >= 0) & (scene.geom_target != rng.integers(3)), 3
+        ] = 0
     return model, scene.camera, positions, matrices, rgba
 
 
 def free_states(geoms: str, assets: str, bodies: int, count: int) -> Batch:
     """Draw states of free bodies of one geom each over a floor."""
-    body = f'<body><freejoint/><geom {geoms} mass="1" contype="0" conaffinity="0"/></body>'
+    body = (
+        f'<body><freejoint/><geom {geoms} mass="1" contype="0" conaffinity="0"/></body>'
+    )
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco><asset>{assets}</asset><worldbody>
       <camera pos="0 -1.5 1" xyaxes="1 0 0 0 .5 .85" fovy="45"/><geom type="plane" size="5 5 1"/>
@@ -72,7 +85,13 @@ def free_states(geoms: str, assets: str, bodies: int, count: int) -> Batch:
         poses[:, 3:] = rng.normal(size=(bodies, 4))
         mujoco.mj_kinematics(model, data)
         positions[e], matrices[e] = data.geom_xpos, data.geom_xmat
-    return model, 0, positions, matrices, np.repeat(model.geom_rgba[None], count, axis=0)
+    return (
+        model,
+        0,
+        positions,
+        matrices,
+        np.repeat(model.geom_rgba[None], count, axis=0),
+    )
 
 
 def ball(subdivisions: int) -> str:
@@ -92,7 +111,10 @@ def ball(subdivisions: int) -> str:
     faces = []
     for k in range(n):
         following = (k + 1) % n
-        faces += [(north, k, following), (south, (n - 2) * n + following, (n - 2) * n + k)]
+        faces += [
+            (north, k, following),
+            (south, (n - 2) * n + following, (n - 2) * n + k),
+        ]
         for j in range(n - 2):
             a, b = j * n + k, j * n + following
             faces += [(a, a + n, b + n), (a, b + n, b)]
@@ -124,7 +146,9 @@ def row(name: str, batch: Batch, side: int) -> dict[str, str | int | float]:
 def measure() -> list[dict[str, str | int | float]]:
     """Measure all rows of the table."""
     rows = [row(robot, robot_states(robot, 256), 64) for robot in ROBOTS]
-    rows += [row("irb120", robot_states("irb120", count), 64) for count in (1, 16, 4096)]
+    rows += [
+        row("irb120", robot_states("irb120", count), 64) for count in (1, 16, 4096)
+    ]
     rows += [row("irb120", robot_states("irb120", 64), side) for side in (32, 128, 256)]
     for bodies in (1, 10, 30, 100):
         batch = free_states('type="box" size=".05 .08 .03"', "", bodies, 64)
@@ -138,11 +162,15 @@ def measure() -> list[dict[str, str | int | float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, default=None, help="file to write the table to")
+    parser.add_argument(
+        "--json", type=Path, default=None, help="file to write the table to"
+    )
     arguments = parser.parse_args()
     check_output(arguments.json)
     rows = measure()
-    print_table("Ray caster, one thread", COLUMNS, [list(line.values()) for line in rows])
+    print_table(
+        "Ray caster, one thread", COLUMNS, [list(line.values()) for line in rows]
+    )
     write_json_table(arguments.json, {"rows": rows})
 
 

@@ -57,7 +57,9 @@ class LampRenderer(OpenGLRenderer):
         quality.shadowsize, quality.numslices, quality.numstacks = 512, 16, 16
         super().__init__(replace(scene, model=model), size)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = True
-        self._middle = np.array([*scene.robot.rectangle_centre_m, scene.robot.support_height_m])
+        self._middle = np.array(
+            [*scene.robot.rectangle_centre_m, scene.robot.support_height_m]
+        )
 
     def draw(
         self,
@@ -72,7 +74,9 @@ class LampRenderer(OpenGLRenderer):
         for i in range(len(geom_position)):
             direction = self._data.light_xdir[0] if lamps is None else -lamps[i, 3]
             self._data.light_xpos[0] = self._middle - LAMP_M * direction
-            looks = (None if each is None else each[i : i + 1] for each in (views, lamps))
+            looks = (
+                None if each is None else each[i : i + 1] for each in (views, lamps)
+            )
             poses = geom_position[i : i + 1], geom_matrix[i : i + 1]
             images.append(super().draw(*poses, geom_rgba[i : i + 1], *looks)[0])
         return np.stack(images)
@@ -106,11 +110,14 @@ def main() -> None:
             shares = [success(run, kind, given.episodes, given.seed) for run in runs]
             found = bootstrap(np.array(shares))
             interval = {"mean": found.estimate, "low": found.low, "high": found.high}
-            rows.append({"runs": str(folder), "images": kind, "seeds": shares, **interval})
+            rows.append(
+                {"runs": str(folder), "images": kind, "seeds": shares, **interval}
+            )
             mean, low, high = (100 * each for each in interval.values())
             each = ", ".join(f"{100 * share:.1f}" for share in shares)
             print(
-                f"| {folder} | {kind} | {mean:.1f} [{low:.1f}, {high:.1f}] | {each} |", flush=True
+                f"| {folder} | {kind} | {mean:.1f} [{low:.1f}, {high:.1f}] | {each} |",
+                flush=True,
             )
     if given.json:
         given.json.write_text(json.dumps(rows, indent=2) + "\n")

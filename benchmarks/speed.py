@@ -67,7 +67,11 @@ def cpu_seconds() -> float:
     # The system counts other processes' time in ticks of 10 ms: a short measurement may see none.
     running = psutil.Process().children(recursive=True)
     ended = sum(os.times()[2:4])
-    return time.process_time() + ended + sum(sum(child.cpu_times()[:4]) for child in running)
+    return (
+        time.process_time()
+        + ended
+        + sum(sum(child.cpu_times()[:4]) for child in running)
+    )
 
 
 def measure_steps(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
@@ -92,7 +96,11 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
     """Return images per second of CPU time of the ray caster, ``num_envs`` per call."""
     env = ArmVectorEnv(config, num_envs, num_threads=1)
     env.reset(seed=0)
-    poses = env.simulation.geom_position, env.simulation.geom_matrix, env.running.shown.rgba
+    poses = (
+        env.simulation.geom_position,
+        env.simulation.geom_matrix,
+        env.running.shown.rgba,
+    )
     env.renderer.draw(*poses)
     count, start, cpu = 0, time.perf_counter(), cpu_seconds()
     while time.perf_counter() - start < seconds or count == 0:
@@ -115,21 +123,30 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
     agent is measured on the same task.
     """
     config = _measurable(config)
-    if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows
-        config = replace(config, algorithm=replace(config.algorithm, log_every_steps=1000))
+    if isinstance(
+        config.algorithm, A3CConfig
+    ):  # by default minutes pass between two rows
+        config = replace(
+            config, algorithm=replace(config.algorithm, log_every_steps=1000)
+        )
     elif isinstance(config.algorithm, DistilConfig):  # glimpses would never end
         config = replace(config, algorithm=replace(config.algorithm, glimpse_until=0.0))
     rows: list[Metrics] = []
 
     def is_enough() -> bool:
         begin = rows[WARM_UP_ROWS - 1 :]
-        return len(begin) > 1 and begin[-1]["wall_time_s"] - begin[0]["wall_time_s"] >= seconds
+        return (
+            len(begin) > 1
+            and begin[-1]["wall_time_s"] - begin[0]["wall_time_s"] >= seconds
+        )
 
     config = replace(config, interim=replace(config.interim, episodes=1))
     hooks = Hooks(on_metrics=rows.append, should_stop=is_enough)
     parts = build(config)
     policy = parts.new_policy(config.seed)
-    make_trainer(config, policy, parts.knowledge, evaluate_every=NEVER, hooks=hooks).train(NEVER)
+    make_trainer(
+        config, policy, parts.knowledge, evaluate_every=NEVER, hooks=hooks
+    ).train(NEVER)
     first, last = rows[WARM_UP_ROWS - 1], rows[-1]
     return (last["step"] - first["step"]) / (last["wall_time_s"] - first["wall_time_s"])
 
@@ -147,7 +164,9 @@ def training_flops(config: ExperimentConfig) -> float:
     knowledge = torch.zeros((1, 1, policy.knowledge_width))
     start = torch.zeros((1, 1), dtype=torch.bool)
     with FlopCounterMode(display=False) as forward:
-        logits, values, _ = policy.unroll(image, knowledge, policy.initial_state(1), start)
+        logits, values, _ = policy.unroll(
+            image, knowledge, policy.initial_state(1), start
+        )
     with FlopCounterMode(display=False) as backward:
         (logits.sum() + values.sum()).backward()
     passes, muon = 1, 0.0
@@ -181,9 +200,13 @@ def measure_all(settings: SpeedConfig) -> dict[str, Any]:
     cores = available_cores()
     steps = config.total_steps
     _announce("simulation with images")
-    simulation = measure_steps(ArmVectorEnv(config.env, settings.num_envs), settings.seconds)
+    simulation = measure_steps(
+        ArmVectorEnv(config.env, settings.num_envs), settings.seconds
+    )
     _announce("images alone")
-    images = measure_images(config.env, num_envs=settings.num_envs, seconds=settings.seconds)
+    images = measure_images(
+        config.env, num_envs=settings.num_envs, seconds=settings.seconds
+    )
     _announce("training, whose first update compiles code")
     training = measure_training(config, settings.seconds)
     _announce("the processor's peak")

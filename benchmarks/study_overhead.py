@@ -58,8 +58,13 @@ def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
                 name="bench",
                 experiments=(DEFAULT_EXPERIMENT,),
                 seeds=tuple(range(slots * config.rounds)),
-                overrides={"total_steps": steps, "algorithm": {"processes": where.cores}},
-                evaluations=(EvaluationConfig(episodes=100, probes=(StepsProbe(), BlindProbe())),),
+                overrides={
+                    "total_steps": steps,
+                    "algorithm": {"processes": where.cores},
+                },
+                evaluations=(
+                    EvaluationConfig(episodes=100, probes=(StepsProbe(), BlindProbe())),
+                ),
                 where=where,
             )
 
@@ -69,8 +74,13 @@ def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
         statuses = run_study(chosen, out)
         total = time.perf_counter() - start
         if failed := [each for each in statuses if each.state != "done"]:
-            raise UserError(f"A run of the benchmark is {failed[0].state}: {failed[0].detail}")
-        logs = [(out / each.experiment / str(each.seed) / LOG).read_text() for each in statuses]
+            raise UserError(
+                f"A run of the benchmark is {failed[0].state}: {failed[0].detail}"
+            )
+        logs = [
+            (out / each.experiment / str(each.seed) / LOG).read_text()
+            for each in statuses
+        ]
     times = [float(re.findall(rf"{WORKED} ([\d.]+) s", log)[-1]) for log in logs]
     return {
         "where": where.kind,

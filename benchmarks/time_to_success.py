@@ -84,7 +84,9 @@ def refuse_module(experiment: ExperimentConfig) -> None:
 def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentConfig:
     """Return the experiment of the same robot, task, agent and colours with another algorithm."""
     env, agent = experiment.env, experiment.agent
-    return ExperimentName(env.robot, env.task.name, agent, env.colours, algorithm).config()
+    return ExperimentName(
+        env.robot, env.task.name, agent, env.colours, algorithm
+    ).config()
 
 
 def trainer_of(
@@ -101,7 +103,12 @@ def trainer_of(
 
 
 def time_to_success(
-    experiment: ExperimentConfig, algorithm: str, *, most_steps: int, processes: int, seed: int
+    experiment: ExperimentConfig,
+    algorithm: str,
+    *,
+    most_steps: int,
+    processes: int,
+    seed: int,
 ) -> dict[str, Any]:
     """Train with a registered algorithm until `SUCCESS`; schedules extend over its usual training.
 
@@ -149,7 +156,11 @@ def main() -> None:
     experiment = experiment_config(options.pop("experiment"))
     algorithms = options.pop("algorithms")
     rows = [time_to_success(experiment, name, **options) for name in algorithms]
-    print_table(f"Until {SUCCESS:.0%} success", list(rows[0]), [list(row.values()) for row in rows])
+    print_table(
+        f"Until {SUCCESS:.0%} success",
+        list(rows[0]),
+        [list(row.values()) for row in rows],
+    )
 
 
 if __name__ == "__main__":

@@ -57,7 +57,9 @@ def read_split(folder: Path) -> Split:
     distinct = [np.unique(part, axis=0) for part in parts.values()]
     rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
     for head, relation, tail in rows[counts > 1][:1]:
-        triple = f"{graph.names[head]} {graph.relation_names[relation]} {graph.names[tail]}"
+        triple = (
+            f"{graph.names[head]} {graph.relation_names[relation]} {graph.names[tail]}"
+        )
         raise UserError(
             f"{folder}: the triple {triple} is in several of {', '.join(PARTS)}, so that a test "
             "would not be one. Leave it in one."

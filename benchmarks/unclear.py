@@ -11,7 +11,12 @@ import argparse
 from pathlib import Path
 
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation import AnyCondition, DamageTest, ReasoningTest, SplitTest
+from knowarm.experiment.evaluation import (
+    AnyCondition,
+    DamageTest,
+    ReasoningTest,
+    SplitTest,
+)
 from knowarm.experiment.load import load_agent
 from knowarm.statistics import mean_of_runs
 
@@ -31,7 +36,9 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=500)
     arguments = parser.parse_args()
     agents = [load_agent(run) for run in arguments.runs]
-    for (name, test), level in ((t, v) for t in TESTS.items() for v in arguments.levels):
+    for (name, test), level in (
+        (t, v) for t in TESTS.items() for v in arguments.levels
+    ):
         ask = ReasoningTest(unclear="ask", level=level)
         options = {"episodes": arguments.episodes, "test": (test, ask), "probes": ()}
         played = [evaluate(agent, write=False, **options) for agent in agents]
@@ -41,7 +48,9 @@ def main() -> None:
             found = mean_of_runs(values)
             low, high = 100 * found.low, 100 * found.high
             seeds = ", ".join(f"{100 * each.estimate:.1f}" for each in values)
-            cells.append(f"{number} {100 * found.estimate:.1f} [{low:.1f}, {high:.1f}] ({seeds})")
+            cells.append(
+                f"{number} {100 * found.estimate:.1f} [{low:.1f}, {high:.1f}] ({seeds})"
+            )
         print(f"{name}, level {level:g}:", "; ".join(cells), flush=True)
 
 

@@ -21,7 +21,12 @@ from scipy.stats import spearmanr
 from knowarm.cli.tables import print_table
 from knowarm.knowledge import household
 from knowarm.knowledge.slots import graph_parts
-from knowarm.knowledge.vectors.words import WordTable, all_forms, read_word_vectors, shipped_vectors
+from knowarm.knowledge.vectors.words import (
+    WordTable,
+    all_forms,
+    read_word_vectors,
+    shipped_vectors,
+)
 
 TRIPLETS = Path(__file__).parent / "household_triplets.tsv"
 WORDS, DIM = 400_000, 50
@@ -31,7 +36,10 @@ def cosine(vectors: WordTable, first: str, second: str) -> float | None:
     """Return the cosine of two words, or None where one is unknown."""
     if first not in vectors.index or second not in vectors.index:
         return None
-    a, b = (vectors.vectors[vectors.index[word]].astype(np.float64) for word in (first, second))
+    a, b = (
+        vectors.vectors[vectors.index[word]].astype(np.float64)
+        for word in (first, second)
+    )
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
@@ -77,13 +85,17 @@ def reading_time(repeats: int = 3) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--vectors", type=Path, help="a file; left out: the shipped ones")
+    parser.add_argument(
+        "--vectors", type=Path, help="a file; left out: the shipped ones"
+    )
     parser.add_argument("--similarity", type=Path, nargs="*", default=[])
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     shipped = arguments.vectors is None
     vectors = (
-        shipped_vectors("wordnet-gloss-50") if shipped else read_word_vectors(arguments.vectors)
+        shipped_vectors("wordnet-gloss-50")
+        if shipped
+        else read_word_vectors(arguments.vectors)
     )
     right, count, wrong = triplets(vectors)
     rows = [("household triplets", f"{right} of {count}", 1.0)]
@@ -94,7 +106,9 @@ def main() -> None:
         values[path.stem] = {"spearman": correlation, "known": known}
     values["read_400000x50_s"] = reading_time()
     rows.append(("reading 400,000 x 50", f"{values['read_400000x50_s']:.2f} s", 1.0))
-    print_table(f"{vectors.name}: {vectors.size:,} words", ["what", "value", "known"], rows)
+    print_table(
+        f"{vectors.name}: {vectors.size:,} words", ["what", "value", "known"], rows
+    )
     print("Wrong triplets:", "; ".join(wrong) or "none")
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)

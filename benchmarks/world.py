@@ -58,7 +58,9 @@ class WorldBenchConfig:
     def __post_init__(self) -> None:
         for name in ("workers", "num_envs", "image_size"):
             if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+                raise UserError(
+                    f"{name} must be at least 1, got {getattr(self, name)}."
+                )
 
 
 def bench_world(
@@ -82,7 +84,9 @@ def bench_world(
     for env_config in env_configs(config):
         task = env_config.task.name
         row = {"robot": env_config.robot, "task": task, "dynamics": env_config.dynamics}
-        row |= measure_env(env_config, config.num_envs, config.workers, config.seconds)._asdict()
+        row |= measure_env(
+            env_config, config.num_envs, config.workers, config.seconds
+        )._asdict()
         on_row(row)
         rows.append(row)
     return {
@@ -92,7 +96,11 @@ def bench_world(
                 "robot": robot,
                 "antialiasing": antialiasing,
                 "frames_per_s_core": measure_images(
-                    EnvConfig(robot=robot, antialiasing=antialiasing, image_size=config.image_size),
+                    EnvConfig(
+                        robot=robot,
+                        antialiasing=antialiasing,
+                        image_size=config.image_size,
+                    ),
                     num_envs=config.num_envs,
                     seconds=config.seconds / 2,
                 ),
@@ -102,7 +110,9 @@ def bench_world(
         ],
         "scaling": _scaling(config) if config.scaling else [],
         "machine": {"processor": processor(), "cpus": os.cpu_count()},
-        "config": {name: getattr(config, name) for name in ("workers", "num_envs", "seconds")},
+        "config": {
+            name: getattr(config, name) for name in ("workers", "num_envs", "seconds")
+        },
     }
 
 
@@ -115,12 +125,16 @@ def env_configs(config: WorldBenchConfig) -> list[EnvConfig]:
             for dynamics in DYNAMICS
         ]
         configs.append(
-            EnvConfig(robot=robot, task=find_task("choose"), image_size=config.image_size)
+            EnvConfig(
+                robot=robot, task=find_task("choose"), image_size=config.image_size
+            )
         )
     return configs
 
 
-def measure_env(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> Speed:
+def measure_env(
+    config: EnvConfig, num_envs: int, threads: int, seconds: float
+) -> Speed:
     """Measure KnowArm's vector environment with random actions."""
     return measure_steps(ArmVectorEnv(config, num_envs, threads), seconds)
 

@@ -24,14 +24,22 @@ myst_heading_anchors = 4
 suppress_warnings = ["myst.xref_missing"]  # scripts/check_site.py checks every link
 
 # Notebooks run when the site is built; their output is kept until what they read changes.
-READ = ("src/**/*.*", "docs/results/*.*", "docs/notebooks/*.py", "scripts/*.py", "zoo/**/*.*")
+READ = (
+    "src/**/*.*",
+    "docs/results/*.*",
+    "docs/notebooks/*.py",
+    "scripts/*.py",
+    "zoo/**/*.*",
+)
 SOURCES = sorted(
     file
     for each in READ
     for file in Path(__file__).parents[1].glob(each)
     if file.is_file() and file.suffix != ".pyc"
 )
-DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
+DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[
+    :12
+]
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(Path(__file__).parent / "_build" / f".notebooks-{DIGEST}")
 nb_execution_timeout = -1
@@ -44,7 +52,9 @@ autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 default_role = "code"
-highlight_language = "none"  # of blocks that name no language: commands and what they print
+highlight_language = (
+    "none"  # of blocks that name no language: commands and what they print
+)
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = False
 
@@ -70,7 +80,9 @@ def write_llms_txt(app, exception):
     if exception is None and app.builder.format == "html":
         titles = app.env.titles
         lines = [f"- [{titles[page].astext()}]({page}.html)" for page in sorted(titles)]
-        text = "\n".join(["# KnowArm", "", "> Commonsense for robot-arm policies.", "", *lines, ""])
+        text = "\n".join(
+            ["# KnowArm", "", "> Commonsense for robot-arm policies.", "", *lines, ""]
+        )
         (Path(app.outdir) / "llms.txt").write_text(text, encoding="utf-8")
 
 

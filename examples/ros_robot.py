@@ -80,16 +80,22 @@ class RobotNode(Node):
         self.arm = Arm(scene, self._tick)
         self.running = RunningEpisodes(config, self.arm)
         names = scene.robot.joints
-        self.joint_map = JointMap({"names": names, "real": real_joints(scene, joint_map)})
+        self.joint_map = JointMap(
+            {"names": names, "real": real_joints(scene, joint_map)}
+        )
         self._renderer = make_renderer(scene, config, config.image_size, 1)
         kind: Any = CompressedImage if topics.compressed else Image
         self._is_compressed = topics.compressed
         self._images = self.create_publisher(kind, topics.image, 1)
         self._states = self.create_publisher(JointState, topics.joint_states, 1)
         if topics.positions:
-            self.create_subscription(Float64MultiArray, topics.positions, self._follow_array, 1)
+            self.create_subscription(
+                Float64MultiArray, topics.positions, self._follow_array, 1
+            )
         else:
-            self.create_subscription(JointTrajectory, topics.trajectory, self._follow_point, 1)
+            self.create_subscription(
+                JointTrajectory, topics.trajectory, self._follow_point, 1
+            )
         self.ticks = 0
         self._queue: list[tuple[Any, Any]] = []
 
@@ -105,7 +111,9 @@ class RobotNode(Node):
         return False
 
     def _follow_point(self, message: Any) -> None:
-        wanted = dict(zip(message.joint_names, message.points[-1].positions, strict=True))
+        wanted = dict(
+            zip(message.joint_names, message.points[-1].positions, strict=True)
+        )
         self._follow([wanted[name] for name in self.joint_map.names])
 
     def _follow_array(self, message: Any) -> None:
@@ -145,7 +153,9 @@ def main() -> None:
     parser.add_argument("run", type=Path, help="run folder, for its environment")
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=60, help="longest time of an episode")
+    parser.add_argument(
+        "--seconds", type=float, default=60, help="longest time of an episode"
+    )
     arguments = parser.parse_args()
     config = load_agent(arguments.run).config.env
     rclpy.init()
@@ -166,7 +176,9 @@ def main() -> None:
         periods = round(arguments.seconds / CONTROL_PERIOD_S)
         solved = robot.play(episodes[number : number + 1], periods)
         about = robot.running.describe(0)
-        print(f"{about}: {'reached' if solved else 'not reached'} by {robot.commands} commands")
+        print(
+            f"{about}: {'reached' if solved else 'not reached'} by {robot.commands} commands"
+        )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,9 @@ def main() -> None:
     parser.add_argument("--experiment", default="irb120-full-ppo")
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--envs", type=int, default=64)
-    parser.add_argument("--single", action="store_true", help="step environments one by one")
+    parser.add_argument(
+        "--single", action="store_true", help="step environments one by one"
+    )
     arguments = parser.parse_args()
 
     chosen = knowarm.experiment_config(arguments.experiment)
@@ -31,7 +33,9 @@ def main() -> None:
         alone = [lambda: knowarm.ArmEnv(**shown, **vars(chosen.env))] * arguments.envs
         env = VecMonitor(DummyVecEnv(alone))  # logs return and length of the episodes
     else:
-        env = knowarm.SB3VecEnv(knowarm.ArmVectorEnv(chosen.env, arguments.envs, **shown), seed=0)
+        env = knowarm.SB3VecEnv(
+            knowarm.ArmVectorEnv(chosen.env, arguments.envs, **shown), seed=0
+        )
     model = RecurrentPPO(
         "MultiInputLstmPolicy",
         env,

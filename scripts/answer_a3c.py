@@ -39,10 +39,14 @@ as above, of interim evaluations every {every:,} steps."""
 
 def tuned_section(study: Path, progress: str) -> list[str]:
     """Return the blocks on A3C with settings that learn from an unpacked study."""
-    cells = [Cell(task, agents, comparisons(agents)) for task, agents in tasks_of([study])]
+    cells = [
+        Cell(task, agents, comparisons(agents)) for task, agents in tasks_of([study])
+    ]
     every = [agent for cell in cells for agent in cell.agents.values()]
     (total,) = {run.config.total_steps for cell in cells for run in cell.task.runs}
-    (between,) = {run.config.interim.every_steps for cell in cells for run in cell.task.runs}
+    (between,) = {
+        run.config.interim.every_steps for cell in cells for run in cell.task.runs
+    }
     seeds = sorted({seed for each in every for seed in each.seeds})
     text = TUNED.format(
         total=total // 10**6,
@@ -76,7 +80,9 @@ def a3c_section(study: Path, progress: str) -> list[str]:
     for group in task.groups:
         for key in MEASURES:
             name = key.removesuffix("_mean")
-            rows.append([f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)])
+            rows.append(
+                [f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)]
+            )
     columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
     algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
@@ -113,12 +119,12 @@ def conclusion(task: TaskData) -> str:
                 continue
             final = run.evaluations.get(group.label)
             trained = run.metrics["success"][-ROWS:]
-            line = (
-                f"- `{group.name}`: {100 * np.nanmean(trained):.1f} % of its last training episodes"
-            )
+            line = f"- `{group.name}`: {100 * np.nanmean(trained):.1f} % of its last training episodes"
             if final:
                 success = f"{100 * final.summary['success']:.1f} %"
-                line += f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
+                line += (
+                    f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
+                )
             lines.append(f"{line}.")
     lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:

@@ -51,7 +51,10 @@ def agent(group: Group) -> Agent:
     """Read the outcomes of a group of runs."""
     runs = [run for run in group.runs if group.label in run.evaluations]
     until = float(group.runs[0].config.total_steps)
-    found = [first_crossing(run.interim["step"], run.interim["success"], LEVEL) for run in runs]
+    found = [
+        first_crossing(run.interim["step"], run.interim["success"], LEVEL)
+        for run in runs
+    ]
     scores = [run.evaluations[group.label].summary["success"] for run in runs]
     return Agent(
         group.name,
@@ -59,8 +62,14 @@ def agent(group: Group) -> Agent:
         np.array([min(step, until) for step, _ in found]),
         np.array([reached and step <= until for step, reached in found]),
         np.array(scores, np.float64),
-        np.array([area_under_curve(r.interim["step"], r.interim["success"], until) for r in runs]),
-        sum(training_seconds(run.metrics["wall_time_s"]) for run in runs if run.metrics) / 3600,
+        np.array(
+            [
+                area_under_curve(r.interim["step"], r.interim["success"], until)
+                for r in runs
+            ]
+        ),
+        sum(training_seconds(run.metrics["wall_time_s"]) for run in runs if run.metrics)
+        / 3600,
         tuple(str(run.provenance.machine["processor"]) for run in runs),
     )
 
@@ -110,13 +119,17 @@ class Comparison:
     def of(cls, first: Agent, second: Agent) -> "Comparison":
         """Compare two agents."""
         steps = welch(first.steps, second.steps).difference
-        samples = [CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)]
+        samples = [
+            CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)
+        ]
         base = float(second.steps.mean())
         return cls(
             first.name,
             second.name,
             steps,
-            Interval(*(each / base for each in (steps.estimate, steps.low, steps.high))),
+            Interval(
+                *(each / base for each in (steps.estimate, steps.low, steps.high))
+            ),
             welch(first.success, second.success).difference,
             float(logrank(*samples).pvalue),
         )
@@ -174,8 +187,15 @@ def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
     """Compare full and partial knowledge with the baseline, full knowledge with the controls."""
     pairs = [
         (agents[first], agents[second])
-        for first, second in (("full", "bm"), ("partial", "bm"), *(("full", c) for c in CONTROLS))
-        if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
+        for first, second in (
+            ("full", "bm"),
+            ("partial", "bm"),
+            *(("full", c) for c in CONTROLS),
+        )
+        if all(
+            name in agents and len(agents[name].seeds) >= FEWEST
+            for name in (first, second)
+        )
     ]
     return [Comparison.of(*pair) for pair in pairs]
 
@@ -192,7 +212,9 @@ class Cell:
         """Return a comparison and its corrected p value; None below `FEWEST` seeds."""
         adjusted = holm([each.p_value for each in self.compared])
         pairs = zip(self.compared, adjusted, strict=True)
-        return next(((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None)
+        return next(
+            ((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None
+        )
 
 
 def verdict(cell: Cell) -> str:
@@ -213,7 +235,9 @@ def verdict(cell: Cell) -> str:
     if compared.share.estimate > 0:
         return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
     tested = {name: pair[1] for name in CONTROLS if (pair := cell.of("full", name))}
-    alike = [f"`{name}` ({CONTROLS[name]})" for name, p in tested.items() if p >= SIGNIFICANT]
+    alike = [
+        f"`{name}` ({CONTROLS[name]})" for name, p in tested.items() if p >= SIGNIFICANT
+    ]
     cause = (
         f"but not than {', '.join(alike)}, so the content of the knowledge is not the reason"
         if alike
@@ -232,7 +256,9 @@ def uncorrected(cell: Cell, compared: Comparison) -> str:
     beaten = [f"`{each.second}`" for each in against if each.steps.high < 0]
     controls = f"; so do those against {', '.join(beaten)}" if beaten else ""
     controls = controls or ("; no interval against a control does" if against else "")
-    low, high = (f"{end / 1e3:+,.0f}" for end in (compared.steps.low, compared.steps.high))
+    low, high = (
+        f"{end / 1e3:+,.0f}" for end in (compared.steps.low, compared.steps.high)
+    )
     return f" Uncorrected, the interval [{low}, {high}] thousand steps excludes 0{controls}."
 
 
@@ -241,12 +267,24 @@ def write_runs(cells: Sequence[Cell], path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
-            ["robot", "colours", "agent", "seed", "success_percent", "million_steps", "processor"]
+            [
+                "robot",
+                "colours",
+                "agent",
+                "seed",
+                "success_percent",
+                "million_steps",
+                "processor",
+            ]
         )
         for cell in cells:
             for name, agent in cell.agents.items():
                 for run, seed in enumerate(agent.seeds):
-                    steps = f"{agent.steps[run] / 1e6:.2f}" if agent.reached[run] else "never"
+                    steps = (
+                        f"{agent.steps[run] / 1e6:.2f}"
+                        if agent.reached[run]
+                        else "never"
+                    )
                     success = f"{100 * agent.success[run]:.1f}"
                     outcome = [success, steps, agent.processors[run]]
                     writer.writerow([*cell.task.key, name, seed, *outcome])
@@ -265,7 +303,9 @@ def write_comparisons(cells: Sequence[Cell], path: Path) -> None:
                 intervals = (compared.steps, compared.share, compared.success)
                 numbers = [
                     f"{scale * end:.1f}"
-                    for interval, scale in zip(intervals, differences.values(), strict=True)
+                    for interval, scale in zip(
+                        intervals, differences.values(), strict=True
+                    )
                     for end in (interval.estimate, interval.low, interval.high)
                 ]
                 names = [*cell.task.key, compared.first, compared.second]

@@ -25,7 +25,9 @@ ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
 
 MEASURES = ("success", "return_mean", "entropy")
-Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
+Variant = dict[
+    str, np.ndarray
+]  # measures of a variant by name, one number per training seed
 
 TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study
 `a3c` with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return:
@@ -56,10 +58,16 @@ def changes_section(packs: Path) -> list[str]:
     lines = []
     for steps, measured in sorted(found.items()):
         ordered = {name: measured[name] for name in sorted(measured, key=place)}
-        sets = {name: runs for name, runs in ordered.items() if len(runs["success"]) >= FEWEST}
+        sets = {
+            name: runs
+            for name, runs in ordered.items()
+            if len(runs["success"]) >= FEWEST
+        }
         if any(runs["success"].any() for runs in sets.values()):
             blocks += [f"### After {steps / 1e6:g} million steps", measures_table(sets)]
-        lines += [each(ordered, steps) for each in (single_changes, left_out, smallest_set)]
+        lines += [
+            each(ordered, steps) for each in (single_changes, left_out, smallest_set)
+        ]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
 
 
@@ -88,7 +96,9 @@ def place(name: str) -> tuple[int, int]:
 
 def settings_list() -> str:
     """Say which settings each change sets."""
-    listed = (f"`{name}` ({', '.join(map(code, fields))})" for name, fields in GROUPS.items())
+    listed = (
+        f"`{name}` ({', '.join(map(code, fields))})" for name, fields in GROUPS.items()
+    )
     return f"Changes ([values](../reference/algorithms.md#a3c)): {', '.join(listed)}."
 
 
@@ -119,15 +129,21 @@ def single_changes(measured: Mapping[str, Variant], steps: int) -> str:
     base = measured["none"]["return_mean"]
     best = max(alone, key=lambda name: float(measured[name]["success"].mean()))
     most = 100 * measured[best]["success"].mean()
-    found = f"the most success has `{best}`, {most:.1f} %" if most else "none has a success"
+    found = (
+        f"the most success has `{best}`, {most:.1f} %" if most else "none has a success"
+    )
     text = f"After {steps / 1e6:g} million steps with one of {len(alone)} changes, {found}. "
-    usable = [name for name in alone if min(len(base), len(measured[name]["success"])) >= 3]
+    usable = [
+        name for name in alone if min(len(base), len(measured[name]["success"])) >= 3
+    ]
     if len(usable) < len(alone):
         return f"{text}Not every change has three seeds, so their returns are not compared."
     tests = [welch(measured[name]["return_mean"], base) for name in alone]
     decided = [
         (test.difference, name)
-        for name, test, p in zip(alone, tests, holm([t.p_value for t in tests]), strict=True)
+        for name, test, p in zip(
+            alone, tests, holm([t.p_value for t in tests]), strict=True
+        )
         if p < SIGNIFICANT
     ]
     higher, lower = (
@@ -166,20 +182,26 @@ def left_out(measured: Mapping[str, Variant], steps: int) -> str:
 
 def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
     """Say which set of changes with three seeds is the smallest that is enough."""
-    tried = {name: each["success"] for name, each in measured.items() if len(each["success"]) >= 3}
+    tried = {
+        name: each["success"]
+        for name, each in measured.items()
+        if len(each["success"]) >= 3
+    }
     if "all" not in tried or len(tried) == 1:
         return ""
     level = ENOUGH * float(tried["all"].mean())
     enough = [name for name, success in tried.items() if success.mean() >= level]
-    best = min(enough, key=lambda name: (len(groups_of(name)), -float(tried[name].mean())))
+    best = min(
+        enough, key=lambda name: (len(groups_of(name)), -float(tried[name].mean()))
+    )
     groups = groups_of(best)
     share = f"{100 * ENOUGH:.0f} % of the success of all {len(GROUPS)} changes"
     if best == "all":
-        return (
-            f"No smaller set that three seeds tried for {steps / 1e6:g} million steps has {share}."
-        )
+        return f"No smaller set that three seeds tried for {steps / 1e6:g} million steps has {share}."
     missing = [name for name in GROUPS if name not in groups]
-    which = quoted(groups) if len(groups) < len(missing) else f"all but {quoted(missing)}"
+    which = (
+        quoted(groups) if len(groups) < len(missing) else f"all but {quoted(missing)}"
+    )
     return (
         f"After {steps / 1e6:g} million steps the smallest set that we found with {share} has "
         f"{len(groups)}: {which}. Sets that the table does not show were not tried."

@@ -43,7 +43,11 @@ def conclusion(how: str, right: Mapping[str, np.ndarray]) -> str:
     others = [name for name in usable if name != best]
     adjusted = holm([welch(usable[best], usable[name]).p_value for name in others])
     beaten = [name for name, p in zip(others, adjusted, strict=True) if p < 0.05]
-    names = "every other fusion" if len(beaten) == len(others) else ", ".join(map(code, beaten))
+    names = (
+        "every other fusion"
+        if len(beaten) == len(others)
+        else ", ".join(map(code, beaten))
+    )
     text = f"- By {how}, {code(best)} is right most often, in {100 * usable[best].mean():.1f} %"
     text += f", significantly more often than {names}" if beaten else ""
     return text + "."
@@ -77,13 +81,17 @@ def fusions_section(
             conclusions.append(conclusion(f"position from {images:,} images", right))
     for algorithm, how in ALGORITHMS.items():
         agents = found_on(tasks[algorithm], SPLIT)
-        by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS}
+        by_fusion = {
+            name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS
+        }
         columns.append(how)
         for row, each in zip(rows, by_fusion.values(), strict=True):
             row.append(shares(each.scores("choice")) if each else "")
         for row, each in zip(last, others.values(), strict=True):
             row.append(shares(each.scores("choice")) if algorithm == "fast" else "")
-        right = {name: each.scores("choice") for name, each in by_fusion.items() if each}
+        right = {
+            name: each.scores("choice") for name, each in by_fusion.items() if each
+        }
         conclusions.append(conclusion(how, right))
     lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, *last)]
     seeds = sorted({run.config.seed for task in tasks.values() for run in task.runs})
@@ -102,7 +110,9 @@ def blind_scores(path: Path) -> str:
     """Describe the success of agents that cannot see, on seed 0 of every fusion."""
     rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
     best = {
-        name: max(float(row["success_percent"]) for row in rows if row["blind_agent"] == name)
+        name: max(
+            float(row["success_percent"]) for row in rows if row["blind_agent"] == name
+        )
         for name in ("open-loop", "blind", "frozen")
     }
     return (
@@ -117,5 +127,7 @@ def positions_of(path: Path) -> dict[int, dict[str, list[float]]]:
     found: dict[int, dict[str, list[float]]] = {}
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
         shares_of = found.setdefault(int(line["images"]), {})
-        shares_of.setdefault(line["fusion"], []).append(float(line["right_percent"]) / 100)
+        shares_of.setdefault(line["fusion"], []).append(
+            float(line["right_percent"]) / 100
+        )
     return found

@@ -33,7 +33,9 @@ of a cell share; median steps per second, mean seconds to 80 % (of the whole tra
 reached). TIAGo with fixed colours: seeds 0, 1 and 5 trained beside other programs."""
 
 
-def decided(tasks: Sequence[TaskData]) -> tuple[list[Claim], dict[tuple[str, str, str], Finding]]:
+def decided(
+    tasks: Sequence[TaskData],
+) -> tuple[list[Claim], dict[tuple[str, str, str], Finding]]:
     """Return the report's claims, and its findings by cell, agent and outcome."""
     known = claims(StudyData(tuple(tasks)))
     found = [
@@ -63,15 +65,26 @@ def points(claim: Claim) -> str:
 def mean_success_row(tasks: Sequence[TaskData]) -> list[str]:
     """Return the row of the claims' table on mean success during training."""
     _, found = decided(tasks)
-    full = [each for (_, name, outcome), each in found.items() if (name, outcome) == FULL_SPEED]
+    full = [
+        each
+        for (_, name, outcome), each in found.items()
+        if (name, outcome) == FULL_SPEED
+    ]
     gates = [gate_of(each) for each in full]
-    gains = [100 * each.comparison.difference.estimate for each in gates if each.comparison]
+    gains = [
+        100 * each.comparison.difference.estimate for each in gates if each.comparison
+    ]
     better = [each for each in full if gate_of(each).verdict == "better"]
     verdict = f"found in {len(better)} of {len(full)} cells" if better else "not found"
     if any(each.kind == "size may explain it" for each in better):
         verdict += ", not beyond networks as large"
     spread = f"{min(gains):+.1f} to {max(gains):+.1f} points"
-    return ["Full knowledge raises the mean success during training", "none", spread, verdict]
+    return [
+        "Full knowledge raises the mean success during training",
+        "none",
+        spread,
+        verdict,
+    ]
 
 
 FULL_SPEED = ("full", "speed")
@@ -98,14 +111,23 @@ def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
         gate = gate_of(finding)
         verdict = WORDS[finding.kind]
         rows.append(
-            [title, f"`{name}`", OUTCOMES[outcome], points(gate), p_value(gate.adjusted_p), verdict]
+            [
+                title,
+                f"`{name}`",
+                OUTCOMES[outcome],
+                points(gate),
+                p_value(gate.adjusted_p),
+                verdict,
+            ]
         )
     columns = ["cell", "agent", "outcome", "against `bm` [points]", "p", "finding"]
     parts = ["## All outcomes", OUTCOMES_TEXT, table(columns, rows)]
     for (title, _, outcome), finding in found.items():
         others = larger(known, title, outcome)
         if gate_of(finding).verdict == "better" and others:
-            words = ", ".join(f"`{each}` {points(claim)}" for each, claim in others.items())
+            words = ", ".join(
+                f"`{each}` {points(claim)}" for each, claim in others.items()
+            )
             parts.append(
                 f"{title}, {OUTCOMES[outcome]}: points of the controls above `bm`, not corrected: "
                 f"{words}."
@@ -117,7 +139,9 @@ def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
     """Return the answer of the page; ``faster`` cells of ``cells`` need fewer steps to 80 %."""
     known, found = decided(tasks)
     full = {key: each for key, each in found.items() if key[1] == "full"}
-    better = {key: each for key, each in full.items() if gate_of(each).verdict == "better"}
+    better = {
+        key: each for key, each in full.items() if gate_of(each).verdict == "better"
+    }
     after = [key for key in better if key[2] == "success"]
     assert not after
     assert not faster, "write the answer for what is found"
@@ -126,13 +150,17 @@ def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
         f"found in any of {cells} cells.**"
     )
     for (title, name, outcome), finding in better.items():
-        assert finding.kind == "size may explain it", "write the answer for what is found"
+        assert finding.kind == "size may explain it", (
+            "write the answer for what is found"
+        )
         gains = [
             each.comparison.difference.estimate
             for each in larger(known, title, outcome).values()
             if each.comparison
         ]
-        spread = " to ".join(f"{100 * value:+.1f}" for value in (min(gains), max(gains)))
+        spread = " to ".join(
+            f"{100 * value:+.1f}" for value in (min(gains), max(gains))
+        )
         text += (
             f" In {OUTCOMES[outcome]}, `{name}` is better than the paper's baseline on "
             f"{title} ({points(gate_of(finding))} points, adjusted p "
@@ -148,7 +176,9 @@ def costs_time(tasks: Sequence[TaskData]) -> str:
     shares = []
     for task in tasks:
         groups = {group.name: group for group in task.groups}
-        one, base = (np.array([*costs(groups[n], processor_of(task))]) for n in ("full", "bm"))
+        one, base = (
+            np.array([*costs(groups[n], processor_of(task))]) for n in ("full", "bm")
+        )
         shares.append(float(np.median(one[:, 0]) / np.median(base[:, 0])))
     assert max(shares) < 1
     return (
@@ -179,17 +209,23 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
     rows, own, published = [], list[tuple[float, float]](), list[float]()
     for task in tasks:
         by_agent = {
-            group.name: [rates(run, group.label) for run in group.runs] for group in task.groups
+            group.name: [rates(run, group.label) for run in group.runs]
+            for group in task.groups
         }
         own_here = [
-            one_way_anova(pair) for each in by_agent.values() for pair in combinations(each, 2)
+            one_way_anova(pair)
+            for each in by_agent.values()
+            for pair in combinations(each, 2)
         ]
         own += own_here
         pairs = list(product(by_agent["full"], by_agent["bm"]))
         between = [one_way_anova(pair) for pair in pairs]
         signs = [bool(one.mean() > other.mean()) for one, other in pairs]
         wins = [
-            sum(p < SIGNIFICANT and s is sign for (_, p), s in zip(between, signs, strict=True))
+            sum(
+                p < SIGNIFICANT and s is sign
+                for (_, p), s in zip(between, signs, strict=True)
+            )
             for sign in (True, False)
         ]
         groups = {group.name: group for group in task.groups}
@@ -207,7 +243,12 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
         )
     columns = [
         *("cell", "paper: F of `full` and `bm`", "here: median F", "95 %"),
-        *("p < .05 for `full`, for `bm`", "seeds of one agent: median F", "95 %", "p < .05"),
+        *(
+            "p < .05 for `full`, for `bm`",
+            "seeds of one agent: median F",
+            "95 %",
+            "p < .05",
+        ),
     ]
     largest = max(f for f, _ in own if np.isfinite(f))
     assert largest > max(published), "write the text for what is found"
@@ -217,7 +258,12 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
         f"seeds of one agent {share(own)} differ "
         f"with p < .05 (median F {spread(own)[0]}, 95 % of them below {spread(own)[1]})."
     )
-    return ["## The paper's analysis of variance", ANOVA_TEXT, table(columns, rows), text]
+    return [
+        "## The paper's analysis of variance",
+        ANOVA_TEXT,
+        table(columns, rows),
+        text,
+    ]
 
 
 def spread(found: Sequence[tuple[float, float]]) -> list[str]:
@@ -235,7 +281,9 @@ def share(found: Sequence[tuple[float, float]]) -> str:
 def seconds_to(run: RunData, step: float) -> float:
     """Return the wall time of a training until a step [s]; a resumed one starts at 0 again."""
     clock = run.metrics["wall_time_s"]
-    passed = np.cumsum(np.where(np.diff(clock, prepend=0) < 0, clock, np.diff(clock, prepend=0)))
+    passed = np.cumsum(
+        np.where(np.diff(clock, prepend=0) < 0, clock, np.diff(clock, prepend=0))
+    )
     return float(np.interp(step, run.metrics["step"], passed))
 
 
@@ -262,8 +310,17 @@ def cost_section(tasks: Sequence[TaskData]) -> list[str]:
                 [
                     *(title_of(task), f"`{name}`", f"{size:,}"),
                     *(f"{np.median(own[:, 0]):,.0f}", f"{own[:, 1].mean():,.0f}"),
-                    "" if name == "bm" else signed(welch(own[:, 1], base[:, 1]).difference, 1),
+                    ""
+                    if name == "bm"
+                    else signed(welch(own[:, 1], base[:, 1]).difference, 1),
                 ]
             )
-    columns = ["cell", "agent", "parameters", "steps/s", "s to 80 %", "against `bm` [s]"]
+    columns = [
+        "cell",
+        "agent",
+        "parameters",
+        "steps/s",
+        "s to 80 %",
+        "against `bm` [s]",
+    ]
     return ["## Cost of training", COST_TEXT, table(columns, rows)]

@@ -8,7 +8,15 @@ from scipy.stats import linregress, t
 
 from knowarm.report.format import p_value
 from knowarm.statistics import Interval, holm, welch
-from scripts.answer_cells import SIGNIFICANT, Agent, percent, signed, table, tasks_of, thousands
+from scripts.answer_cells import (
+    SIGNIFICANT,
+    Agent,
+    percent,
+    signed,
+    table,
+    tasks_of,
+    thousands,
+)
 
 TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
 {seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
@@ -30,7 +38,9 @@ def slope(sizes: np.ndarray, values: np.ndarray) -> tuple[Interval, float]:
     """Return the change of values (n,) per doubling of the size (n,), and its p value."""
     line = linregress(np.log2(sizes), values)
     half = float(t.ppf(0.975, len(sizes) - 2)) * line.stderr
-    return Interval(line.slope, line.slope - half, line.slope + half), float(line.pvalue)
+    return Interval(line.slope, line.slope - half, line.slope + half), float(
+        line.pvalue
+    )
 
 
 def size_section(study: Path, speed: Path, progress: str) -> list[str]:
@@ -39,7 +49,10 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     rates, processor = speeds(speed)
     parts = {group.name: group.runs[0] for group in task.groups}
     chosen = {name: run.config.policy for name, run in parts.items()}
-    size_of = {n: p.hidden if isinstance(p.hidden, int) else p.features for n, p in chosen.items()}
+    size_of = {
+        n: p.hidden if isinstance(p.hidden, int) else p.features
+        for n, p in chosen.items()
+    }
     names = sorted(agents, key=size_of.__getitem__)
     base, rows = agents[names[0]], []
     for name in names:
@@ -50,19 +63,34 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
                 *(f"`{name}`", str(size_of[name])),
                 f"{parts[name].provenance.parameter_counts['total']:,}",
                 thousands(each.steps),
-                signed(welch(each.steps, base.steps).difference, 1e-3) if differs else "",
+                signed(welch(each.steps, base.steps).difference, 1e-3)
+                if differs
+                else "",
                 *(percent(each.success), percent(each.area)),
-                signed(welch(each.area, base.area).difference, 100, 1) if differs else "",
+                signed(welch(each.area, base.area).difference, 100, 1)
+                if differs
+                else "",
                 *(f"{rate:,.0f}", f"{each.steps.mean() / rate:,.0f}"),
                 signed(seconds(each, base, rates), 1) if differs else "",
             ]
         )
     columns = [
         *("agent", "LSTM", "parameters", "steps to 80 % [thousands]", "against 128"),
-        *("success", "area", "against 128 [points]", "steps/s", "s to 80 %", "against 128 [s]"),
+        *(
+            "success",
+            "area",
+            "against 128 [points]",
+            "steps/s",
+            "s to 80 %",
+            "against 128 [s]",
+        ),
     ]
-    sizes = np.concatenate([[size_of[name]] * len(agents[name].seeds) for name in names])
-    steps, p_steps = slope(sizes, np.concatenate([agents[name].steps for name in names]))
+    sizes = np.concatenate(
+        [[size_of[name]] * len(agents[name].seeds) for name in names]
+    )
+    steps, p_steps = slope(
+        sizes, np.concatenate([agents[name].steps for name in names])
+    )
     area, p_area = slope(sizes, np.concatenate([agents[name].area for name in names]))
     trend = (
         f"Per doubling of the LSTM the steps to 80 % change by {signed(steps, 1e-3)} thousand "
@@ -74,7 +102,10 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     gains = [welch(each.area, base.area) for each in larger]
     adjusted = holm([each.p_value for each in gains])[-1]
     later = seconds(larger[-1], base, rates)
-    is_shown = any(each.high < 0 for each in saved) or min(p_steps, p_area, adjusted) < SIGNIFICANT
+    is_shown = (
+        any(each.high < 0 for each in saved)
+        or min(p_steps, p_area, adjusted) < SIGNIFICANT
+    )
     assert not is_shown, "write the lead for what is found"
     lead = (
         f"**Not shown with {len(base.seeds)} seeds: that a size saves steps to 80 % over 128, or a "
@@ -89,7 +120,13 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
         rounds=len(rates[names[0]]),
         processor=processor,
     )
-    return ["## Is it the size of the network?", lead, text, table(columns, rows), trend]
+    return [
+        "## Is it the size of the network?",
+        lead,
+        text,
+        table(columns, rows),
+        trend,
+    ]
 
 
 def seconds(first: Agent, second: Agent, rates: dict[str, list[float]]) -> Interval:

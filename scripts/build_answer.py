@@ -53,7 +53,11 @@ PAGE = RESULTS / "answer.md"
 CHANGES = RESULTS / "a3c-changes"
 ALL_DONE = "None failed."
 """What the page says of a study whose runs are all done."""
-STUDIES = ("answer", "answer-tiago", "paper")  # of a cell that two have, the first counts
+STUDIES = (
+    "answer",
+    "answer-tiago",
+    "paper",
+)  # of a cell that two have, the first counts
 
 
 def saving(task: TaskData, agent: str) -> float | None:
@@ -75,7 +79,10 @@ def widest(shares: Sequence[Interval]) -> str:
     """Format the range of the intervals of shares that are saved."""
     return " and ".join(
         f"{-100 * each:+.0f}"
-        for each in (max(each.high for each in shares), min(each.low for each in shares))
+        for each in (
+            max(each.high for each in shares),
+            min(each.low for each in shares),
+        )
     )
 
 
@@ -139,7 +146,9 @@ def randomized_row(cells: Sequence[Cell]) -> tuple[str, str, str]:
     for pair in by_robot.values():
         if set(pair) != {"fixed", "randomized"}:
             continue
-        savings = [saving(pair[colours].task, "full") for colours in ("randomized", "fixed")]
+        savings = [
+            saving(pair[colours].task, "full") for colours in ("randomized", "fixed")
+        ]
         if None not in savings:
             published.append((savings[0] or 0) - (savings[1] or 0))
         shares = [pair[colours].of("full", "bm") for colours in ("randomized", "fixed")]
@@ -151,14 +160,18 @@ def randomized_row(cells: Sequence[Cell]) -> tuple[str, str, str]:
             more.append(bool(gain > half))
     if not found:
         return "", "", judged(more)
-    verdict = "found" if all(more) else "found for one robot" if any(more) else "not found"
+    verdict = (
+        "found" if all(more) else "found for one robot" if any(more) else "not found"
+    )
     here = f"{spread_of(found)} points"
     return f"{spread_of(published)} points more of the steps saved", here, verdict
 
 
 def content_row(cells: Sequence[Cell]) -> tuple[str, str]:
     """Compare full knowledge with its controls."""
-    decided = [pair for cell in cells for name in CONTROLS if (pair := cell.of("full", name))]
+    decided = [
+        pair for cell in cells for name in CONTROLS if (pair := cell.of("full", name))
+    ]
     faster = sum(p < SIGNIFICANT and c.steps.high < 0 for c, p in decided)
     if not decided:
         return "", "no control ran"
@@ -172,21 +185,31 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
     """Return the paper's figures beside these, one row per cell."""
     rows = []
     for task, agents in found:
-        paper = {name: published_result(task, name) for name in ("bm", "partial", "full")}
+        paper = {
+            name: published_result(task, name) for name in ("bm", "partial", "full")
+        }
         base = paper["bm"]
         if base is None or "bm" not in agents:
             continue
         known = {name: each for name, each in paper.items() if each and name in agents}
         better = [name for name in paper if name in known and name != "bm"]
-        its = [time_saved(known[name]["best_step"], base["best_step"]) for name in better]
-        own = [time_saved(agents[n].steps.mean(), agents["bm"].steps.mean()) for n in better]
+        its = [
+            time_saved(known[name]["best_step"], base["best_step"]) for name in better
+        ]
+        own = [
+            time_saved(agents[n].steps.mean(), agents["bm"].steps.mean())
+            for n in better
+        ]
         rows.append(
             [
                 title_of(task),
                 ", ".join(f"`{name}`" for name in known),
                 ", ".join(f"{100 * each['accuracy']:.0f}" for each in known.values()),
                 ", ".join(f"{each['best_step'] / 1e6:.0f}" for each in known.values()),
-                *(", ".join(f"{100 * (x or 0):.0f}" for x in values) for values in (its, own)),
+                *(
+                    ", ".join(f"{100 * (x or 0):.0f}" for x in values)
+                    for values in (its, own)
+                ),
             ]
         )
     columns = [
@@ -196,7 +219,9 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
     return table(columns, rows)
 
 
-def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Sequence[str]) -> str:
+def page(
+    cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Sequence[str]
+) -> str:
     """Write the page.
 
     Args:
@@ -207,7 +232,9 @@ def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Se
     """
     found = [(cell.task, cell.agents) for cell in cells]
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
-    seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
+    seeds = sorted(
+        {seed for _, agents in found for each in agents.values() for seed in each.seeds}
+    )
     has_controls = any(name in agents for _, agents in found for name in CONTROLS)
     tasks = [task for task, _ in found]
     parts = [
@@ -224,7 +251,9 @@ def page(cells: Sequence[Cell], progress: str, size: Sequence[str], sections: Se
         ),
     ]
     parts += outcomes_section(tasks)
-    parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
+    parts.append(
+        f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}"
+    )
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell)]
     parts += [
@@ -263,7 +292,9 @@ knowledge or to network size."""
 PAPER = """The paper's accuracy counts the distance alone, of the best model of one A3C training per
 agent; here success counts distance and angle, as a mean over seeds."""
 
-FIGURE = "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
+FIGURE = (
+    "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
+)
 
 BOTTOM = """## What this cannot say
 
@@ -281,7 +312,11 @@ with `add --steps 2000000`, `leave-out --steps 5000000 --seeds 0` and `set`; pac
 
 def wrapped(text: str) -> str:
     """Wrap paragraphs and list items, not tables and comments, at 120 columns."""
-    options: dict[str, Any] = {"width": 120, "break_long_words": False, "break_on_hyphens": False}
+    options: dict[str, Any] = {
+        "width": 120,
+        "break_long_words": False,
+        "break_on_hyphens": False,
+    }
     lines: list[str] = []
     for block in text.split("\n\n"):
         if block.startswith(("|", "<!--", "#")):
@@ -309,7 +344,9 @@ def main() -> None:
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
-        fusions = fusions_section(folder["fusions"], folder["choose"], *shares, progress)
+        fusions = fusions_section(
+            folder["fusions"], folder["choose"], *shares, progress
+        )
         found = tasks_of([folder[name] for name in STUDIES])
         cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
         states = dict.fromkeys(done(folder[name]) for name in STUDIES)
@@ -317,7 +354,9 @@ def main() -> None:
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
         changes = changes_section(CHANGES)
-        size = size_section(folder["size"], RESULTS / "size-speed.csv", done(folder["size"]))
+        size = size_section(
+            folder["size"], RESULTS / "size-speed.csv", done(folder["size"])
+        )
         text = page(cells, progress, size, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
         write_runs(cells, given.out.with_name("answer-runs.csv"))
@@ -330,11 +369,15 @@ def done(folder: Path) -> str:
     study = open_study(folder)
     runs = study_status(study, folder)
     count = sum(run.state == "done" for run in runs)
-    failed = ", ".join(f"`{run.name}` ({run.detail})" for run in runs if run.state == "failed")
+    failed = ", ".join(
+        f"`{run.name}` ({run.detail})" for run in runs if run.state == "failed"
+    )
     failures = f"failed: {failed}" if failed else "none failed"
     if count == len(runs):
         return ALL_DONE
-    return f"Of the study `{study.name}` {count} of {len(runs)} runs are done; {failures}."
+    return (
+        f"Of the study `{study.name}` {count} of {len(runs)} runs are done; {failures}."
+    )
 
 
 if __name__ == "__main__":

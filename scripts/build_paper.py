@@ -48,7 +48,11 @@ angle, too. *Blind*: success of the best fixed list of actions, which sees nothi
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
-    "success at 10 cm and 17 degrees": ("post-training-greedy", "success", "post-training-greedy"),
+    "success at 10 cm and 17 degrees": (
+        "post-training-greedy",
+        "success",
+        "post-training-greedy",
+    ),
     "success at 5 cm and 15 degrees": ("strict", "success", "strict"),
 }
 """Outcomes that the study declares before its first run, the primary one first: evaluation and rate
@@ -71,7 +75,9 @@ difference of the standard deviations. One network per agent."""
 
 def of(task: TaskData, agent: str) -> Group | None:
     """Return the group of an agent that was evaluated."""
-    return next((each for each in task.groups if each.agent == agent and each.best), None)
+    return next(
+        (each for each in task.groups if each.agent == agent and each.best), None
+    )
 
 
 def percent(value: float) -> str:
@@ -111,15 +117,28 @@ def outcomes_table(tasks: Sequence[TaskData]) -> str:
     for task in tasks:
         for group in task.groups:
             for run in group.runs:
-                needed = {label for own, _, listed in OUTCOMES.values() for label in (own, listed)}
+                needed = {
+                    label
+                    for own, _, listed in OUTCOMES.values()
+                    for label in (own, listed)
+                }
                 if not needed <= {*run.evaluations}:
                     continue
-                cells = [signed(margin(run, *outcome), 100, 1) for outcome in OUTCOMES.values()]
+                cells = [
+                    signed(margin(run, *outcome), 100, 1)
+                    for outcome in OUTCOMES.values()
+                ]
                 steps = f"{run.steps_done / 1e6:.1f} M"
                 if run.steps_done < run.config.total_steps:
                     steps += ", begun"
                 rows.append(
-                    [title_of(task), f"`{group.name}`", str(run.config.seed), *cells, steps]
+                    [
+                        title_of(task),
+                        f"`{group.name}`",
+                        str(run.config.seed),
+                        *cells,
+                        steps,
+                    ]
                 )
     return table(["cell", "agent", "seed", *OUTCOMES, "steps"], rows)
 
@@ -134,12 +153,15 @@ def margin(run: RunData, label: str, measure: str, of_list: str) -> Interval:
 def sentences(tasks: Sequence[TaskData]) -> str:
     """Say of each sentence of the paper in how many cells it holds here."""
     pairs = [
-        (task, full, bm) for task in tasks if (full := of(task, "full")) and (bm := of(task, "bm"))
+        (task, full, bm)
+        for task in tasks
+        if (full := of(task, "full")) and (bm := of(task, "bm"))
     ]
     lines = []
     for measure in ("accuracy", "success"):
         gains = [
-            100 * float(full.scores(measure)[0] - bm.scores(measure)[0]) for _, full, bm in pairs
+            100 * float(full.scores(measure)[0] - bm.scores(measure)[0])
+            for _, full, bm in pairs
         ]
         more = sum(gain > 0 for gain in gains)
         listed = ", ".join(f"{gain:+.1f}" for gain in gains)
@@ -150,7 +172,10 @@ def sentences(tasks: Sequence[TaskData]) -> str:
     earlier = [
         full.best_run.best_step < bm.best_run.best_step
         for _, full, bm in pairs
-        if full.best_run and bm.best_run and full.best_run.best_step and bm.best_run.best_step
+        if full.best_run
+        and bm.best_run
+        and full.best_run.best_step
+        and bm.best_run.best_step
     ]
     lines.append(
         f"- Its best model comes earlier: in {sum(earlier)} of {len(earlier)} cells; the step of a "
@@ -179,7 +204,9 @@ def anova_table(tasks: Sequence[TaskData]) -> str:
             continue
         (_, one), (_, other) = rates
         f, p = one_way_anova([one, other])
-        paper = published_comparison(task, *(group for group in pair if group))["anova_f"]
+        paper = published_comparison(task, *(group for group in pair if group))[
+            "anova_f"
+        ]
         means = [percent(float(each.mean())) for each in (one, other)]
         rows.append([title_of(task), *means, f"{f:.1f}", f"{p:.2g}", f"{paper:.1f}"])
     return table(["cell", "`full`", "`bm`", "F", "p", "paper: F"], rows)
@@ -199,9 +226,19 @@ def joints_table(tasks: Sequence[TaskData]) -> str:
                 numbers = [f"{row[key]:+.2f}" for key in ("first_mean", "second_mean")]
                 numbers += [f"{row[key]:.2f}" for key in ("first_std", "second_std")]
                 paper = row["paper_std_change"]
-                changes = [f"{row['std_change']:+.2f}", "" if paper is None else f"{paper:+.2f}"]
+                changes = [
+                    f"{row['std_change']:+.2f}",
+                    "" if paper is None else f"{paper:+.2f}",
+                ]
                 rows.append([title_of(task), str(row["joint"]), *numbers, *changes])
-    columns = ["cell", "joint", "`full`: mean", "`bm`: mean", "`full`: std", "`bm`: std"]
+    columns = [
+        "cell",
+        "joint",
+        "`full`: mean",
+        "`bm`: mean",
+        "`full`: std",
+        "`bm`: std",
+    ]
     return table([*columns, "change", "paper: change"], rows)
 
 
@@ -221,7 +258,9 @@ def joints(tasks: Sequence[TaskData]) -> str:
     for task in tasks:
         for figure in joint_figures(task):
             drawings += [panel.svg for panel in figure.panels]
-            titles += [f"{title_of(task)}, joint {row['joint']}" for row in figure.table.rows]
+            titles += [
+                f"{title_of(task)}, joint {row['joint']}" for row in figure.table.rows
+            ]
             legend |= dict(figure.legend)
     return picture(drawings, JOINTS_BOX, legend, 4, titles)
 
@@ -230,8 +269,16 @@ def strips(tasks: Sequence[TaskData], path: Path) -> None:
     """Draw an episode of `bm` above the same episode of `full`, for every cell."""
     rows = []
     for task in tasks:
-        pair = [group.best for agent in ("bm", "full") if (group := of(task, agent)) and group.best]
-        common = set.intersection(*(set(each.films()) for each in pair)) if len(pair) == 2 else ()
+        pair = [
+            group.best
+            for agent in ("bm", "full")
+            if (group := of(task, agent)) and group.best
+        ]
+        common = (
+            set.intersection(*(set(each.films()) for each in pair))
+            if len(pair) == 2
+            else ()
+        )
         rows += [strip(each, min(common)) for each in pair if common]
     if rows:
         Image.fromarray(np.concatenate(rows)).save(path, optimize=True)
@@ -242,7 +289,8 @@ def strip(evaluation: Evaluation, number: int) -> np.ndarray:
     frames = read_film(evaluation.films()[number])
     places = np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)
     images = [
-        Image.fromarray(frames[i]).resize((SIDE, SIDE), Image.Resampling.NEAREST) for i in places
+        Image.fromarray(frames[i]).resize((SIDE, SIDE), Image.Resampling.NEAREST)
+        for i in places
     ]
     return np.concatenate([np.asarray(each) for each in images], axis=1)
 
@@ -250,11 +298,13 @@ def strip(evaluation: Evaluation, number: int) -> np.ndarray:
 def state_of(folder: Path) -> str:
     """Say which cells are complete, and why the others are not."""
     runs = study_status(open_study(folder), folder)
-    others = [f"`{run.name}` ({run.detail or run.state})" for run in runs if run.state != "done"]
+    others = [
+        f"`{run.name}` ({run.detail or run.state})"
+        for run in runs
+        if run.state != "done"
+    ]
     if others:
-        return (
-            f"{len(runs) - len(others)} of {len(runs)} runs are complete; not: {', '.join(others)}."
-        )
+        return f"{len(runs) - len(others)} of {len(runs)} runs are complete; not: {', '.join(others)}."
     return f"All {len(runs)} runs are complete."
 
 
@@ -292,7 +342,9 @@ def main() -> None:
     """Write the page and its figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pack", type=Path, default=PACK)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "paper.md")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "docs" / "results" / "paper.md"
+    )
     parser.add_argument("--images", type=Path, default=ROOT / "docs" / "images")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:

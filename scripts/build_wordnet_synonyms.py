@@ -16,7 +16,9 @@ from knowarm.knowledge.vectors.words import DATA, shipped_vectors
 
 PARTS = {"noun": "n", "verb": "v", "adj": "a"}
 DERIVED = {"+", "\\", "<"}  # WordNet's pointers: derivation, pertainym, participle
-MADE_OF = re.compile(r"\| *(?:made|consisting|composed)[^;]*? of (?:\([^)]*\) )?([a-z]+)")
+MADE_OF = re.compile(
+    r"\| *(?:made|consisting|composed)[^;]*? of (?:\([^)]*\) )?([a-z]+)"
+)
 
 
 def read_lines(path: Path) -> list[str]:
@@ -35,23 +37,34 @@ def groups(wordnet: Path, senses: int) -> set[str]:
         for line in read_lines(wordnet / f"data.{name}"):
             fields = line.split(" ")
             count = int(fields[3], 16)
-            words = [re.sub(r"\(.*", "", fields[4 + 2 * i]).lower() for i in range(count)]
+            words = [
+                re.sub(r"\(.*", "", fields[4 + 2 * i]).lower() for i in range(count)
+            ]
             start = 5 + 2 * count
             pointers = [
-                fields[start + 4 * i : start + 4 * i + 4] for i in range(int(fields[start - 1]))
+                fields[start + 4 * i : start + 4 * i + 4]
+                for i in range(int(fields[start - 1]))
             ]
             synsets[part, fields[0]] = words, pointers, line
     found = set()
 
     def usual(word: str, part: str, offset: str) -> bool:
-        return word.isalpha() and word in known and sense.get((word, part, offset), 99) < senses
+        return (
+            word.isalpha()
+            and word in known
+            and sense.get((word, part, offset), 99) < senses
+        )
 
     for (part, offset), (words, pointers, line) in synsets.items():
         alike = sorted({word for word in words if usual(word, part, offset)})
         if len(alike) > 1:
             found.add(" ".join((part, *alike)))
         if (made := MADE_OF.search(line)) and part == "a":
-            found |= {f"d {w} {made[1]}" for w in words if w.startswith(made[1][:3]) and w in known}
+            found |= {
+                f"d {w} {made[1]}"
+                for w in words
+                if w.startswith(made[1][:3]) and w in known
+            }
         for kind, target, target_part, ends in pointers:
             other = "a" if target_part == "s" else target_part
             if kind in DERIVED and ends != "0000" and (other, target) in synsets:
@@ -65,7 +78,9 @@ def groups(wordnet: Path, senses: int) -> set[str]:
     for name in PARTS:
         for line in read_lines(wordnet / f"{name}.exc"):
             form, *bases = line.split()
-            found |= {f"i {form} {base}" for base in bases if base in known and form.isalpha()}
+            found |= {
+                f"i {form} {base}" for base in bases if base in known and form.isalpha()
+            }
     return found
 
 
@@ -78,7 +93,9 @@ def main() -> None:
     given = parser.parse_args()
     text = "\n".join(sorted(groups(given.wordnet, given.senses)))
     given.out.write_bytes(lzma.compress(text.encode(), preset=9))
-    print(f"{len(text.splitlines())} lines -> {given.out} ({given.out.stat().st_size} bytes)")
+    print(
+        f"{len(text.splitlines())} lines -> {given.out} ({given.out.stat().st_size} bytes)"
+    )
 
 
 if __name__ == "__main__":

@@ -24,7 +24,8 @@ from scipy import sparse
 from scipy.sparse.linalg import svds
 
 OUTPUT = (
-    Path(__file__).parent.parent / "src/knowarm/knowledge/vectors/data/wordnet-gloss-50.safetensors"
+    Path(__file__).parent.parent
+    / "src/knowarm/knowledge/vectors/data/wordnet-gloss-50.safetensors"
 )
 TOKEN = re.compile(r"[a-z]+(?:[-'][a-z]+)*")
 
@@ -47,7 +48,9 @@ def documents(wordnet: Path) -> Iterator[list[str]]:
                     term = re.sub(r"\(.*\)$", "", term).lower().replace("_", "-")
                     if "-" in term:
                         tokens.append(term)
-                    tokens += [word for word in re.split(r"[-']", term) if word.isalpha()]
+                    tokens += [
+                        word for word in re.split(r"[-']", term) if word.isalpha()
+                    ]
                 yield tokens + TOKEN.findall(gloss.lower())
 
 
@@ -68,13 +71,17 @@ def cooccurrence(
     return (counts + counts.T).tocsr()
 
 
-def ppmi(counts: sparse.csr_matrix, smoothing: float, shift: float) -> sparse.csr_matrix:
+def ppmi(
+    counts: sparse.csr_matrix, smoothing: float, shift: float
+) -> sparse.csr_matrix:
     """Turn counts (V, V) into positive pointwise mutual information (V, V)."""
     rows = np.asarray(counts.sum(axis=1)).ravel()
     columns = np.asarray(counts.sum(axis=0)).ravel() ** smoothing
     matrix = counts.tocoo()
     total = columns.sum()
-    value = np.log(matrix.data * total / (rows[matrix.row] * columns[matrix.col])) - shift
+    value = (
+        np.log(matrix.data * total / (rows[matrix.row] * columns[matrix.col])) - shift
+    )
     keep = value > 0
     return sparse.csr_matrix(
         (value[keep], (matrix.row[keep], matrix.col[keep])), shape=counts.shape
@@ -101,13 +108,18 @@ def build(
         key=lambda word: (-frequency[word], word),
     )
     index = {word: i for i, word in enumerate(words)}
-    ids = [np.array([index.get(token, -1) for token in tokens], np.int32) for tokens in corpus]
+    ids = [
+        np.array([index.get(token, -1) for token in tokens], np.int32)
+        for tokens in corpus
+    ]
     matrix = ppmi(cooccurrence(ids, len(words), window, harmonic), smoothing, shift)
     start = np.random.default_rng(seed).standard_normal(len(words))
     left, values, _ = svds(matrix.astype(np.float64), k=dim, v0=start)
     order = np.argsort(-values)
     left, values = left[:, order], values[order]
-    left *= np.sign(left[np.abs(left).argmax(axis=0), np.arange(dim)])  # the SVD leaves signs open
+    left *= np.sign(
+        left[np.abs(left).argmax(axis=0), np.arange(dim)]
+    )  # the SVD leaves signs open
     vectors = left * values**power
     vectors /= np.linalg.norm(vectors, axis=1).mean()  # a typical word has norm 1
     # safetensors writes the buffer as it lies: the columns taken in order left it column-major
@@ -125,7 +137,9 @@ def main() -> None:
     parser.add_argument("--smoothing", type=float, default=0.75)
     parser.add_argument("--shift", type=float, default=0.0)
     parser.add_argument("--power", type=float, default=0.0)
-    parser.add_argument("--harmonic", action="store_true", help="weight a pair by 1/distance")
+    parser.add_argument(
+        "--harmonic", action="store_true", help="weight a pair by 1/distance"
+    )
     parser.add_argument("--seed", type=int, default=0)
     a = parser.parse_args()
     words, vectors = build(
@@ -134,10 +148,17 @@ def main() -> None:
     )  # fmt: skip
     text = np.frombuffer("\n".join(words).encode(), np.uint8)
     note = (
-        "PPMI-SVD of WordNet 3.0 glosses; see WORDNET-LICENSE.txt; built by " + Path(__file__).name
+        "PPMI-SVD of WordNet 3.0 glosses; see WORDNET-LICENSE.txt; built by "
+        + Path(__file__).name
     )
-    save_file({"vectors": vectors.astype(np.float16), "words": text.copy()}, a.out, {"note": note})
-    print(f"{len(words)} words x {a.dim} numbers -> {a.out} ({a.out.stat().st_size / 1e6:.2f} MB)")
+    save_file(
+        {"vectors": vectors.astype(np.float16), "words": text.copy()},
+        a.out,
+        {"note": note},
+    )
+    print(
+        f"{len(words)} words x {a.dim} numbers -> {a.out} ({a.out.stat().st_size / 1e6:.2f} MB)"
+    )
 
 
 if __name__ == "__main__":

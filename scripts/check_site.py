@@ -10,7 +10,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADED = {"img": "src", "script": "src", "iframe": "src", "source": "src", "link": "href"}
+LOADED = {
+    "img": "src",
+    "script": "src",
+    "iframe": "src",
+    "source": "src",
+    "link": "href",
+}
 """What a browser loads by itself, by tag; links lead elsewhere, and may."""
 
 
@@ -32,7 +38,12 @@ class Page(HTMLParser):
         self.anchors.update(given[name] for name in ("id", "name") if name in given)
         if tag == "a" and "href" in given:
             self.links.append(given["href"])
-        if tag in LOADED and given.get("rel") not in ("canonical", "author", "index", "search"):
+        if tag in LOADED and given.get("rel") not in (
+            "canonical",
+            "author",
+            "index",
+            "search",
+        ):
             self.loaded.append(given.get(LOADED[tag], ""))
         if tag == "img" and not given.get("alt"):
             self.nameless.append(given.get("src", "")[:60])
@@ -58,10 +69,14 @@ def offenders(site: Path) -> Iterator[str]:
             parts = urlsplit(address)
             if parts.scheme or parts.netloc or (not address.strip("#")):
                 continue
-            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            target = (
+                (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            )
             if not target.exists():
                 yield f"{name}: no file {address}"
-            elif target in pages and unquote(parts.fragment) not in pages[target].anchors:
+            elif (
+                target in pages and unquote(parts.fragment) not in pages[target].anchors
+            ):
                 yield f"{name}: no heading {address}"
     for path in sorted((site / "_sources" / "notebooks").glob("*.md")):
         built = pages[(site / "notebooks" / f"{path.stem}.html").resolve()]
@@ -72,7 +87,10 @@ def offenders(site: Path) -> Iterator[str]:
 def main() -> None:
     """Print the offenders; exit 1 if there are any."""
     found = list(offenders(Path(sys.argv[1])))
-    print("\n".join(found) or f"{sys.argv[1]}: all links, images and notebooks are in order")
+    print(
+        "\n".join(found)
+        or f"{sys.argv[1]}: all links, images and notebooks are in order"
+    )
     sys.exit(bool(found))
 
 

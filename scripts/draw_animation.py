@@ -24,14 +24,24 @@ def draw(frame: Frame, last: bool) -> Image.Image:
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(25)
     query, _, answer = frame.goal.partition(": ")
     pen.text((MARGIN, 4), query, INK, font)
-    found = f"{'Reached' if frame.success else 'Missed'} {answer}" if last else f"step {frame.step}"
+    found = (
+        f"{'Reached' if frame.success else 'Missed'} {answer}"
+        if last
+        else f"step {frame.step}"
+    )
     pen.text((MARGIN, LINE + SIDE + 4), found, GREEN if frame.success else INK, font)
     for column, image in enumerate((frame.large, frame.policy)):
         resample = Image.Resampling.LANCZOS if column == 0 else Image.Resampling.NEAREST
         small = Image.fromarray(image).resize((SIDE, SIDE), resample)
         sheet.paste(small, (MARGIN + column * (SIDE + MARGIN), LINE))
     at = (2 * (SIDE + MARGIN), LINE + SIDE + 10)
-    pen.text(at, "64 x 64 pixels: the policy's input", INK, ImageFont.load_default(16), anchor="ra")
+    pen.text(
+        at,
+        "64 x 64 pixels: the policy's input",
+        INK,
+        ImageFont.load_default(16),
+        anchor="ra",
+    )
     return sheet
 
 
@@ -52,12 +62,24 @@ def main() -> None:
         frames = record_episode(trained.agent, env, episodes[i : i + 1])
         images += [draw(frame, frame is frames[-1]) for frame in frames]
         durations += [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    every = np.concatenate([np.asarray(image) for image in images[::4]])  # colours of all episodes
+    every = np.concatenate(
+        [np.asarray(image) for image in images[::4]]
+    )  # colours of all episodes
     palette = Image.fromarray(every).quantize(192)
-    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    small = [
+        image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images
+    ]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    small[0].save(arguments.out, save_all=True, append_images=small[1:], duration=durations, loop=0)
-    print(f"Wrote {arguments.out}: {len(images)} images, {arguments.out.stat().st_size:,} bytes")
+    small[0].save(
+        arguments.out,
+        save_all=True,
+        append_images=small[1:],
+        duration=durations,
+        loop=0,
+    )
+    print(
+        f"Wrote {arguments.out}: {len(images)} images, {arguments.out.stat().st_size:,} bytes"
+    )
 
 
 if __name__ == "__main__":

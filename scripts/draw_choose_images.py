@@ -26,11 +26,17 @@ def main() -> None:
     """Draw a row of large and a row of small images per robot, and a column per episode."""
     rows = []
     for robot in ROBOTS:
-        env = ArmVectorEnv(EnvConfig(robot=robot, task=Task(asked=AskObject())), COLUMNS)
+        env = ArmVectorEnv(
+            EnvConfig(robot=robot, task=Task(asked=AskObject())), COLUMNS
+        )
         small, _ = env.reset(seed=0)
-        rows.append([enlarged(image, Image.Resampling.LANCZOS) for image in env.render()])
+        rows.append(
+            [enlarged(image, Image.Resampling.LANCZOS) for image in env.render()]
+        )
         rows.append([enlarged(image, Image.Resampling.NEAREST) for image in small])
-    Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(sys.argv[1])
+    Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(
+        sys.argv[1]
+    )
 
 
 if __name__ == "__main__":

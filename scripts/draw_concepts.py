@@ -57,7 +57,9 @@ def box(x: float, y: float, width: float, words: tuple[str, str], colour: str) -
 def arrow(x0: float, y0: float, x1: float, y1: float) -> str:
     """Draw an arrow with its tip at the second point."""
     tip = f"M{x1 - 8:.1f} {y1 - 4:.1f}L{x1:.1f} {y1:.1f}L{x1 - 8:.1f} {y1 + 4:.1f}Z"
-    line = element("line", x1=x0, y1=y0, x2=x1 - 6, y2=y1, stroke=GREY, stroke_width=1.6)
+    line = element(
+        "line", x1=x0, y1=y0, x2=x1 - 6, y2=y1, stroke=GREY, stroke_width=1.6
+    )
     return line + element("path", d=tip, fill=GREY)
 
 

@@ -83,7 +83,9 @@ def picture(name: str, colour: tuple[float, float, float]) -> Image.Image:
     site = spec.sites[0]
     site.size, site.rgba = [0.006, 0, 0], [1, 0, 1, 1]
     spec.worldbody.add_light(pos=[0.3, -0.6, 1], dir=[-0.3, 0.6, -1])
-    floor = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1])
+    floor = spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1]
+    )
     floor.rgba = [0.9, 0.9, 0.92, 1]
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
     model = spec.compile()
@@ -111,8 +113,12 @@ def main() -> None:
         draw.text((left + 4, top + 4), kind, fill="black", font_size=14)
         for i in range(PER_SIDE**2):
             tile = picture(f"{kind}-{i}", shades[i % len(shades)])
-            sheet.paste(tile, (left + i % PER_SIDE * TILE, top + 22 + i // PER_SIDE * TILE))
-    sheet.quantize(128, dither=Image.Dither.NONE).save(ROOT / "docs/images/families.png")
+            sheet.paste(
+                tile, (left + i % PER_SIDE * TILE, top + 22 + i // PER_SIDE * TILE)
+            )
+    sheet.quantize(128, dither=Image.Dither.NONE).save(
+        ROOT / "docs/images/families.png"
+    )
 
 
 if __name__ == "__main__":

@@ -30,14 +30,24 @@ def main() -> None:
     """Write all images."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        strip = ["--episodes", "2", "--seed", "4", "--strip", str(folder / "first-agent.png")]
+        strip = [
+            "--episodes",
+            "2",
+            "--seed",
+            "4",
+            "--strip",
+            str(folder / "first-agent.png"),
+        ]
         knowarm(["view", "--agent", "zoo/tiago-full-fast", *strip])
         strip = ["--episodes", "1", "--strip", str(folder / "own-task.png")]
         knowarm(["view", "irb120", "--task", "examples.own_task.hover:Hover", *strip])
         study = unpack_study(Path("docs/results/paper.tar.xz"), folder / "paper")
         write_report([study], folder / "report.html")
         (folder / "kitchen.csv").write_text(GRAPH, encoding="utf-8")
-        asked = ["zoo/irb120-choose-answers-fast", "usedFor drinking and not hasColor red"]
+        asked = [
+            "zoo/irb120-choose-answers-fast",
+            "usedFor drinking and not hasColor red",
+        ]
         pages = [
             "--scene",
             "3",
@@ -56,7 +66,11 @@ def main() -> None:
                 opened.screenshot(path=folder / f"{page}.png")
             browser.close()
         for path in sorted(folder.glob("*.png")):
-            image = Image.open(path).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+            image = (
+                Image.open(path)
+                .convert("RGB")
+                .quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+            )
             image.save(IMAGES / path.name, optimize=True)
             print(f"Wrote {IMAGES / path.name}")
 

@@ -26,7 +26,9 @@ def first_image(robot: str, kind: str) -> np.ndarray:
     config = EnvConfig(robot=robot, randomization=VisualRandomization(**varied))
     env = ArmVectorEnv(config, 1, num_threads=1)
     if opengl:
-        env.renderer = (LampRenderer if lamp else OpenGLRenderer)(env.scene, config.image_size)
+        env.renderer = (LampRenderer if lamp else OpenGLRenderer)(
+            env.scene, config.image_size
+        )
     image = env.reset(seed=SEED)[0][0]
     env.close()
     return image
@@ -35,10 +37,14 @@ def first_image(robot: str, kind: str) -> np.ndarray:
 def save(rows: list[list[np.ndarray]], name: str) -> None:
     """Write a sheet of images, with white lines between them."""
     lines = ((1, 1), (1, 1), (0, 0))
-    white = [[np.pad(image, lines, constant_values=255) for image in row] for row in rows]
+    white = [
+        [np.pad(image, lines, constant_values=255) for image in row] for row in rows
+    ]
     sheet = np.concatenate([np.concatenate(row, axis=1) for row in white])
     size = sheet.shape[1] * ENLARGED, sheet.shape[0] * ENLARGED
-    Image.fromarray(sheet).resize(size, Image.Resampling.NEAREST).save(IMAGES / name, optimize=True)
+    Image.fromarray(sheet).resize(size, Image.Resampling.NEAREST).save(
+        IMAGES / name, optimize=True
+    )
     print(f"Wrote {IMAGES / name}")
 
 

@@ -52,7 +52,9 @@ def choose_curves(study: Path) -> str:
 def learned(study: Path, title: str) -> str:
     """Draw the interim success of the agents of one task of a study."""
     task = next(each for each in collect([study]).tasks if each.title == title)
-    figure = curve_figure(task, {"success": SUCCESS_AXIS}, "success", SUCCESS_AXIS.title)
+    figure = curve_figure(
+        task, {"success": SUCCESS_AXIS}, "success", SUCCESS_AXIS.title
+    )
     legend = {group.name: task.colours[group.name] for group in task.groups}
     return picture([figure.panels[0].svg], BOXES["large"], legend)
 
@@ -62,7 +64,9 @@ def reach_success(irb120: Path, tiago: Path, randomized: Path) -> str:
     agents = {"bm": "c-grey", "partial": "c-orange", "full": "c-blue"}
     rows = {
         f"{robot}{colours}": {
-            colour: seed_scores(study, f"{robot}-{agent}{colours}-fast", "success").tolist()
+            colour: seed_scores(
+                study, f"{robot}-{agent}{colours}-fast", "success"
+            ).tolist()
             for agent, colour in agents.items()
         }
         for robot, colours, study in (
@@ -73,13 +77,18 @@ def reach_success(irb120: Path, tiago: Path, randomized: Path) -> str:
         )
     }
     name = "success"
-    chart = dots(rows, "Success per training seed of the paper's experiments", name, low=0.8)
+    chart = dots(
+        rows, "Success per training seed of the paper's experiments", name, low=0.8
+    )
     return picture([chart], dots_box(rows), agents)
 
 
 def answers(study: Path, agent: str, splits: Sequence[str] = SPLITS) -> str:
     """Draw right choices and success of every run of an agent on both robots."""
-    measures = {"right choices": ("choice", "c-blue"), "success": ("success", "c-orange")}
+    measures = {
+        "right choices": ("choice", "c-blue"),
+        "success": ("success", "c-orange"),
+    }
     rows = {
         f"{robot}, {split.capitalize()}": {
             colour: seed_scores(study, f"{robot}-{agent}", key, split).tolist()
@@ -88,8 +97,12 @@ def answers(study: Path, agent: str, splits: Sequence[str] = SPLITS) -> str:
         for robot in ("irb120", "tiago")
         for split in splits
     }
-    chart = dots(rows, "Right choices and success per training seed, robot and split", "")
-    return picture([chart], dots_box(rows), {name: c for name, (_, c) in measures.items()})
+    chart = dots(
+        rows, "Right choices and success per training seed, robot and split", ""
+    )
+    return picture(
+        [chart], dots_box(rows), {name: c for name, (_, c) in measures.items()}
+    )
 
 
 KINDS = {each: (each, f"c-{c}") for each, c in
@@ -120,14 +133,21 @@ def damaged_graph(
                 line.setdefault(float(row["share"]), []).append(float(row["right"]))
     share = percent_axis("damaged triples", whole=False)
     box, drawings = Box(width=330, height=230), []
-    for robot, split in (("irb120", "S1"), ("irb120", "S4"), ("tiago", "S1"), ("tiago", "S4")):
+    for robot, split in (
+        ("irb120", "S1"),
+        ("irb120", "S4"),
+        ("tiago", "S1"),
+        ("tiago", "S4"),
+    ):
         title = f"right choices, {robot}, {split}"
         drawn = [
             Series(
                 name=name,
                 colour=colour,
                 x=np.array(sorted(values[robot, split, each])),
-                y=np.array([np.mean(v) for _, v in sorted(values[robot, split, each].items())]),
+                y=np.array(
+                    [np.mean(v) for _, v in sorted(values[robot, split, each].items())]
+                ),
             )
             for each, (name, colour) in lines.items()
         ]
@@ -140,7 +160,9 @@ def table(page: Path, number: int) -> list[list[str]]:
     tables: list[list[list[str]]] = [[]]
     for line in page.read_text(encoding="utf-8").splitlines():
         if line.startswith("|"):
-            tables[-1].append([cell.strip(" *`") for cell in line.strip("| ").split(" | ")])
+            tables[-1].append(
+                [cell.strip(" *`") for cell in line.strip("| ").split(" | ")]
+            )
         elif tables[-1]:
             tables.append([])
     return [row for row in tables[number] if not set(row[0]) <= set("-|")]
@@ -156,11 +178,16 @@ def intervals(page: Path, number: int, name: str) -> str:
     (_, *columns), *rows = table(page, number)
     colours = dict(zip(columns, ("c-blue", "c-orange"), strict=True))
     found = {
-        row: dict(zip(colours.values(), map(numbers, cells), strict=True)) for row, *cells in rows
+        row: dict(zip(colours.values(), map(numbers, cells), strict=True))
+        for row, *cells in rows
     }
     values = {row: {c: v[:1] for c, v in each.items()} for row, each in found.items()}
-    spans = {row: {c: (v[1], v[2]) for c, v in each.items()} for row, each in found.items()}
-    return picture([dots(values, name, "success", spans=spans)], dots_box(values), colours)
+    spans = {
+        row: {c: (v[1], v[2]) for c, v in each.items()} for row, each in found.items()
+    }
+    return picture(
+        [dots(values, name, "success", spans=spans)], dots_box(values), colours
+    )
 
 
 def vision(page: Path) -> str:
@@ -183,7 +210,9 @@ def vision(page: Path) -> str:
                 for start, colour in agents.values()
             }
     chart = dots(rows, "Success of agents that see and that do not", "success")
-    return picture([chart], dots_box(rows), {name: c for name, (_, c) in agents.items()})
+    return picture(
+        [chart], dots_box(rows), {name: c for name, (_, c) in agents.items()}
+    )
 
 
 def reasoning(page: Path) -> str:
@@ -202,7 +231,9 @@ def reasoning(page: Path) -> str:
         }
         for i, split in enumerate(splits)
     }
-    return picture([dots(rows, "Right objects per split", "right object")], dots_box(rows), names)
+    return picture(
+        [dots(rows, "Right objects per split", "right object")], dots_box(rows), names
+    )
 
 
 def speed(measured: Path) -> str:
@@ -219,9 +250,13 @@ def speed(measured: Path) -> str:
         for row in json.loads(measured.read_text(encoding="utf-8"))["rows"]
     }
     title = "environment steps per second, logarithmic"
-    axis = Axis(title=title, format=lambda value, _: f"{10**value:,.0f}", range=(2.0, 5.6))
+    axis = Axis(
+        title=title, format=lambda value, _: f"{10**value:,.0f}", range=(2.0, 5.6)
+    )
     legend = {name: colour for name, (_, colour) in kinds.items()}
-    return picture([dots(rows, f"Simulation with images: {title}", axis)], dots_box(rows), legend)
+    return picture(
+        [dots(rows, f"Simulation with images: {title}", axis)], dots_box(rows), legend
+    )
 
 
 def cosines() -> str:
@@ -236,9 +271,16 @@ def cosines() -> str:
         parts = []
         for i, row in enumerate(unit @ unit.T):
             y = 30 + side * i
-            parts.append(label(left - 8, y + 28, facets[i], class_="row-name", text_anchor="end"))
+            parts.append(
+                label(left - 8, y + 28, facets[i], class_="row-name", text_anchor="end")
+            )
             for j, cosine in enumerate(row):
-                at = {"x": left + side * j, "y": y, "width": side - 2, "height": side - 2}
+                at = {
+                    "x": left + side * j,
+                    "y": y,
+                    "width": side - 2,
+                    "height": side - 2,
+                }
                 shade = max(0.0, float(cosine)) ** 2
                 parts.append(element("rect", **at, fill="var(--c)", fill_opacity=shade))
                 middle = {"class_": "tick", "text_anchor": "middle"}

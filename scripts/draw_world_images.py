@@ -27,10 +27,14 @@ def main() -> None:
         env = ArmVectorEnv(EnvConfig(robot=robot, colours="randomized"), 60)
         small, infos = env.reset(seed=3)
         large = env.render()
-        chosen = [int(np.argmax(infos["facet"] == facet)) for facet in range(len(env.facets))]
+        chosen = [
+            int(np.argmax(infos["facet"] == facet)) for facet in range(len(env.facets))
+        ]
         rows.append([enlarged(large[i], Image.Resampling.LANCZOS) for i in chosen])
         rows.append([enlarged(small[i], Image.Resampling.NEAREST) for i in chosen])
-    Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(sys.argv[1])
+    Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(
+        sys.argv[1]
+    )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,9 @@ def style() -> str:
     """Return what a drawing uses of the reports' style sheet: light colours, and its marks."""
     colours, *others = style_sheet().split("\n\n")
     (marks,) = (each for each in others if each.startswith("svg text"))
-    light = re.sub(r"light-dark\((.+?), [^;]+\);", r"\1;", colours.replace("light dark", "light"))
+    light = re.sub(
+        r"light-dark\((.+?), [^;]+\);", r"\1;", colours.replace("light dark", "light")
+    )
     light = re.sub(r"(?m)^:root\..*\n", "", light)  # the user's choice of a page
     return f"{light}\n{marks}\n"
 
@@ -72,8 +74,12 @@ def picture(
             shown.append(label(box.x[1], box.top - 11, titles[i], **end))
         parts.append(element("g", *shown, transform=at))
     columns = columns or len(drawings)
-    size = f"0 0 {columns * box.width} {-(-len(drawings) // columns) * box.height + top}"
-    svg = element("svg", *parts, viewBox=size, class_="light", xmlns="http://www.w3.org/2000/svg")
+    size = (
+        f"0 0 {columns * box.width} {-(-len(drawings) // columns) * box.height + top}"
+    )
+    svg = element(
+        "svg", *parts, viewBox=size, class_="light", xmlns="http://www.w3.org/2000/svg"
+    )
     return svg + "\n"
 
 
@@ -103,16 +109,28 @@ def dots(
     parts = []
     for value, words in zip(x.ticks(5), axis.labels(x.ticks(5)), strict=True):
         at = x(value)
-        parts.append(element("line", class_="grid", x1=at, x2=at, y1=box.top, y2=box.y[0]))
-        parts.append(label(at, box.y[0] + 17, words, class_="tick", text_anchor="middle"))
-    parts.append(label(box.x[1], box.y[0] + 33, axis.title, class_="axis-title", text_anchor="end"))
+        parts.append(
+            element("line", class_="grid", x1=at, x2=at, y1=box.top, y2=box.y[0])
+        )
+        parts.append(
+            label(at, box.y[0] + 17, words, class_="tick", text_anchor="middle")
+        )
+    parts.append(
+        label(
+            box.x[1], box.y[0] + 33, axis.title, class_="axis-title", text_anchor="end"
+        )
+    )
     for i, (row, groups) in enumerate(scores.items()):
         y = box.top + 26 * i + 13
-        parts.append(label(box.left - 10, y + 4, row, class_="row-name", text_anchor="end"))
+        parts.append(
+            label(box.left - 10, y + 4, row, class_="row-name", text_anchor="end")
+        )
         offset = -3.5 * (len(groups) - 1)
         for j, (colour, values) in enumerate(groups.items()):
             at = y + offset + 7 * j
-            marks = [element("circle", cx=x(v), cy=at, r=4.2, opacity=0.75) for v in values]
+            marks = [
+                element("circle", cx=x(v), cy=at, r=4.2, opacity=0.75) for v in values
+            ]
             if spans:
                 low_end, high_end = (x(end) for end in spans[row][colour])
                 line = {"x1": low_end, "x2": high_end, "y1": at, "y2": at}
@@ -130,7 +148,9 @@ def dots_box(scores: Mapping[str, object], width: float = 660) -> Box:
 def shown(svg: str, alt: str) -> Shown:
     """Show a standalone SVG in a notebook."""
     data = base64.b64encode(svg.encode()).decode()
-    return Shown(f'<img src="data:image/svg+xml;base64,{data}" alt="{escape(alt, quote=True)}">')
+    return Shown(
+        f'<img src="data:image/svg+xml;base64,{data}" alt="{escape(alt, quote=True)}">'
+    )
 
 
 def film(frames: Sequence[Frame], alt: str, side: int = 280) -> Shown:
@@ -139,7 +159,9 @@ def film(frames: Sequence[Frame], alt: str, side: int = 280) -> Shown:
     for frame in frames:
         sheet = Image.new("RGB", (2 * side + 8, side), (255, 255, 255))
         sheet.paste(Image.fromarray(frame.large).resize((side, side)), (0, 0))
-        small = Image.fromarray(frame.policy).resize((side, side), Image.Resampling.NEAREST)
+        small = Image.fromarray(frame.policy).resize(
+            (side, side), Image.Resampling.NEAREST
+        )
         sheet.paste(small, (side + 8, 0))
         images.append(sheet)
     buffer = io.BytesIO()
@@ -154,7 +176,9 @@ def film(frames: Sequence[Frame], alt: str, side: int = 280) -> Shown:
         quality=70,
     )
     data = base64.b64encode(buffer.getvalue()).decode()
-    return Shown(f'<img src="data:image/webp;base64,{data}" alt="{escape(alt, quote=True)}">')
+    return Shown(
+        f'<img src="data:image/webp;base64,{data}" alt="{escape(alt, quote=True)}">'
+    )
 
 
 def seed_scores(folder: Path, experiment: str, key: str, split: str = "") -> np.ndarray:

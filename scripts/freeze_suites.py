@@ -41,7 +41,12 @@ SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
 
 
 def freeze(
-    name: str, about: str, cells: list[Cell], *, training_seeds: int, control_episodes: int
+    name: str,
+    about: str,
+    cells: list[Cell],
+    *,
+    training_seeds: int,
+    control_episodes: int,
 ) -> Suite:
     """Make a suite of cells."""
     arrays: dict[str, NDArray[Any]] = {}
@@ -61,7 +66,10 @@ def freeze(
         }
         if cell.graph is not None:
             lines = ["\t".join(triple) for triple in cell.graph]
-            described[cell.name]["graph"] = {"triples": lines, "entities": cell.graph.entities}
+            described[cell.name]["graph"] = {
+                "triples": lines,
+                "entities": cell.graph.entities,
+            }
     values = {
         "format": 1,
         "name": name,
@@ -107,7 +115,9 @@ def choose() -> Suite:
     cells = []
     for robot in ("irb120", "tiago"):
         for split in SPLITS:
-            how = EvaluationConfig(distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),))
+            how = EvaluationConfig(
+                distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),)
+            )
             cells.append(cell(f"{robot}-{split}", f"{robot}-choose-bm-fast", how))
     about = (
         "Reach the object, of four, that a query describes, within 5 cm and 15 degrees. S1: new "

@@ -99,7 +99,9 @@ def copy_of(tmp_path):
 
 def pytest_addoption(parser):
     parser.addoption(
-        "--order-seed", type=int, help="run modules, and the tests in them, in a random order"
+        "--order-seed",
+        type=int,
+        help="run modules, and the tests in them, in a random order",
     )
 
 
@@ -132,7 +134,9 @@ def pytest_collection_modifyitems(config, items):
 
 def missing(terminalreporter):
     """Return the number of tests that were skipped for the lack of each program."""
-    reasons = [str(report.longrepr) for report in terminalreporter.stats.get("skipped", [])]
+    reasons = [
+        str(report.longrepr) for report in terminalreporter.stats.get("skipped", [])
+    ]
     counts = {
         name: sum(bool(re.search(pattern, reason, re.IGNORECASE)) for reason in reasons)
         for name, (_, pattern) in REMEDIES.items()
@@ -143,7 +147,8 @@ def missing(terminalreporter):
 def pytest_terminal_summary(terminalreporter):
     for name, count in missing(terminalreporter).items():
         terminalreporter.write_line(
-            f"{count} skipped for lack of {name}; to run them: {REMEDIES[name][0]}", yellow=True
+            f"{count} skipped for lack of {name}; to run them: {REMEDIES[name][0]}",
+            yellow=True,
         )
 
 
@@ -151,5 +156,9 @@ def pytest_terminal_summary(terminalreporter):
 def pytest_sessionfinish(session, exitstatus):
     """Fail where nothing may be missing (``KNOWARM_TESTS_COMPLETE=1``, as in ``.ci/run``)."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if os.environ.get("KNOWARM_TESTS_COMPLETE") and reporter is not None and missing(reporter):
+    if (
+        os.environ.get("KNOWARM_TESTS_COMPLETE")
+        and reporter is not None
+        and missing(reporter)
+    ):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

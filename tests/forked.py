@@ -34,7 +34,9 @@ class Forked:
         def run() -> None:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             for descriptor, path in enumerate(self._files, 1):
-                os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
+                os.dup2(
+                    os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor
+                )
             sys.stdout, sys.stderr = (open(fd, "w", closefd=False) for fd in (1, 2))  # noqa: SIM115
             os.environ.update(environment or {})
             os.chdir(cwd or Path.cwd())

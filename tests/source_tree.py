@@ -16,7 +16,9 @@ def files(*folders: str, suffix: str = ".py") -> dict[str, str]:
     for folder in folders:
         for path in sorted((ROOT / folder).rglob(f"*{suffix}")):
             if "_build" not in path.parts:
-                found[path.relative_to(ROOT).as_posix()] = path.read_text(encoding="utf-8")
+                found[path.relative_to(ROOT).as_posix()] = path.read_text(
+                    encoding="utf-8"
+                )
     return found
 
 
@@ -25,13 +27,16 @@ def modules() -> dict[str, ast.Module]:
     """Return the syntax tree of every module of the package, by its path in the package."""
     prefix = SOURCE.relative_to(ROOT).as_posix() + "/"
     return {
-        path.removeprefix(prefix): ast.parse(text) for path, text in files("src/knowarm").items()
+        path.removeprefix(prefix): ast.parse(text)
+        for path, text in files("src/knowarm").items()
     }
 
 
 def dotted(path: str) -> str:
     """Return a module's full name: ``learn/ppo.py`` is ``knowarm.learn.ppo``."""
-    return ".".join(["knowarm", *path.removesuffix(".py").split("/")]).removesuffix(".__init__")
+    return ".".join(["knowarm", *path.removesuffix(".py").split("/")]).removesuffix(
+        ".__init__"
+    )
 
 
 @cache
@@ -61,7 +66,9 @@ def imported(path: str, tree: ast.Module) -> Iterator[str]:
             base = parents[: len(parents) - node.level + 1] if node.level else []
             start = ".".join([*base, *([node.module] if node.module else [])])
             yield from (f"{start}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(
+            "import_module"
+        ):
             if isinstance(node.args[0], ast.Constant):
                 yield node.args[0].value
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):

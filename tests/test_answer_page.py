@@ -10,7 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "answer.md"
 TABLES = [
-    PAGE.with_name(f"{name}.csv") for name in ("answer-runs", "answer-comparisons", "a3c-changes")
+    PAGE.with_name(f"{name}.csv")
+    for name in ("answer-runs", "answer-comparisons", "a3c-changes")
 ]
 COLOURS = ("fixed", "randomized")
 NUMBERS = ("four", "five", "six", "seven", "eight", "nine", "ten")
@@ -34,13 +35,23 @@ def agents_of(cell):
 
 def test_readme_has_the_answer_of_the_page():
     readme = (ROOT / "README.md").read_text("utf-8")
-    cells = [f"{robot}, {colours} colours" for robot in ("IRB120", "TIAGo") for colours in COLOURS]
-    fewest = min(agents_of(cell)[agent][0] for cell in cells for agent in ("bm", "full"))
+    cells = [
+        f"{robot}, {colours} colours"
+        for robot in ("IRB120", "TIAGo")
+        for colours in COLOURS
+    ]
+    fewest = min(
+        agents_of(cell)[agent][0] for cell in cells for agent in ("bm", "full")
+    )
     assert f"with {NUMBERS[fewest - 4]} seeds or more, no effect" in readme
-    claims = re.findall(r"^\| .+ \| .+ \| .+ \| (.+) \|$", PAGE.read_text("utf-8"), re.M)[1:7]
+    claims = re.findall(
+        r"^\| .+ \| .+ \| .+ \| (.+) \|$", PAGE.read_text("utf-8"), re.M
+    )[1:7]
     assert all(verdict.startswith("not found") for verdict in claims), claims
     top = " ".join(PAGE.read_text("utf-8").split("\n## ")[0].split())
-    bounds = [int(each) for each in re.findall(r"excludes a saving of more than (\d+) %", top)]
+    bounds = [
+        int(each) for each in re.findall(r"excludes a saving of more than (\d+) %", top)
+    ]
     assert len(bounds) == len(cells)
     said = f"of the four cells exclude that it saves more than {min(bounds)} to {max(bounds)} %"
     assert said in " ".join(readme.split())
@@ -54,7 +65,11 @@ CLAIM = re.compile(
 )
 SAME_SENTENCE = r"(?:[^.]|\.\d)*"
 WORDING = {
-    "no advantage over the baseline is shown": ("no (effect|advantage)", "{outcome}", "found"),
+    "no advantage over the baseline is shown": (
+        "no (effect|advantage)",
+        "{outcome}",
+        "found",
+    ),
     "better than the baseline, but not than a network as large": (
         *("(better|higher|faster)", "baseline", "not than a network as large"),
     ),
@@ -76,14 +91,19 @@ def test_claims_say_what_the_report_of_the_packs_finds(file):
     assert len(found) == 8
     for paragraph in (ROOT / file).read_text("utf-8").split("\n\n"):
         keys, text = KEY.findall(paragraph), " ".join(KEY.sub("", paragraph).split())
-        assert keys or not CLAIM.search(text) or "`bm`" in text, f"a claim without a key: {text}"
+        assert keys or not CLAIM.search(text) or "`bm`" in text, (
+            f"a claim without a key: {text}"
+        )
         keyed += len(keys)
         for key in keys:
             difference, finding = found[key]
             wording = SAME_SENTENCE.join(WORDING[finding]).replace("{outcome}", key[2])
-            assert re.search(wording, text), f"{key} is {finding!r}, and {file} says: {text}"
+            assert re.search(wording, text), (
+                f"{key} is {finding!r}, and {file} says: {text}"
+            )
             for given in re.findall(r"\(([+-][\d.]+) points \[(.+?)\]", text):
                 assert (
-                    difference == f"{given[0]} [{', '.join(f'+{n}' for n in given[1].split(', '))}]"
+                    difference
+                    == f"{given[0]} [{', '.join(f'+{n}' for n in given[1].split(', '))}]"
                 )
     assert keyed

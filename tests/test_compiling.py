@@ -15,7 +15,10 @@ print(folder, sum(len(files) for _, _, files in os.walk(folder)))
 
 def test_kernels_are_compiled_where_no_folder_can_be_written_to(tmp_path):
     """As for a user without a home, of a package that belongs to another one."""
-    only = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
+    only = {
+        "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator",
+        "NUMBA_CACHE_DIR": "",
+    }
     done = subprocess.run(
         [sys.executable, "-c", KERNEL],
         env={**os.environ, **only, "TMPDIR": str(tmp_path)},

@@ -26,7 +26,9 @@ FOREIGN = {
 FOLDERS = ("src", "tests", "examples", "scripts", "benchmarks", "docs", "zoo")
 """Folders whose files the documentation may name; a path that begins with one must exist."""
 
-FENCE = re.compile(r"^ *```(?:\{code-cell\} )?(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r"^ *```(?:\{code-cell\} )?(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL
+)
 SPAN = re.compile(r"(?<!`)(`+)(?!`)(.+?)(?<!`)\1(?!`)", re.DOTALL)
 WORD = re.compile(r"(?<![\w./<>{*-])[A-Za-z_][\w./-]*(?![\w<>{*])")
 
@@ -42,7 +44,9 @@ def documents():
 def known_words():
     """Return every name in the code, and every word in its strings; docstrings do not count."""
     words = set(FOREIGN)
-    for path, text in files("src", "tests", "examples", "scripts", "benchmarks").items():
+    for path, text in files(
+        "src", "tests", "examples", "scripts", "benchmarks"
+    ).items():
         tree = ast.parse("" if path == "tests/test_docs.py" else text)
         prose = {
             id(node.value)
@@ -86,7 +90,9 @@ def unknown_module(name):
     module = name
     while module not in names():
         module = module.rpartition(".")[0]
-    return not set(name.removeprefix(module).strip(".").split(".")) - {""} <= known_words()
+    return (
+        not set(name.removeprefix(module).strip(".").split(".")) - {""} <= known_words()
+    )
 
 
 def unknown_identifiers(span):
@@ -103,7 +109,9 @@ def unknown_identifiers(span):
                 yield word
         elif not re.search(r"[/-]|\.(csv|json|log|obj|png|toml|ttl|xml)$", word):
             for part in word.split("."):
-                looks_like_code = "_" in part.strip("_") or re.match(r"[A-Z]\w*[a-z0-9][A-Z]", part)
+                looks_like_code = "_" in part.strip("_") or re.match(
+                    r"[A-Z]\w*[a-z0-9][A-Z]", part
+                )
                 if looks_like_code and part not in known_words():
                     yield word
 
@@ -112,7 +120,11 @@ def unknown_options(command):
     """Yield the options of a command line that are no field of any config or command."""
     for option in re.findall(r"(?<![\w-])--([a-z][\w.-]*)", command):
         for part in option.replace("-", "_").split("."):
-            if not {part, part.removeprefix("no_")} & {*known_words(), "help", "help_all"}:
+            if not {part, part.removeprefix("no_")} & {
+                *known_words(),
+                "help",
+                "help_all",
+            }:
                 yield f"--{option}"
 
 
@@ -142,12 +154,16 @@ def assert_nothing_unknown(find):
     offenders = defaultdict(set)
     for path, text in documents().items():
         offenders[path].update(find(text))
-    lines = [f"{path}: {name}" for path, found in offenders.items() for name in sorted(found)]
+    lines = [
+        f"{path}: {name}" for path, found in offenders.items() for name in sorted(found)
+    ]
     assert not lines, "\n".join([f"{len(lines)} offenders:", *lines])
 
 
 def test_identifiers_in_backticks_exist():
-    assert_nothing_unknown(lambda text: (w for s in spans(text) for w in unknown_identifiers(s)))
+    assert_nothing_unknown(
+        lambda text: (w for s in spans(text) for w in unknown_identifiers(s))
+    )
 
 
 def test_names_of_the_package_in_examples_exist():
@@ -168,21 +184,34 @@ def test_commands_exist():
 def test_options_exist():
     def find(text):
         lone = (span for span in spans(text) if span.startswith("--"))
-        return (o for line in [*lone, *command_lines(text)] for o in unknown_options(line))
+        return (
+            o for line in [*lone, *command_lines(text)] for o in unknown_options(line)
+        )
 
     assert_nothing_unknown(find)
 
 
 @pytest.mark.parametrize(
     "span",
-    ["draw_no_pictures", "NoSuchEnv(1)", "EnvConfig.no_such_field", "knowarm.no_such", "gone.py"],
+    [
+        "draw_no_pictures",
+        "NoSuchEnv(1)",
+        "EnvConfig.no_such_field",
+        "knowarm.no_such",
+        "gone.py",
+    ],
 )
 def test_an_identifier_that_does_not_exist_is_found(span):
     assert list(unknown_identifiers(span)) != []
 
 
 def test_identifiers_that_exist_are_not_found():
-    for span in ("knowarm.learn.losses.advantages", "learn/ppo.py", "gae_lambda=.9", "mug"):
+    for span in (
+        "knowarm.learn.losses.advantages",
+        "learn/ppo.py",
+        "gae_lambda=.9",
+        "mug",
+    ):
         assert list(unknown_identifiers(span)) == []
 
 
@@ -190,7 +219,9 @@ def test_a_command_or_option_that_does_not_exist_is_found():
     assert unknown_command("knowarm no-such")
     assert unknown_command("knowarm study no-such")
     assert not unknown_command("knowarm train irb120-full-fast")
-    assert list(unknown_options("knowarm train --env.no-such-field")) == ["--env.no-such-field"]
+    assert list(unknown_options("knowarm train --env.no-such-field")) == [
+        "--env.no-such-field"
+    ]
     assert list(unknown_options("knowarm train --algorithm.gamma .9 --resume")) == []
 
 
@@ -211,14 +242,22 @@ def broken_links(path, text):
         if not where.exists():
             yield target
             continue
-        headings = anchors(where.read_text(encoding="utf-8") if file and anchor else text)
+        headings = anchors(
+            where.read_text(encoding="utf-8") if file and anchor else text
+        )
         if anchor not in {"", *headings}:
             yield target
 
 
 def test_links_lead_somewhere():
-    pages = documents() | {"docs/lab-notes.md": (ROOT / "docs/lab-notes.md").read_text("utf-8")}
-    lines = [f"{path}: {link}" for path, text in pages.items() for link in broken_links(path, text)]
+    pages = documents() | {
+        "docs/lab-notes.md": (ROOT / "docs/lab-notes.md").read_text("utf-8")
+    }
+    lines = [
+        f"{path}: {link}"
+        for path, text in pages.items()
+        for link in broken_links(path, text)
+    ]
     assert not lines, "\n".join([f"{len(lines)} offenders:", *lines])
 
 
@@ -236,7 +275,9 @@ def test_every_promise_about_security_names_tests_that_exist():
         named = re.findall(r"`((?:tests/\w+/)?test_\w+\.py|tests/[\w/]+\.py)`", row)
         assert named or "code**" in row, row
         for name in named:
-            assert any(path.match(name) for path in (ROOT / "tests").rglob("test_*.py")), name
+            assert any(
+                path.match(name) for path in (ROOT / "tests").rglob("test_*.py")
+            ), name
 
 
 def test_result_pages_begin_with_their_answer():

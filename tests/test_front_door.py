@@ -46,7 +46,17 @@ def run(tmp_path_factory):
 
 
 def test_importing_the_package_imports_nothing_heavy():
-    heavy = {"torch", "mujoco", "numba", "scipy", "pyarrow", "PIL", "tyro", "rich", "jinja2"}
+    heavy = {
+        "torch",
+        "mujoco",
+        "numba",
+        "scipy",
+        "pyarrow",
+        "PIL",
+        "tyro",
+        "rich",
+        "jinja2",
+    }
     code = "import sys, gymnasium; before = set(sys.modules); import knowarm; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -80,7 +90,8 @@ def undocumented(value):
         described |= {
             name
             for name in own
-            if isinstance(vars(each).get(name), METHODS) and inspect.getdoc(vars(each)[name])
+            if isinstance(vars(each).get(name), METHODS)
+            and inspect.getdoc(vars(each)[name])
         }
     return members - described
 
@@ -101,7 +112,9 @@ class Silent(knowarm.Run):
 def test_every_public_name_and_member_is_in_the_reference():
     assert undocumented(Silent) == {"silent", "method"}
     folder = SOURCE.parents[1] / "docs" / "reference"
-    pages = "".join(path.read_text(encoding="utf-8") for path in folder.glob("api/*.md"))
+    pages = "".join(
+        path.read_text(encoding="utf-8") for path in folder.glob("api/*.md")
+    )
     for pattern, text in (
         (r":: knowarm\.(\w+)$", pages),
         (r"^   knowarm\.(\w+)$", pages),  # tables at their tops
@@ -111,10 +124,16 @@ def test_every_public_name_and_member_is_in_the_reference():
         wanted = knowarm.__all__
         if pattern.startswith("^"):  # registries have the words of `dict` and `tuple`
             wanted = [
-                name for name in wanted if not isinstance(getattr(knowarm, name), dict | tuple)
+                name
+                for name in wanted
+                if not isinstance(getattr(knowarm, name), dict | tuple)
             ]
         assert sorted(names) == sorted(wanted), pattern
-    classes = [each for name in knowarm.__all__ if inspect.isclass(each := getattr(knowarm, name))]
+    classes = [
+        each
+        for name in knowarm.__all__
+        if inspect.isclass(each := getattr(knowarm, name))
+    ]
     found = {each.__name__: undocumented(each) for each in classes}
     assert not {name: members for name, members in found.items() if members}
 
@@ -154,13 +173,17 @@ def test_train(run):
 
 @example("evaluate", "EvaluationResult", "EvaluationConfig")
 def test_evaluate(run):
-    config = knowarm.EvaluationConfig(episodes=4, probes=[{"kind": "films", "episodes": 1}])
+    config = knowarm.EvaluationConfig(
+        episodes=4, probes=[{"kind": "films", "episodes": 1}]
+    )
     result = knowarm.evaluate(run, config=config)
     assert isinstance(result, knowarm.EvaluationResult)
     assert len(result.episodes["return"]) == 4
     folder = run.folder.path / "evaluation" / "post-training-greedy"
     assert result.folder == folder
-    assert repr(result).startswith("EvaluationResult(irb120-full-ppo/0, post-training-greedy: 4 ")
+    assert repr(result).startswith(
+        "EvaluationResult(irb120-full-ppo/0, post-training-greedy: 4 "
+    )
     assert len(repr(result)) < 120
     assert read_film(folder / "films" / "0.webp").shape[1:] == (64, 64, 3)
     again = knowarm.evaluate(run.folder.path, config=config, episodes=2, write=False)
@@ -191,13 +214,22 @@ def test_a_trained_agent_plays_environments_from_the_infos_of_their_resets():
     agents = (trained, trained.agent)
     whole, part = (knowarm.play(each, envs, episodes).steps.actions for each in agents)
     np.testing.assert_array_equal(whole, part)
-    for wrong in (images / 255, images[:, ::2, ::2], images.transpose(0, 3, 1, 2), [1, 2]):
+    for wrong in (
+        images / 255,
+        images[:, ::2, ::2],
+        images.transpose(0, 3, 1, 2),
+        [1, 2],
+    ):
         trained.reset(infos)
-        with pytest.raises(knowarm.UserError, match=r"image must be \(64, 64, 3\) uint8"):
+        with pytest.raises(
+            knowarm.UserError, match=r"image must be \(64, 64, 3\) uint8"
+        ):
             trained.act(wrong)
     trained.reset(infos)
     trained.act(images)
-    with pytest.raises(knowarm.UserError, match="8 episodes have started, and there are 1 images"):
+    with pytest.raises(
+        knowarm.UserError, match="8 episodes have started, and there are 1 images"
+    ):
         trained.act(images[0])
     chooser = knowarm.load_agent(ZOO.parent / CHOOSE)
     image, info = gymnasium.make("knowarm/IRB120Choose-v0").reset(seed=0)
@@ -239,9 +271,15 @@ def test_write_report(run, tmp_path):
 @example("experiment_config", "experiment_names", "ExperimentConfig")
 def test_experiment_config():
     assert "irb120-full-ppo" in knowarm.experiment_names()
-    config = knowarm.experiment_config("irb120-full-ppo", seed=3, algorithm={"num_envs": 64})
+    config = knowarm.experiment_config(
+        "irb120-full-ppo", seed=3, algorithm={"num_envs": 64}
+    )
     assert isinstance(config, knowarm.ExperimentConfig)
-    assert (config.seed, config.algorithm.num_envs, config.algorithm.gamma) == (3, 64, 0.95)
+    assert (config.seed, config.algorithm.num_envs, config.algorithm.gamma) == (
+        3,
+        64,
+        0.95,
+    )
     with pytest.raises(knowarm.UserError, match=r"field of algorithm.*num_envs"):
         knowarm.experiment_config("irb120-full-ppo", algorithm={"num_env": 64})
 
@@ -276,7 +314,10 @@ def test_play():
 
 @example("AskInstance")
 def test_families():
-    assert knowarm.EnvConfig(task=knowarm.AskInstance()).targets[:2] == ("mug-0", "mug-1")
+    assert knowarm.EnvConfig(task=knowarm.AskInstance()).targets[:2] == (
+        "mug-0",
+        "mug-1",
+    )
 
 
 @example("Lift")
@@ -298,7 +339,9 @@ class Dip(knowarm.Skill):
 
     def success(self, state: knowarm.EpisodeState):
         """Return which grippers are within the thresholds."""
-        return (state.distance <= state.thresholds[0]) & (state.angle <= state.thresholds[1])
+        return (state.distance <= state.thresholds[0]) & (
+            state.angle <= state.thresholds[1]
+        )
 
 
 @example("EpisodeState", "Robot")
@@ -312,17 +355,23 @@ def test_the_state_of_episodes_and_the_robot():
     assert env.running.joint_targets.shape == (2, len(robot.joints))
 
 
-@example("Task", "Asking", "AskNothing", "AskObject", "Skill", "Reach", "ASKED", "SKILLS")
+@example(
+    "Task", "Asking", "AskNothing", "AskObject", "Skill", "Reach", "ASKED", "SKILLS"
+)
 @example("TASKS", "register_task", "NameQueries", "GraphQueries")
 def test_tasks(monkeypatch):
     monkeypatch.setenv("KNOWARM_TASKS", "")
     assert {"reach", "choose", "choose-lift"} <= set(knowarm.TASKS)
     assert {"nothing", "choose"} <= set(knowarm.ASKED)
     assert {"reach", "lift"} <= set(knowarm.SKILLS)
-    assert knowarm.register_task("knowarm.world.tasks.skills.reach:Reach") is knowarm.Reach
+    assert (
+        knowarm.register_task("knowarm.world.tasks.skills.reach:Reach") is knowarm.Reach
+    )
     assert issubclass(knowarm.AskObject, knowarm.Asking)
     assert issubclass(knowarm.Reach, knowarm.Skill)
-    assert knowarm.Task() == knowarm.Task(asked=knowarm.AskNothing(), skill=knowarm.Reach())
+    assert knowarm.Task() == knowarm.Task(
+        asked=knowarm.AskNothing(), skill=knowarm.Reach()
+    )
     env = knowarm.make("irb120", task="choose", num_envs=2, image_size=8)
     assert env.config.task.asked == knowarm.AskObject(queries=knowarm.GraphQueries())
     asked = knowarm.AskObject(objects=3, queries=knowarm.GraphQueries())
@@ -408,11 +457,20 @@ def test_policy():
     assert value.shape == (2,)
 
 
-@example("PPOConfig", "DistilConfig", "A3CConfig", "ALGORITHMS", "Algorithm", "register_algorithm")
+@example(
+    "PPOConfig",
+    "DistilConfig",
+    "A3CConfig",
+    "ALGORITHMS",
+    "Algorithm",
+    "register_algorithm",
+)
 def test_algorithms():
     assert isinstance(knowarm.ALGORITHMS["ppo"], knowarm.Algorithm)
     assert knowarm.ALGORITHMS["ppo"].config == knowarm.PPOConfig()
-    with pytest.raises(knowarm.UserError, match="no algorithm: knowarm has another 'PPOConfig'"):
+    with pytest.raises(
+        knowarm.UserError, match="no algorithm: knowarm has another 'PPOConfig'"
+    ):
         knowarm.register_algorithm("knowarm:PPOConfig")
     assert knowarm.ALGORITHMS["distil"].config == knowarm.DistilConfig()
     assert knowarm.A3CConfig(workers=2).workers == 2
@@ -436,7 +494,11 @@ def test_agents(monkeypatch):
 def test_what_an_agent_knows():
     known = {name: agent.knows for name, agent in knowarm.AGENTS.items()}
     assert known["bm"] == knowarm.NoKnowledge()
-    for name, kind in (("full", "scene"), ("target", "target"), ("subgraph-film", "query")):
+    for name, kind in (
+        ("full", "scene"),
+        ("target", "target"),
+        ("subgraph-film", "query"),
+    ):
         assert isinstance(known[name], knowarm.Vector)
         assert known[name].kind == kind
     for name, kind in (("subgraph", "grounded"), ("answers", "answers")):

@@ -42,8 +42,12 @@ def ends(agent, env, seed, ask=lambda env, infos: infos):
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(name):
     agent = knowarm.load_agent(ZOO / name)
-    summary = knowarm.evaluate(agent, episodes=100, probes=(), write=False, **TRAINING).summary
-    env = gymnasium.make(knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.name))
+    summary = knowarm.evaluate(
+        agent, episodes=100, probes=(), write=False, **TRAINING
+    ).summary
+    env = gymnasium.make(
+        knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.name)
+    )
     alone = []
     for seed in range(24):
         image, info = env.reset(seed=seed)
@@ -60,7 +64,9 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
         assert np.mean([end["is_right_object"] for end in found]) > 0.8
     else:
         assert summary["success"] >= 0.9
-        assert min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
+        assert (
+            min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
+        )
     measured = wilson(round(summary["success"] * 100), 100)
     for successes in (alone, [bool(end["is_success"]) for end in found]):
         played = wilson(int(sum(successes)), len(successes))
@@ -71,9 +77,14 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
 def other_questions(env, infos):
     """Ask each environment for its second object: by a query that no other visible one answers."""
     table = env.config.task.asked.questions(env.facets)
-    targets, names = [each.name for each in env.scene.targets], [name for name, _ in env.facets]
+    targets, names = (
+        [each.name for each in env.scene.targets],
+        [name for name, _ in env.facets],
+    )
     first = np.array([names.index(name) for name in targets])
-    answers = table.satisfies[:, first[infos["objects"]] + infos["object_colours"]]  # (Q, n, m)
+    answers = table.satisfies[
+        :, first[infos["objects"]] + infos["object_colours"]
+    ]  # (Q, n, m)
     only = answers[..., 1] & (answers.sum(2) == 1)
     assert only.any(0).all()
     return {"query": [table.queries[row].name for row in only.argmax(0)]}
@@ -90,7 +101,9 @@ def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
     agent = knowarm.load_agent(ZOO / CHOOSER)
     for task in (knowarm.AskObject(queries=knowarm.NameQueries()), "purpose"):
         _, infos = knowarm.make("irb120", num_envs=2, task=task).reset(seed=0)
-        with pytest.raises(knowarm.UserError, match=f"Unknown query.*{CHOOSER}") as error:
+        with pytest.raises(
+            knowarm.UserError, match=f"Unknown query.*{CHOOSER}"
+        ) as error:
             agent.reset(infos)
         assert "\n" not in str(error.value)
         assert infos["query"][0] in str(error.value)
@@ -99,7 +112,9 @@ def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
 def test_episodes_of_other_questions_are_refused():
     env = made(knowarm.load_agent(ZOO / CHOOSER), 2, image_size=8)
     named = knowarm.EnvConfig(task=knowarm.AskObject(queries=knowarm.NameQueries()))
-    with pytest.raises(knowarm.UserError, match="Unknown query of this environment 'isA"):
+    with pytest.raises(
+        knowarm.UserError, match="Unknown query of this environment 'isA"
+    ):
         env.reset(options={"episodes": knowarm.evaluation_episodes(named, 2, seed=0)})
 
 
@@ -110,5 +125,7 @@ def test_a_config_with_questions_of_a_graph_is_read_without_another_import():
         "from knowarm.world.config import EnvConfig\n"
         f"print(from_dict(EnvConfig, json.loads({text!r})).task.asked.queries.graph)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "purposes\n"

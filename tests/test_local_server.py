@@ -20,7 +20,9 @@ def headers(**values):
 @pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "localhost:9000"])
 def test_names_of_this_machine_are_answered(host):
     assert refusal("/", headers(Host=host)) is None
-    assert refusal("/", headers(Host=host, **{"Sec-Fetch-Site": "none"})) is None  # typed
+    assert (
+        refusal("/", headers(Host=host, **{"Sec-Fetch-Site": "none"})) is None
+    )  # typed
     assert refusal("/state", headers(Host=host, Origin=f"http://{host}")) is None
 
 
@@ -33,7 +35,10 @@ def test_names_of_this_machine_are_answered(host):
         ("/state", {"Host": "localhost:8080", "Origin": "http://evil.example"}),
         ("/state", {"Host": "localhost:8080", "Origin": "null"}),
         ("/ui", {"Host": "localhost:8080", "Origin": "http://localhost:3000"}),
-        ("/?q=usedFor", {"Host": "localhost:8080", "Sec-Fetch-Site": "cross-site"}),  # an image
+        (
+            "/?q=usedFor",
+            {"Host": "localhost:8080", "Sec-Fetch-Site": "cross-site"},
+        ),  # an image
         ("/", {"Host": "localhost:8080", "Sec-Fetch-Site": "same-site"}),
         ("/", {"Host": "[::1"}),
         ("//[", {"Host": "localhost:8080"}),

@@ -74,7 +74,11 @@ def test_no_folder_imports_itself_by_way_of_others():
 
 def test_folders_that_import_each_other_are_found_at_every_depth():
     """Also where their modules form no circle."""
-    graph = {"a/x/1.py": {"a/y/1.py"}, "a/y/2.py": {"a/x/2.py"}, "a/x/2.py": {"a/3.py", "b.py"}}
+    graph = {
+        "a/x/1.py": {"a/y/1.py"},
+        "a/y/2.py": {"a/x/2.py"},
+        "a/x/2.py": {"a/3.py", "b.py"},
+    }
     assert folder_graph(graph)["a/x"] == {"a/y", "a/3.py"}
     assert shortest_circles(folder_graph(graph)) == [["a/x", "a/y", "a/x"]]
     graph["a/3.py"] = {"a/x/1.py"}

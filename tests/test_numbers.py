@@ -64,7 +64,9 @@ def test_a_robot_file_with_an_over_long_path_or_a_number_that_is_none(tmp_path):
         read_description(path, Robot)
 
 
-@pytest.mark.parametrize("option", ["--env.mpi-rad", "--algorithm.gamma", "--algorithm.clip-range"])
+@pytest.mark.parametrize(
+    "option", ["--env.mpi-rad", "--algorithm.gamma", "--algorithm.clip-range"]
+)
 def test_the_command_line_refuses_infinity(capsys, option):
     assert main(["train", "irb120-bm-ppo", option, "inf"]) == 2
     assert "finite" in " ".join(capsys.readouterr().err.split())

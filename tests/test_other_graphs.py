@@ -19,7 +19,15 @@ def convert(source, out):
 def test_robocse(tmp_path):
     folder, out = tmp_path / "THOR_U", tmp_path / "thor.tsv"
     folder.mkdir()
-    names = ["mug.o", "mug.l", "wateringcan.o", "vase.o", "empty.a", "empty.s", "kitchen.r"]
+    names = [
+        "mug.o",
+        "mug.l",
+        "wateringcan.o",
+        "vase.o",
+        "empty.a",
+        "empty.s",
+        "kitchen.r",
+    ]
     entities = [f"{name}\t{number}" for number, name in enumerate(names)]
     texts = {
         "entity2id": "\n".join([str(len(names)), *entities]),

@@ -91,7 +91,9 @@ def test_joint_ranges_and_axes(robot, scene):
     lower, upper = np.transpose(JOINT_RANGES[robot])
     np.testing.assert_allclose(scene.joint_lower, lower, atol=1e-9)
     np.testing.assert_allclose(scene.joint_upper, upper, atol=1e-9)
-    axes = [{"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[name] for name in AXES[robot]]
+    axes = [
+        {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[name] for name in AXES[robot]
+    ]
     np.testing.assert_allclose(scene.model.jnt_axis[: len(axes)], axes, atol=1e-12)
     assert scene.num_joints == {"irb120": 6, "tiago": 7}[robot]  # paper 3.2
 
@@ -105,7 +107,9 @@ def test_links(robot, scene):
         assert scene.model.body("robot/link_1").mass[0] == pytest.approx(3.067)
         assert scene.model.body("robot/base_link").mass[0] == pytest.approx(6.215)
     else:
-        assert scene.model.body("robot/base_link").mass[0] == pytest.approx(28.27 + 14.01)
+        assert scene.model.body("robot/base_link").mass[0] == pytest.approx(
+            28.27 + 14.01
+        )
 
 
 def test_episodes_start_where_the_paper_says(robot, scene):
@@ -121,7 +125,9 @@ def test_episodes_start_where_the_paper_says(robot, scene):
     assert not largest[2:].any()
     assert (largest[:2] <= START_OFFSETS[robot]).all()
     shares = np.bincount(drawn.target, minlength=3) / 4_000
-    np.testing.assert_allclose(shares, 1 / 3, atol=0.03)  # one of three targets, uniformly
+    np.testing.assert_allclose(
+        shares, 1 / 3, atol=0.03
+    )  # one of three targets, uniformly
     np.testing.assert_allclose(drawn.colour.mean(), 0.5, atol=0.03)
 
 
@@ -144,7 +150,9 @@ def test_episode_and_observation(robot):
     env = ArmVectorEnv(config, 1)
     assert env.single_observation_space.shape == (64, 64, 3)
     assert env.single_observation_space.dtype == np.uint8
-    assert env.single_action_space.nvec.tolist() == [7] * {"irb120": 6, "tiago": 7}[robot]
+    assert (
+        env.single_action_space.nvec.tolist() == [7] * {"irb120": 6, "tiago": 7}[robot]
+    )
 
 
 def test_the_time_limit_is_50_steps():
@@ -164,7 +172,9 @@ def test_increments(robot):
     levels = np.repeat(np.arange(7)[:, None], before.shape[1], 1)
     env.step(levels)
     moved = (env.joint_targets - before)[:, 2]
-    np.testing.assert_allclose(sorted(moved), [-0.1, -0.01, -0.001, 0, 0.001, 0.01, 0.1], atol=1e-9)
+    np.testing.assert_allclose(
+        sorted(moved), [-0.1, -0.01, -0.001, 0, 0.001, 0.01, 0.1], atol=1e-9
+    )
     assert moved[0] == 0.0
 
 
@@ -205,7 +215,9 @@ def test_success_thresholds():
         (0.05, 17.1),
     ]
     distance, angle = np.transpose(cases)
-    training = is_success(distance, angle, config.success_distance_m, config.success_angle_deg)
+    training = is_success(
+        distance, angle, config.success_distance_m, config.success_angle_deg
+    )
     assert training.tolist() == [True, False, False, False, False, False]
     after = is_success(distance, angle, evaluation.distance_m, evaluation.angle_deg)
     assert after.tolist() == [True, True, True, True, False, False]
@@ -231,7 +243,9 @@ def test_the_papers_analysis_of_variance():
     first, second = generator.binomial(100, [[0.9], [0.8]], (2, 30)) / 100
     grand = np.concatenate((first, second)).mean()
     between = 30 * ((first.mean() - grand) ** 2 + (second.mean() - grand) ** 2)
-    within = (((first - first.mean()) ** 2).sum() + ((second - second.mean()) ** 2).sum()) / 58
+    within = (
+        ((first - first.mean()) ** 2).sum() + ((second - second.mean()) ** 2).sum()
+    ) / 58
     assert one_way_anova([first, second])[0] == pytest.approx(between / within)
 
 

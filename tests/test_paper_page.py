@@ -40,7 +40,9 @@ probes = []
 
 
 @pytest.mark.slow(15)
-def test_the_page_shows_every_cell_beside_the_papers_figures(tmp_path, monkeypatch, no_search):
+def test_the_page_shows_every_cell_beside_the_papers_figures(
+    tmp_path, monkeypatch, no_search
+):
     out, images = tmp_path / "study", tmp_path / "images"
     images.mkdir()
     monkeypatch.setattr(driver, "make_executor", InlineExecutor)

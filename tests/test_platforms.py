@@ -47,7 +47,9 @@ def test_text_files_name_their_encoding():
     offenders = []
     for path, tree in modules().items():
         for node in ast.walk(tree):
-            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+            if not isinstance(node, ast.Call) or not isinstance(
+                node.func, ast.Attribute
+            ):
                 continue
             given = {keyword.arg for keyword in node.keywords}
             words = ast.unparse(node)
@@ -61,12 +63,16 @@ def test_text_files_name_their_encoding():
 
 def test_names_of_files_are_legal_on_every_system():
     """Also: none differ in their case only, which macOS and Windows take for the same."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False
+    )
     if listed.returncode:
         pytest.skip("needs a checkout with git")
     paths = listed.stdout.decode().split("\0")[:-1]
     written = [*paths, *knowarm.experiment_names()]
-    illegal = r'[<>:"\\|?*\x00-\x1f]|[ .](/|$)|(^|/)(con|prn|aux|nul|com\d|lpt\d)(\.|/|$)'
+    illegal = (
+        r'[<>:"\\|?*\x00-\x1f]|[ .](/|$)|(^|/)(con|prn|aux|nul|com\d|lpt\d)(\.|/|$)'
+    )
     assert [path for path in written if re.search(illegal, path, re.IGNORECASE)] == []
     assert len({path.lower() for path in written}) == len(set(written))
 
@@ -81,7 +87,9 @@ def test_a_stop_is_requested_where_no_terminal_sends_a_hangup(monkeypatch):
 @pytest.mark.parametrize("platform", ["darwin", "win32"])
 def test_the_c_library_is_left_alone_where_it_is_not_glibc(monkeypatch, platform):
     monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: pytest.fail("loaded the C library"))
+    monkeypatch.setattr(
+        ctypes, "CDLL", lambda name: pytest.fail("loaded the C library")
+    )
     keep_freed_memory()
 
 
@@ -91,7 +99,9 @@ def test_folders_are_not_opened_where_they_cannot_be(monkeypatch, tmp_path):
     checkpoint._sync(tmp_path)
 
 
-def test_a_worker_without_its_study_stops_by_its_handler_where_kill_would_end_it(monkeypatch):
+def test_a_worker_without_its_study_stops_by_its_handler_where_kill_would_end_it(
+    monkeypatch,
+):
     monkeypatch.setattr(worker, "os", SimpleNamespace(name="nt", getpid=os.getpid))
     with StopRequest() as stop:
         worker._request_stop()

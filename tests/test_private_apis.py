@@ -74,8 +74,12 @@ def test_the_cpu_reports_whether_it_has_bfloat16_products():
 
 def test_either_extension_is_enough(monkeypatch):
     for vectors, tiles in ((False, False), (True, False), (False, True)):
-        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda answer=vectors: answer)
-        monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda answer=tiles: answer)
+        monkeypatch.setattr(
+            torch.cpu, "_is_avx512_bf16_supported", lambda answer=vectors: answer
+        )
+        monkeypatch.setattr(
+            torch.cpu, "_is_amx_tile_supported", lambda answer=tiles: answer
+        )
         assert private_apis.cpu_has_bfloat16() == (vectors or tiles)
 
 
@@ -93,6 +97,8 @@ end_process(3)
 
 
 def test_a_process_ends_with_a_pool_of_threads_after_its_other_threads():
-    done = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", ENDING], capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (3, "")
     assert done.stdout.split() == ["thread", "registered"]

@@ -14,7 +14,9 @@ DRINKING, RED = Query.of(("usedFor", "drinking")), Query.of(("hasColor", "red"))
 
 @pytest.fixture
 def table() -> QuestionTable:
-    satisfies = np.array([[name == "mug" for name, _ in FACETS], [c == "red" for _, c in FACETS]])
+    satisfies = np.array(
+        [[name == "mug" for name, _ in FACETS], [c == "red" for _, c in FACETS]]
+    )
     return QuestionTable(
         queries=(DRINKING, RED),
         facets=FACETS,
@@ -33,7 +35,9 @@ def test_a_query_has_a_readable_name() -> None:
     assert isinstance(both.conditions[0], Condition)
 
 
-def test_distractors_are_other_objects_that_do_not_satisfy_the_query(table: QuestionTable) -> None:
+def test_distractors_are_other_objects_that_do_not_satisfy_the_query(
+    table: QuestionTable,
+) -> None:
     beside = table.distractors(np.array([0, 1]), np.array([0, 0]))
     assert beside.tolist() == [[False, False, True, True], [False, False, False, True]]
 
@@ -42,7 +46,9 @@ def test_distractors_are_shown_and_related(table: QuestionTable) -> None:
     related = table.related.copy()
     related[0, 2] = related[2, 0] = False
     shown = np.array([True, True, True, False])
-    few = with_distractors(table.askable, table.satisfies, related, shown, table.objects, 2)
+    few = with_distractors(
+        table.askable, table.satisfies, related, shown, table.objects, 2
+    )
     assert few.tolist() == [[False, True, False, False], [False, False, True, False]]
 
 
@@ -52,18 +58,29 @@ def test_errors_name_what_to_change(table: QuestionTable) -> None:
         ({"queries": (RED, RED)}, "contains 'hasColor red' twice"),
         ({"facets": FACETS[:1] * 4}, "facets contains .*'mug', 'red'.* twice"),
         ({"shown": np.ones(3, dtype=np.bool_)}, "shape"),
-        ({"satisfies": np.zeros((2, 4), dtype=np.bool_)}, "No facet satisfies .*usedFor drinking"),
+        (
+            {"satisfies": np.zeros((2, 4), dtype=np.bool_)},
+            "No facet satisfies .*usedFor drinking",
+        ),
         ({"askable": np.ones((2, 4), dtype=np.bool_)}, "does not satisfy it"),
         ({"askable": np.zeros((2, 4), dtype=np.bool_)}, "The split is empty"),
-        ({"shown": np.array([False, True, True, True])}, "red mug, which this split does not show"),
-        ({"related": np.eye(4, dtype=np.bool_)}, "'usedFor drinking' with target red mug"),
+        (
+            {"shown": np.array([False, True, True, True])},
+            "red mug, which this split does not show",
+        ),
+        (
+            {"related": np.eye(4, dtype=np.bool_)},
+            "'usedFor drinking' with target red mug",
+        ),
         ({"related": np.triu(np.ones((4, 4), dtype=np.bool_))}, "must be symmetric"),
     ):
         with pytest.raises(UserError, match=message):
             replace(table, **change)
 
 
-def test_a_question_needs_distractors_of_different_objects(table: QuestionTable) -> None:
+def test_a_question_needs_distractors_of_different_objects(
+    table: QuestionTable,
+) -> None:
     table.check_objects(2)
     with pytest.raises(UserError, match="3 objects per episode need 2"):
         table.check_objects(3)

@@ -24,12 +24,18 @@ class PanicException(BaseException):
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (KeyError("table"), r"f\.bin is damaged or of another format: missing 'table'\. Fix it\."),
+        (
+            KeyError("table"),
+            r"f\.bin is damaged or of another format: missing 'table'\. Fix it\.",
+        ),
         (ValueError("two\nlines"), "two lines"),
         (MemoryError(), "MemoryError"),
         (RecursionError("deep"), "deep"),
         (PanicException("index out of bounds"), "index out of bounds"),
-        (PermissionError(13, "Permission denied"), r"Cannot read .*f\.bin: Permission denied\."),
+        (
+            PermissionError(13, "Permission denied"),
+            r"Cannot read .*f\.bin: Permission denied\.",
+        ),
     ],
 )
 def test_whatever_reading_raises_names_file_and_remedy(tmp_path, error, message):
@@ -50,7 +56,16 @@ def test_errors_for_users_and_interrupts_pass(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"{", b"[1]", b"3", b"\xff{}", b'{"a":' * 200_000, b"[" * 200_000, b'{"a": 1}x'],
+    [
+        b"",
+        b"{",
+        b"[1]",
+        b"3",
+        b"\xff{}",
+        b'{"a":' * 200_000,
+        b"[" * 200_000,
+        b'{"a": 1}x',
+    ],
 )
 def test_damaged_json(tmp_path, content):
     path = tmp_path / "f.json"
@@ -82,7 +97,10 @@ def test_a_file_is_replaced_without_following_links(tmp_path):
     write_json(folder / "summary.json", {"a": 1})
     assert precious.read_text() == "mine"
     assert read_json(folder / "summary.json") == {"a": 1}
-    assert sorted(path.name for path in folder.iterdir()) == [".summary.tmp.json", "summary.json"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        ".summary.tmp.json",
+        "summary.json",
+    ]
 
 
 def test_no_prepared_link_is_written_through(tmp_path, monkeypatch):
@@ -101,9 +119,17 @@ def test_links_out_of_a_folder_are_refused(tmp_path):
     (folder / "evaluation" / "up").symlink_to("..")
     (folder / "weights").symlink_to("../../blobs/1f")  # as the Hub's cache keeps files
     refuse_links(folder)
-    for target in ("../../../secret", "../../blobs/../secret", "/dev/zero", "../../blobs/a/b", "/"):
+    for target in (
+        "../../../secret",
+        "../../blobs/../secret",
+        "/dev/zero",
+        "../../blobs/a/b",
+        "/",
+    ):
         link = folder / "evaluation" / "link"
         link.symlink_to(target)
-        with pytest.raises(UserError, match=r"link is a link to .*Replace it by a copy"):
+        with pytest.raises(
+            UserError, match=r"link is a link to .*Replace it by a copy"
+        ):
             refuse_links(folder)
         link.unlink()

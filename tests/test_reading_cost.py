@@ -70,16 +70,22 @@ def folded(node):
     """Return the names of the constructs of a node that fold several ideas into one line."""
     if isinstance(node, ast.Assign):
         both = (node.targets[0], node.value)
-        return ["parallel assignment"] * all(isinstance(side, ast.Tuple) for side in both)
+        return ["parallel assignment"] * all(
+            isinstance(side, ast.Tuple) for side in both
+        )
     if isinstance(node, COMPREHENSIONS):
         inner = [child for child in ast.walk(node) if child is not node]
-        is_nested = len(node.generators) > 1 or any(isinstance(c, COMPREHENSIONS) for c in inner)
+        is_nested = len(node.generators) > 1 or any(
+            isinstance(c, COMPREHENSIONS) for c in inner
+        )
         return ["comprehension", *["nested comprehension"] * is_nested]
     if isinstance(node, ast.IfExp):
         return ["conditional expression"]
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         is_sequence = isinstance(node.left, ast.List | ast.Tuple)
-        return ["sequence times bool"] * (is_sequence and not isinstance(node.right, ast.Constant))
+        return ["sequence times bool"] * (
+            is_sequence and not isinstance(node.right, ast.Constant)
+        )
     return []
 
 
@@ -106,7 +112,9 @@ def test_the_package_is_not_written_more_densely():
         constructs += counts[2]
     assert nodes / lines <= MOST_NODES_PER_LINE
     rates = {name: 1000 * constructs[name] / lines for name in MOST_PER_1000_LINES}
-    above = {name: rate for name, rate in rates.items() if rate > MOST_PER_1000_LINES[name]}
+    above = {
+        name: rate for name, rate in rates.items() if rate > MOST_PER_1000_LINES[name]
+    }
     assert not above, f"per 1,000 code lines: {above}, of at most {MOST_PER_1000_LINES}"
 
 
@@ -117,7 +125,10 @@ def test_the_package_is_not_written_more_densely():
         ("a, b = f(x)", []),
         ("[x for x in y]", ["comprehension"]),
         ("[x for x in y for z in x]", ["comprehension", "nested comprehension"]),
-        ("{len([z for z in x]) for x in y}", ["comprehension"] * 2 + ["nested comprehension"]),
+        (
+            "{len([z for z in x]) for x in y}",
+            ["comprehension"] * 2 + ["nested comprehension"],
+        ),
         ("a if b else c", ["conditional expression"]),
         ("['x'] * bool(y)", ["sequence times bool"]),
         ("[0] * 3", []),

@@ -79,7 +79,9 @@ def grasps():
 @pytest.mark.parametrize("file", ["README.md", "docs/index.md"])
 def test_the_answers_are_those_of_the_packs(file):
     rows = re.findall(r"^\| .+\? \| (.+) \|$", (ROOT / file).read_text("utf-8"), re.M)
-    reach, words, objects, grasp = (re.sub(r"\[(.+?)\]\(.+?\)", r"\1", row) for row in rows)
+    reach, words, objects, grasp = (
+        re.sub(r"\[(.+?)\]\(.+?\)", r"\1", row) for row in rows
+    )
     with_it, without, tiago_with, tiago_without = reached()
     assert reach == (
         f"Not found: success {with_it} % with it, {without} % without (IRB120); "
@@ -103,8 +105,14 @@ def test_the_answers_are_those_of_the_packs(file):
 
 
 def test_the_worst_split_of_each_pack_is_named():
-    for pack, algorithm, worst in (("answers", "fast", "s3"), ("families", "distil", "s3b")):
+    for pack, algorithm, worst in (
+        ("answers", "fast", "s3"),
+        ("families", "distil", "s3b"),
+    ):
         for measure in ("choice", "success"):
             splits = {split for _, split, what in shares(pack) if what == measure}
-            least = {split: np.mean(means(pack, algorithm, split, measure)) for split in splits}
+            least = {
+                split: np.mean(means(pack, algorithm, split, measure))
+                for split in splits
+            }
             assert min(least, key=least.get) == worst

@@ -56,7 +56,9 @@ def train_and_evaluate(name, folder, **overrides):
     """Train for a few steps, read the run folder back and evaluate it."""
     run = knowarm.train(name, folder, **{**TINY, **overrides})
     assert run.result.step == 40
-    assert run.folder.experiment() == knowarm.experiment_config(name, **{**TINY, **overrides})
+    assert run.folder.experiment() == knowarm.experiment_config(
+        name, **{**TINY, **overrides}
+    )
     result = knowarm.evaluate(run.folder.path, episodes=4, probes=())
     assert result.write().is_dir()
     return run, result
@@ -67,7 +69,12 @@ def test_a_robot(monkeypatch, listed, tmp_path):
     monkeypatch.setitem(knowarm.ROBOTS, "toy", robot)
     register_environments()
     assert "toy" in listed()["robots"]
-    assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (2, 64, 64, 3)
+    assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (
+        2,
+        64,
+        64,
+        3,
+    )
     run, _ = train_and_evaluate("toy-full-ppo", tmp_path)
     assert knowarm.load_agent(run.folder.path).policy.shape.joints == 4
 
@@ -75,11 +82,17 @@ def test_a_robot(monkeypatch, listed, tmp_path):
 def with_an_object():
     """Show the object "trophy"; check the frozen suites and print the targets of tasks."""
     assert load_scene("irb120", ("trophy", "mug")).colour_names[0] == tuple(COLOURS)
-    for cell in (cell for name in suite_names() for cell in read_suite(name).cells.values()):
+    for cell in (
+        cell for name in suite_names() for cell in read_suite(name).cells.values()
+    ):
         table = questions_of(cell.env)
         names = {""} if table is None else {query.name for query in table.queries}
         assert names >= set(cell.episodes.question.tolist()), cell.name
-    print(json.dumps([list(knowarm.TARGETS), {n: find_task(n).targets for n in task_names()}]))
+    print(
+        json.dumps(
+            [list(knowarm.TARGETS), {n: find_task(n).targets for n in task_names()}]
+        )
+    )
 
 
 def test_an_object(tmp_path):
@@ -116,7 +129,9 @@ class LSTMGate(Fusion):
 
 def test_a_fusion(monkeypatch, tmp_path):
     monkeypatch.setitem(FUSIONS, "lstm_gate", LSTMGate)
-    run, _ = train_and_evaluate("irb120-full-ppo", tmp_path, policy={"fusion": "lstm_gate"})
+    run, _ = train_and_evaluate(
+        "irb120-full-ppo", tmp_path, policy={"fusion": "lstm_gate"}
+    )
     assert isinstance(knowarm.load_agent(run.folder.path).policy.fusion, LSTMGate)
 
 
@@ -135,7 +150,9 @@ class LetterCounts(VectorSource):
     def find(self, part, coverage):
         words = part.label.split()
         coverage.how[part.label] = "words"
-        counts = [[word.count(chr(97 + i)) * self.scale for i in range(26)] for word in words]
+        counts = [
+            [word.count(chr(97 + i)) * self.scale for i in range(26)] for word in words
+        ]
         return Found(np.array(counts, np.float32), np.full(len(words), 0.01))
 
 
@@ -161,13 +178,22 @@ def test_an_agent(monkeypatch, listed, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("success", "verdict"), [(0.35, "knowledge matters"), (0.75, "input without meaning")]
+    ("success", "verdict"),
+    [(0.35, "knowledge matters"), (0.75, "input without meaning")],
 )
-def test_the_verdict_on_an_agent_follows_its_role(monkeypatch, tmp_path, success, verdict):
+def test_the_verdict_on_an_agent_follows_its_role(
+    monkeypatch, tmp_path, success, verdict
+):
     """The only content control of the study is an agent that no file of the package names."""
     control = replace(knowarm.AGENTS["shuffled"], about="toy control")
     monkeypatch.setitem(knowarm.AGENTS, "toy-control", control)
-    truth = {"bm": 0.35, "full": 0.75, "zeros": 0.35, "wide": 0.35, "toy-control": success}
+    truth = {
+        "bm": 0.35,
+        "full": 0.75,
+        "zeros": 0.35,
+        "wide": 0.35,
+        "toy-control": success,
+    }
     size = Size(points=12, tables=False)
     study = collect(write_study(tmp_path, Truth(success=truth), seeds=6, size=size))
     assert finding(study.tasks[0], claims(study), "success").kind == verdict
@@ -214,7 +240,9 @@ def test_an_algorithm(monkeypatch, listed, tmp_path):
     monkeypatch.setitem(knowarm.ALGORITHMS, "random-search", algorithm)
     assert "random-search" in listed()["algorithms"]
     assert "irb120-full-random-search" in listed()["experiments"]
-    run, _ = train_and_evaluate("irb120-full-random-search", tmp_path, algorithm={"candidates": 2})
+    run, _ = train_and_evaluate(
+        "irb120-full-random-search", tmp_path, algorithm={"candidates": 2}
+    )
     assert run.folder.experiment().algorithm == RandomSearchConfig()
     assert (
         main(
@@ -231,5 +259,7 @@ def test_an_algorithm(monkeypatch, listed, tmp_path):
         )
         == 0
     )
-    stored = json.loads((tmp_path / "cli/irb120-full-random-search/0/config.json").read_text())
+    stored = json.loads(
+        (tmp_path / "cli/irb120-full-random-search/0/config.json").read_text()
+    )
     assert stored["algorithm"] == {"name": "random-search", "candidates": 1}

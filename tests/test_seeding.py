@@ -22,11 +22,15 @@ STREAMS = [(), *product(range(3), range(2))]
 
 
 def first_torch_draws(seed, purpose, *indices):
-    return tuple(torch.rand(8, generator=torch_generator(seed, purpose, *indices)).tolist())
+    return tuple(
+        torch.rand(8, generator=torch_generator(seed, purpose, *indices)).tolist()
+    )
 
 
 def first_numpy_draws(seed, purpose, *indices):
-    return tuple(np.random.default_rng(seed_sequence(seed, purpose, *indices)).random(8))
+    return tuple(
+        np.random.default_rng(seed_sequence(seed, purpose, *indices)).random(8)
+    )
 
 
 @pytest.mark.parametrize("draws", [first_torch_draws, first_numpy_draws, derive_seed])
@@ -51,7 +55,10 @@ def test_the_same_seed_gives_the_same_bytes_everywhere():
 
 def test_a_multiple_of_2_to_the_32_is_another_seed():
     """On the CPU PyTorch keeps 32 bits: with `manual_seed(2**32 * seed)` all seeds were equal."""
-    old = [torch.rand(8, generator=torch.Generator().manual_seed(2**32 * s)) for s in (0, 1)]
+    old = [
+        torch.rand(8, generator=torch.Generator().manual_seed(2**32 * s))
+        for s in (0, 1)
+    ]
     assert torch.equal(*old)
     assert first_torch_draws(0, "actions") != first_torch_draws(2**32, "actions")
     low_bits = {derive_seed(s, p) % 2**32 for s, p in product(SEEDS, PURPOSES)}
@@ -62,7 +69,9 @@ def ppo_draws(seed):
     """Return the first draws of a PPO training: weights, episodes, actions, minibatches."""
     policy = toy_policy(features=8, seed=seed)
     env = toy_env(8, recall=False, length=5)
-    config = PPOConfig(num_envs=8, minibatches=2, processes=1, matmul_precision="float32")
+    config = PPOConfig(
+        num_envs=8, minibatches=2, processes=1, matmul_precision="float32"
+    )
     trainer = PPOTrainer(config, policy, env, seed=seed)
     return (
         policy.critic.weight.detach().clone(),

@@ -10,7 +10,9 @@ from scripts.figures import style
 from tests.snippets.test_snippets import PAGES, PARTS, commands
 from tests.source_tree import ROOT, files
 
-LINE = re.compile(r"(?:\$ )?((?:knowarm|python|pip|pipx|uvx|make|docker|hf|sbatch|cd|git)\b.*)")
+LINE = re.compile(
+    r"(?:\$ )?((?:knowarm|python|pip|pipx|uvx|make|docker|hf|sbatch|cd|git)\b.*)"
+)
 OUTSIDE = re.compile(
     r"(pip install|python -m venv|hf auth login|docker (build|run)|sbatch|uvx|pipx|cd |make )"
 )
@@ -43,7 +45,11 @@ def test_every_kind_of_offender_is_found(tmp_path):
     (site / "notebooks" / "reach.html").write_text(GOOD.replace("a.png", "../a.png"))
     (site / "_sources" / "notebooks" / "reach.md").write_text("")
     found = " ".join(offenders(site))
-    for each in ("no file gone.html", "no heading other.html#gone", "without alternative text"):
+    for each in (
+        "no file gone.html",
+        "no heading other.html#gone",
+        "without alternative text",
+    ):
         assert each in found
     assert "loads https://example.org/a.js" in found
     assert "notebooks/reach.md: was not executed" in found
@@ -58,23 +64,37 @@ def unrun(page, text):
     mark = ""
     for kind, _, language, block in PARTS.findall(text):
         if not kind and mark not in ("skip", "file", "in"):
-            run = list(commands(block)) if page in PAGES and language in ("", "sh") else []
+            run = (
+                list(commands(block))
+                if page in PAGES and language in ("", "sh")
+                else []
+            )
             lines = [
-                f[1].strip() for f in map(LINE.match, re.sub(r"\\\n", " ", block).splitlines()) if f
+                f[1].strip()
+                for f in map(LINE.match, re.sub(r"\\\n", " ", block).splitlines())
+                if f
             ]
             if language == "python" and page not in PAGES:
                 yield block.splitlines()[0]
             if language in ("", "sh", "bash", "console"):
-                yield from (each for each in lines if each not in run and not OUTSIDE.match(each))
+                yield from (
+                    each
+                    for each in lines
+                    if each not in run and not OUTSIDE.match(each)
+                )
         mark = kind
 
 
 def test_every_snippet_is_run_or_says_why_not():
-    pages = files("docs", suffix=".md") | {"README.md": (ROOT / "README.md").read_text("utf-8")}
+    pages = files("docs", suffix=".md") | {
+        "README.md": (ROOT / "README.md").read_text("utf-8")
+    }
     found = [
         f"{page}: {line}"
         for page, text in pages.items()
-        if not page.startswith(("docs/lab-notes", "docs/notebooks"))  # run by `make docs`
+        if not page.startswith(
+            ("docs/lab-notes", "docs/notebooks")
+        )  # run by `make docs`
         for line in unrun(page, text)
     ]
     assert not found, "\n".join(found)
@@ -83,14 +103,16 @@ def test_every_snippet_is_run_or_says_why_not():
 def test_a_snippet_that_nothing_runs_is_found():
     block = "```\nknowarm list\n```\n\n```python\nimport knowarm\n```\n"
     assert list(unrun("docs/decisions.md", block)) == ["knowarm list", "import knowarm"]
-    assert list(unrun("docs/decisions.md", f"<!-- snippets: skip a reason -->\n{block}")) == [
-        "import knowarm"
-    ]
+    assert list(
+        unrun("docs/decisions.md", f"<!-- snippets: skip a reason -->\n{block}")
+    ) == ["import knowarm"]
     assert list(unrun("README.md", block)) == []
 
 
 def test_the_study_files_of_the_documentation_can_be_read(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "examples" / "own_algorithm"))  # one names it
+    monkeypatch.syspath_prepend(
+        str(ROOT / "examples" / "own_algorithm")
+    )  # one names it
     monkeypatch.setitem(ALGORITHMS, "a2c", import_module("a2c").A2C)
     studies = [
         block

@@ -31,20 +31,43 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
         KnowledgeConfig(detail="full", pooling="Mean")
     config = experiment_config("irb120-full-fast")
     with pytest.raises(UserError, match="'Full'"):
-        dataclasses.replace(config, knows=dataclasses.replace(config.knows, detail="Full"))
+        dataclasses.replace(
+            config, knows=dataclasses.replace(config.knows, detail="Full")
+        )
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: EnvConfig(max_episode_steps="many"), "max_episode_steps must be of type int"),
-        (lambda: EnvConfig(antialiasing="no"), "EnvConfig.antialiasing must be of type bool"),
-        (lambda: EnvConfig(targets=(3,)), r"EnvConfig.targets\[0\] must be of type str, got 3"),
-        (lambda: EnvConfig(task=AskObject), "must be a task, such as Task\\(\\), or its name"),
+        (
+            lambda: EnvConfig(max_episode_steps="many"),
+            "max_episode_steps must be of type int",
+        ),
+        (
+            lambda: EnvConfig(antialiasing="no"),
+            "EnvConfig.antialiasing must be of type bool",
+        ),
+        (
+            lambda: EnvConfig(targets=(3,)),
+            r"EnvConfig.targets\[0\] must be of type str, got 3",
+        ),
+        (
+            lambda: EnvConfig(task=AskObject),
+            "must be a task, such as Task\\(\\), or its name",
+        ),
         (lambda: EnvConfig(task="chose"), "Did you mean 'choose'"),
-        (lambda: VisualRandomization(light="a"), "light must be between 0 and 1, got 'a'"),
-        (lambda: PPOConfig(learning_rate="a"), "PPOConfig.learning_rate must be of type float"),
-        (lambda: InterimConfig(every_steps="a"), "every_steps must be at least 1, got 'a'"),
+        (
+            lambda: VisualRandomization(light="a"),
+            "light must be between 0 and 1, got 'a'",
+        ),
+        (
+            lambda: PPOConfig(learning_rate="a"),
+            "PPOConfig.learning_rate must be of type float",
+        ),
+        (
+            lambda: InterimConfig(every_steps="a"),
+            "every_steps must be at least 1, got 'a'",
+        ),
     ],
 )
 def test_a_value_of_another_type_is_refused_where_a_config_is_made(make, message):
@@ -67,13 +90,20 @@ class Whole:
 
 def test_what_was_written_is_read_back():
     whole = Whole(
-        robot="irb120", algorithm=Fast(rate=0.5), hidden=64, targets=("a", "b"), limit=2.0
+        robot="irb120",
+        algorithm=Fast(rate=0.5),
+        hidden=64,
+        targets=("a", "b"),
+        limit=2.0,
     )
     assert from_dict(Whole, to_dict(whole)) == whole
 
 
 def test_the_kind_of_an_alternative_is_read_from_its_name():
-    assert from_dict(Whole, {"robot": "x", "algorithm": {"name": "fast"}}).algorithm == Fast()
+    assert (
+        from_dict(Whole, {"robot": "x", "algorithm": {"name": "fast"}}).algorithm
+        == Fast()
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +113,10 @@ def test_the_kind_of_an_alternative_is_read_from_its_name():
         ({"robot": "x", "algorithm": {"name": "slow", "workres": 3}}, "'workers'"),
         ({"robot": "x", "algorithm": {"name": "medium"}}, "algorithm.name"),
         ({}, "'robot' is missing"),
-        ({"robot": "x", "limit": 10**400}, "limit must be below 1.8e308, got 1329 bits"),
+        (
+            {"robot": "x", "limit": 10**400},
+            "limit must be below 1.8e308, got 1329 bits",
+        ),
         ({"robot": 3}, "robot must be of type str, got 3"),
         ({"robot": "x", "targets": "mug"}, "targets must be a list"),
         ({"robot": "x", "hidden": "shrink"}, "hidden"),

@@ -80,9 +80,29 @@ SPECIAL_WORDS = {
 """Beginnings of words that only `world/tasks/` uses, and where they mean something else. Parts of
 objects are no such word: what a name such as "mug.handle" means is the world's."""
 
-NUMPY_RANDOM = {"Generator", "BitGenerator", "SeedSequence", "PCG64", "Philox", "default_rng"}
-TORCH_DRAWS = {"rand", "randn", "randint", "randperm", "multinomial", "bernoulli", "normal"}
-TORCH_SEEDS = {"torch.manual_seed", "torch.seed", "torch.set_rng_state", "torch.random.manual_seed"}
+NUMPY_RANDOM = {
+    "Generator",
+    "BitGenerator",
+    "SeedSequence",
+    "PCG64",
+    "Philox",
+    "default_rng",
+}
+TORCH_DRAWS = {
+    "rand",
+    "randn",
+    "randint",
+    "randperm",
+    "multinomial",
+    "bernoulli",
+    "normal",
+}
+TORCH_SEEDS = {
+    "torch.manual_seed",
+    "torch.seed",
+    "torch.set_rng_state",
+    "torch.random.manual_seed",
+}
 
 
 def listed(offenders):
@@ -94,7 +114,9 @@ def test_packages_import_one_way():
     """Also: the modules at the root import no package."""
     known = {package(path) for path in modules()}
     allowed = BELOW | DOORS | {"cli": CORE}
-    assert known == set(allowed), "Name a new package in BELOW or DOORS, with what it may import."
+    assert known == set(allowed), (
+        "Name a new package in BELOW or DOORS, with what it may import."
+    )
     offenders = [
         f"{path} imports {target}"
         for path, tree in modules().items()
@@ -108,7 +130,11 @@ def test_packages_import_one_way():
 def test_the_core_can_be_imported_without_its_doors():
     """Also: every command of the core, with a door's command refused in one line."""
     packages = [f"knowarm.{door}" for door in DOORS]
-    core = [dotted(path) for path in modules() if package(path) in CORE and path != "__main__.py"]
+    core = [
+        dotted(path)
+        for path in modules()
+        if package(path) in CORE and path != "__main__.py"
+    ]
     script = f"""
 import importlib, sys
 
@@ -123,7 +149,9 @@ for name in {core!r}:
 from knowarm.cli.main import DOORS, main
 print([main([command]) for command in DOORS])
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     assert set(ast.literal_eval(done.stdout.splitlines()[-1])) == {2}
     assert "is not installed" in done.stderr
@@ -176,7 +204,9 @@ def test_no_code_depends_on_the_name_of_a_robot_agent_task_or_algorithm():
         for path, tree in modules().items()
         for line, word in selectors(tree)
         if word in everything
-        and not any(path.startswith(owner) and word in own for owner, own in REGISTRIES.items())
+        and not any(
+            path.startswith(owner) and word in own for owner, own in REGISTRIES.items()
+        )
         and not (word in OTHER_MEANINGS and path.startswith(OTHER_MEANINGS[word]))
     ]
     assert not offenders, listed(offenders)
@@ -194,8 +224,14 @@ def global_draws(tree):
             (start == "random" and last != "Random")
             or (start in ("np.random", "numpy.random") and last not in NUMPY_RANDOM)
             or called in TORCH_SEEDS
-            or (start == "torch" and last.removesuffix("_like") in TORCH_DRAWS and not given)
-            or (last in ("exponential_", "normal_", "uniform_", "random_") and not given)
+            or (
+                start == "torch"
+                and last.removesuffix("_like") in TORCH_DRAWS
+                and not given
+            )
+            or (
+                last in ("exponential_", "normal_", "uniform_", "random_") and not given
+            )
         ):
             yield node.lineno, called
 
@@ -215,7 +251,9 @@ def test_no_class_name_occurs_twice():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(path)
-    offenders = [f"{name}: {', '.join(at)}" for name, at in places.items() if len(at) > 1]
+    offenders = [
+        f"{name}: {', '.join(at)}" for name, at in places.items() if len(at) > 1
+    ]
     assert not offenders, listed(offenders)
 
 
@@ -237,9 +275,14 @@ def task_uses(path, tree):
         target = None
         if isinstance(node, ast.Attribute) and node.attr in special:
             target = node.value
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "hasattr"):
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in (
+            "getattr",
+            "hasattr",
+        ):
             target = node.args[0]
-        elif isinstance(node, ast.Dict):  # overrides of fields that only some tasks have
+        elif isinstance(
+            node, ast.Dict
+        ):  # overrides of fields that only some tasks have
             pairs = zip(node.keys, node.values, strict=True)
             yield from (ast.unparse(v) for k, v in pairs if k and is_overridden(k, v))
         if target is not None and is_task(target):
@@ -290,7 +333,10 @@ def words(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     }
     for node in ast.walk(tree):
-        texts = [getattr(node, name, None) for name in ("id", "attr", "name", "arg", "module")]
+        texts = [
+            getattr(node, name, None)
+            for name in ("id", "attr", "name", "arg", "module")
+        ]
         if isinstance(node, ast.Constant) and id(node) not in documented:
             texts.append(node.value)
         for text in texts:
@@ -327,7 +373,9 @@ def test_every_word_of_one_task_is_found():
         "'a sentence on lifting'.split(family_name)",
         "def grip():\n    'Lift.'",
     ]
-    found = [len([*special_words("experiment/a.py", ast.parse(line))]) for line in lines]
+    found = [
+        len([*special_words("experiment/a.py", ast.parse(line))]) for line in lines
+    ]
     assert found == [2, 1, 1, 1, 2, 0]
     assert not [*special_words("svg.py", ast.parse("draw(font_family=1)"))]
 
@@ -335,5 +383,7 @@ def test_every_word_of_one_task_is_found():
 def test_mutation_testing_names_files_that_exist():
     options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mutmut"]
     tests = options["pytest_add_cli_args_test_selection"]
-    offenders = [path for path in (*options["only_mutate"], *tests) if not [*ROOT.glob(path)]]
+    offenders = [
+        path for path in (*options["only_mutate"], *tests) if not [*ROOT.glob(path)]
+    ]
     assert not offenders, listed(offenders)

@@ -6,21 +6,33 @@ from knowarm import svg
 
 
 def test_elements_escape_text_and_round_numbers():
-    markup = svg.element("g", svg.label(1.0, 2.005, "a < b"), class_="x", fill=None, stroke_width=1)
-    assert markup == '<g class="x" stroke-width="1"><text x="1" y="2">a &lt; b</text></g>'
-    assert svg.element("rect", width=float("nan"), id='"') == '<rect width="0" id="&quot;"/>'
+    markup = svg.element(
+        "g", svg.label(1.0, 2.005, "a < b"), class_="x", fill=None, stroke_width=1
+    )
+    assert (
+        markup == '<g class="x" stroke-width="1"><text x="1" y="2">a &lt; b</text></g>'
+    )
+    assert (
+        svg.element("rect", width=float("nan"), id='"')
+        == '<rect width="0" id="&quot;"/>'
+    )
     assert svg.hover("x & y") == "<title>x &amp; y</title>"
 
 
 def test_paths():
-    assert svg.path([(0.0, 1.0), (2.5, 3.0)], fill="none") == '<path d="M0 1L2.5 3" fill="none"/>'
+    assert (
+        svg.path([(0.0, 1.0), (2.5, 3.0)], fill="none")
+        == '<path d="M0 1L2.5 3" fill="none"/>'
+    )
     area = svg.band([(0, 1), (1, 1)], [(0, 0), (1, 0)])
     assert area == '<path d="M0 1L1 1L1 0L0 0Z"/>'
     assert svg.curve((0.0, 1.0), (2.0, 3.0)) == '<path d="M0 1C1 1 1 3 2 3"/>'
 
 
 def test_a_document_is_well_formed_and_described():
-    text = svg.document(10, 20.5, "A & B", svg.element("circle", r=1), description="one circle")
+    text = svg.document(
+        10, 20.5, "A & B", svg.element("circle", r=1), description="one circle"
+    )
     root = ET.fromstring(text)
     assert root.get("viewBox") == "0 0 10 20.5"
     assert root.get("aria-label") == "A & B"

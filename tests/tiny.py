@@ -32,7 +32,10 @@ STUDY = {
 }
 """Two updates, with a checkpoint and an evaluation after each; the runs of a tiny study."""
 
-CHOOSE_ENV = {"dynamics": "kinematic", "task": {"asked": {"queries": {"pairs": "none"}}}}
+CHOOSE_ENV = {
+    "dynamics": "kinematic",
+    "task": {"asked": {"queries": {"pairs": "none"}}},
+}
 
 CHOOSE_NAME = "irb120-choose-subgraph-fast"
 

@@ -21,6 +21,8 @@ if __name__ == "__main__":
 
     cell = read_suite("reach-v1").cells["irb120-fixed"]
     env = SB3VecEnv(ArmVectorEnv(cell.env, 64), seed=0)
-    model = PPO("CnnPolicy", env, n_steps=25, batch_size=400, n_epochs=2, seed=0, verbose=1)
+    model = PPO(
+        "CnnPolicy", env, n_steps=25, batch_size=400, n_epochs=2, seed=0, verbose=1
+    )
     model.learn(steps)
     model.save("sb3-reach")

@@ -54,8 +54,12 @@ def robocse(folder: Path) -> Iterator[Triple]:
     .a, .s). Objects lose this ending; so do others whose name is unique: kitchen, but mug (l).
     """
     wanted = {name.replace("_", ""): name for name in TARGETS}
-    entities = dict(line.rsplit(None, 1)[::-1] for line in lines(folder / "entity2id.txt"))
-    relations = dict(line.rsplit(None, 1)[::-1] for line in lines(folder / "relation2id.txt"))
+    entities = dict(
+        line.rsplit(None, 1)[::-1] for line in lines(folder / "entity2id.txt")
+    )
+    relations = dict(
+        line.rsplit(None, 1)[::-1] for line in lines(folder / "relation2id.txt")
+    )
     kinds: dict[str, set[str]] = {}
     for entity in entities.values():
         name, _, kind = entity.rpartition(".")
@@ -96,7 +100,11 @@ def behavior(path: Path) -> Iterator[Triple]:
                 if key not in COLUMNS and value == "1"
             )
         for kind in filter(None, row["hypernyms"].split(",")):
-            yield name, "isA", kind.split(".")[0] if kind.split(".")[0] != name else kind
+            yield (
+                name,
+                "isA",
+                kind.split(".")[0] if kind.split(".")[0] != name else kind,
+            )
             if kind not in seen:
                 seen.add(kind)
                 waiting.append(kind)
@@ -104,7 +112,13 @@ def behavior(path: Path) -> Iterator[Triple]:
 
 def digest(path: Path) -> str:
     """Return the SHA-256 of a file, or of the files of an OpenKE folder."""
-    names = ("entity2id.txt", "relation2id.txt", "train2id.txt", "valid2id.txt", "test2id.txt")
+    names = (
+        "entity2id.txt",
+        "relation2id.txt",
+        "train2id.txt",
+        "valid2id.txt",
+        "test2id.txt",
+    )
     files = [path / name for name in names] if path.is_dir() else [path]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
@@ -122,7 +136,9 @@ def main() -> None:
         found = digest(source)
         if found != DIGESTS[source.name]:
             print(f"{source} is not the version that this script was tried with.")
-        triples = dict.fromkeys(robocse(source) if source.is_dir() else behavior(source))
+        triples = dict.fromkeys(
+            robocse(source) if source.is_dir() else behavior(source)
+        )
     except (OSError, ValueError, KeyError, UserError) as error:
         raise SystemExit(f"{source} cannot be read: {error}") from None
     with arguments.out.open("w", newline="") as file:

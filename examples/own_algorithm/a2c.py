@@ -44,7 +44,13 @@ class A2CTrainer(SynchronousTrainer):
     """Collect a rollout, take one gradient step, and so on."""
 
     def __init__(
-        self, config: A2CConfig, policy: Policy, env: TorchVectorEnv, *, seed: int, **options: Any
+        self,
+        config: A2CConfig,
+        policy: Policy,
+        env: TorchVectorEnv,
+        *,
+        seed: int,
+        **options: Any,
     ) -> None:
         super().__init__(policy, seed=seed, **options)
         self.config = config
@@ -67,7 +73,10 @@ class A2CTrainer(SynchronousTrainer):
             config.gae_lambda,
         )
         logits, values, _ = self.policy.unroll(  # (T, B, J, A) and (T, B)
-            rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
+            rollout.patches,
+            rollout.knowledge,
+            rollout.start_state,
+            rollout.episode_start,
         )
         policy_loss = -(log_probability(logits, rollout.action) * advantage).mean()
         value_loss = 0.5 * (advantage + rollout.value - values).square().mean()
@@ -75,7 +84,9 @@ class A2CTrainer(SynchronousTrainer):
         loss = policy_loss + config.vf_coef * value_loss - config.ent_coef * spread
         self.optimizer.zero_grad()
         loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.policy.parameters(), config.max_grad_norm)
+        norm = torch.nn.utils.clip_grad_norm_(
+            self.policy.parameters(), config.max_grad_norm
+        )
         self.optimizer.step()
         return {
             **self.collector.statistics.take().summary(),
@@ -108,7 +119,9 @@ class A2CTrainer(SynchronousTrainer):
         self.collector.set_state(checkpoint.state)
 
 
-def make_a2c(config: A2CConfig, policy: Policy, *, make_env: Any, **options: Any) -> A2CTrainer:
+def make_a2c(
+    config: A2CConfig, policy: Policy, *, make_env: Any, **options: Any
+) -> A2CTrainer:
     """Make the environments and the trainer."""
     return A2CTrainer(config, policy, make_env(config.num_envs), **options)
 

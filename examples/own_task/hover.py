@@ -66,6 +66,8 @@ class Hover(Skill):
         """Add the number of steps held."""
         return {"held": state.memory["held"]}
 
-    def columns(self, setting: Any, infos: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def columns(
+        self, setting: Any, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
         """Store the number of steps held at the end of each episode."""
         return {"held": infos["held"]}

@@ -37,7 +37,10 @@ class Steady(Skill):
 
     def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
         """Remember the joint angles, and how far they moved in the step."""
-        return {"angles": np.zeros((num_envs, self.joints)), "moved": np.full(num_envs, np.inf)}
+        return {
+            "angles": np.zeros((num_envs, self.joints)),
+            "moved": np.full(num_envs, np.inf),
+        }
 
     def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
         """Measure the step; the first of an episode has no start, and is no standing still."""

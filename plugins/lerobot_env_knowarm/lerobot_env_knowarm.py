@@ -40,7 +40,9 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __init__(self, suite: str, cell: str) -> None:
         self._cell = read_suite(suite).cells[cell]
         config = self._cell.env
-        self._arm = arm = ArmEnv("rgb_array", observe=("image", "joints"), **vars(config))
+        self._arm = arm = ArmEnv(
+            "rgb_array", observe=("image", "joints"), **vars(config)
+        )
         self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
         self._max_episode_steps = config.max_episode_steps
         scene = scene_of(config)
@@ -62,7 +64,9 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the episode of a seed, or the next one."""
         super().reset(seed=seed)
-        self._number = (self._number + 1 if seed is None else seed) % len(self._cell.episodes)
+        self._number = (self._number + 1 if seed is None else seed) % len(
+            self._cell.episodes
+        )
         start = self._cell.episodes[self._number : self._number + 1]
         observation, info = self._arm.reset(options={"episodes": start})
         return _renamed(observation), {"is_success": info["is_success"]}
@@ -105,11 +109,18 @@ class KnowArmEnv(EnvConfig):
     """SUITE/CELL, or the beginning of the cell's name."""
     fps: int = 10
     features_map: dict[str, str] = field(
-        default_factory=lambda: {ACTION: ACTION, "agent_pos": OBS_STATE, "pixels": OBS_IMAGE}
+        default_factory=lambda: {
+            ACTION: ACTION,
+            "agent_pos": OBS_STATE,
+            "pixels": OBS_IMAGE,
+        }
     )
 
     def __post_init__(self) -> None:
-        joints = {cell.env.robot: cell.episodes.joint_offsets.shape[1] for cell in self.cells()}
+        joints = {
+            cell.env.robot: cell.episodes.joint_offsets.shape[1]
+            for cell in self.cells()
+        }
         if len(set(joints.values())) > 1:
             raise UserError(
                 f"env.task {self.task!r} names cells of {' and '.join(joints)}, whose joints "
@@ -133,7 +144,9 @@ class KnowArmEnv(EnvConfig):
         cells = read_suite(suite).cells
         found = [cell for name, cell in cells.items() if name.startswith(wanted)]
         if not found:
-            raise UserError(f"{suite} has no cell {wanted!r}; it has {', '.join(cells)}.")
+            raise UserError(
+                f"{suite} has no cell {wanted!r}; it has {', '.join(cells)}."
+            )
         return found
 
     @property
@@ -153,7 +166,9 @@ class KnowArmEnv(EnvConfig):
         make = AsyncVectorEnv if several else SyncVectorEnv
         return {
             suite: {
-                number: make([partial(BenchmarkEnv, suite, cell.name)] * n_envs, **options)
+                number: make(
+                    [partial(BenchmarkEnv, suite, cell.name)] * n_envs, **options
+                )
                 for number, cell in enumerate(self.cells())
             }
         }

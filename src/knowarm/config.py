@@ -15,7 +15,9 @@ T = TypeVar("T")
 _READER = "knowarm.config.reader"
 
 
-def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dict[str, Any]:
+def registered(
+    config_types: Callable[[], Iterable[type]], own: str = ""
+) -> dict[str, Any]:
     """Return the metadata of a dataclass field that holds registered configs: one, or a tuple.
 
     The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
@@ -109,7 +111,9 @@ def fraction(config: Any, *names: str, where: str = "") -> None:
     within(config, 0, 1, *names, where=where)
 
 
-def within(config: Any, least: float, most: float, *names: str, where: str = "") -> None:
+def within(
+    config: Any, least: float, most: float, *names: str, where: str = ""
+) -> None:
     """Check that fields of a config, where they are not None, are numbers in a range."""
     allowed = f"between {least:g} and {most:g}"
     _check(config, names, where, allowed, lambda value: least <= value <= most)
@@ -123,7 +127,11 @@ def file_name(config: Any, *names: str) -> None:
 
 
 def _check(
-    config: Any, names: tuple[str, ...], where: str, allowed: str, test: Callable[[Any], object]
+    config: Any,
+    names: tuple[str, ...],
+    where: str,
+    allowed: str,
+    test: Callable[[Any], object],
 ) -> None:
     for name in names:
         value = getattr(config, name)
@@ -137,7 +145,10 @@ def _check(
 
 def to_dict(config: Any) -> dict[str, Any]:
     """Convert a (nested) config dataclass to JSON values; tuples become lists."""
-    return {field.name: _plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
+    return {
+        field.name: _plain(getattr(config, field.name))
+        for field in dataclasses.fields(config)
+    }
 
 
 def _plain(value: Any) -> Any:
@@ -161,7 +172,9 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def differences(
+    first: Mapping[str, Any], second: Mapping[str, Any]
+) -> dict[str, tuple[Any, Any]]:
     """Return both values of each field in which nested mappings differ, by dotted name."""
     one = flatten(first)
     other = flatten(second)
@@ -252,14 +265,18 @@ def _choice(allowed: tuple[Any, ...], value: Any, path: str) -> Any:
     return value
 
 
-def _tuple(items: list[_Reader], repeats: bool, value: Any, path: str) -> tuple[Any, ...]:
+def _tuple(
+    items: list[_Reader], repeats: bool, value: Any, path: str
+) -> tuple[Any, ...]:
     """Convert a list to a tuple of some items, or of any number of one that repeats."""
     if not isinstance(value, list | tuple):
         raise UserError(f"{path} must be a list, got {value!r}.")
     if repeats:
         items = items * len(value)
     if len(items) != len(value):
-        raise UserError(f"{path} must hold {len(items)} values, got {len(value)}: {value!r}.")
+        raise UserError(
+            f"{path} must hold {len(items)} values, got {len(value)}: {value!r}."
+        )
     return tuple(read(value[i], f"{path}[{i}]") for i, read in enumerate(items))
 
 
@@ -285,7 +302,9 @@ def _instance(kind: type[T], value: Any, path: str) -> T:
     return value
 
 
-def _registered(config_types: Callable[[], Iterable[type]], own: str, value: Any, path: str) -> Any:
+def _registered(
+    config_types: Callable[[], Iterable[type]], own: str, value: Any, path: str
+) -> Any:
     """Convert a value to the registered config that its tag names."""
     remedy = ""
     if own:
@@ -313,7 +332,9 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
         raise UserError(f"{unknown}{remedy}")
     if tagged and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
-        raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
+        raise UserError(
+            f"{path} must hold the fields of one of {names}, got {value!r}."
+        )
     errors = []
     for kind in kinds:
         try:
@@ -326,7 +347,9 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
 
 
 @cache
-def _alternatives(args: tuple[Any, ...]) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
+def _alternatives(
+    args: tuple[Any, ...],
+) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
     """Return a union's types, those with tags by tag, and the only config if none has tags.
 
     The fields of the only config tell it apart from numbers and texts.

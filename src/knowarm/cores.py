@@ -31,7 +31,9 @@ def limited_to(cores: int) -> dict[str, str]:
 def processor() -> str:
     """Return the model name of the processor, or the architecture where there is no model name."""
     with suppress(OSError):
-        model = re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text("utf-8"))
+        model = re.search(
+            r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text("utf-8")
+        )
         if model is not None:
             return model[1].strip()
     return platform.processor() or platform.machine()

@@ -58,7 +58,9 @@ def warn(message: str) -> None:
 
 def printable(text: str) -> str:
     """Escape the characters of a text from a file that a terminal would act upon."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:

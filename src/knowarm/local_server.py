@@ -41,6 +41,9 @@ def refusal(path: str, headers: Any) -> str | None:
         return "The request is no valid one."
     if len(names) != 1 or names[0] not in LOOPBACK:
         return f"This server answers only as {' or '.join(LOOPBACK)}."
-    if origins not in ([], [f"http://{hosts[0]}"]) or set(sites) - {"same-origin", "none"}:
+    if origins not in ([], [f"http://{hosts[0]}"]) or set(sites) - {
+        "same-origin",
+        "none",
+    }:
         return "The request comes from a page of another site."
     return None

@@ -37,7 +37,9 @@ def load(import_path: str, what: str, fits: Callable[[Any], bool], needed: str) 
     """
     module, _, name = import_path.partition(":")
     if not module or module.startswith(".") or not name:
-        raise UserError(f"Your own {what} is given as package.module:Name, got {import_path!r}.")
+        raise UserError(
+            f"Your own {what} is given as package.module:Name, got {import_path!r}."
+        )
     folder = str(Path.cwd())
     if folder not in sys.path:  # the program's own start leaves it out
         sys.path.append(folder)

@@ -22,7 +22,9 @@ def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) ->
     return stream.getvalue()
 
 
-def animation(images: Sequence[NDArray[np.uint8]], frame_ms: int, last_ms: int) -> bytes:
+def animation(
+    images: Sequence[NDArray[np.uint8]], frame_ms: int, last_ms: int
+) -> bytes:
     """Return a WebP file that repeats images; ``last_ms`` is the display time of the last one."""
     frames = [Image.fromarray(image) for image in images]
     durations = [frame_ms] * len(frames)
@@ -47,7 +49,9 @@ def data_uri(kind: str, data: bytes) -> str:
 def check_suffix(path: Path, what: str) -> None:
     """Raise a `UserError` unless images can be written in the format of a file's suffix."""
     if Image.registered_extensions().get(path.suffix.lower()) not in Image.SAVE:
-        raise UserError(f"{what} is an image file such as {path.stem}.png, got {path.name!r}.")
+        raise UserError(
+            f"{what} is an image file such as {path.stem}.png, got {path.name!r}."
+        )
 
 
 def central_square(image: Image.Image, size: int) -> Image.Image:
@@ -56,4 +60,6 @@ def central_square(image: Image.Image, size: int) -> Image.Image:
     side = min(width, height)
     left = (width - side) / 2
     top = (height - side) / 2
-    return image.resize((size, size), Image.Resampling.BOX, (left, top, left + side, top + side))
+    return image.resize(
+        (size, size), Image.Resampling.BOX, (left, top, left + side, top + side)
+    )

@@ -27,7 +27,9 @@ def cpu_has_bfloat16() -> bool:
     """
     import torch  # takes a second to import, and the command line imports this module
 
-    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+    return bool(
+        torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+    )
 
 
 def without_compiler(optimizer: "type[OptimizerT]") -> "type[OptimizerT]":
@@ -68,7 +70,9 @@ def end_process(code: int) -> NoReturn:
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError, AttributeError):  # closed, or nobody reads it
+        with suppress(
+            OSError, ValueError, AttributeError
+        ):  # closed, or nobody reads it
             stream.flush()
     os._exit(code)
 

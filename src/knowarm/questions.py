@@ -17,12 +17,16 @@ from knowarm.arrays import Integers, Mask, Names
 from knowarm.errors import UserError, unknown_name
 
 AND = " and "  # What joins the conditions of a query in its name
-COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
+COLOUR_RELATION = (
+    "hasColor"  # Its values are colours: the facet answers it, not the graph
+)
 OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet answers it
 PART = "."  # Joins the names of an object and its part: "mug.handle"
 AT_ONCE = 4096  # Questions whose distractors are found at once
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
-ObjectColour = tuple[str, str]  # A facet: an object or part, and one of its colours, by name
+ObjectColour = tuple[
+    str, str
+]  # A facet: an object or part, and one of its colours, by name
 
 
 class Condition(NamedTuple):
@@ -156,7 +160,11 @@ class QuestionTable:
         They are shown, related to the target, of another object, and do not satisfy the query.
         """
         return _distractors(
-            self.satisfies[query], self.related[target], self.shown, self.objects, target
+            self.satisfies[query],
+            self.related[target],
+            self.shown,
+            self.objects,
+            target,
         )
 
     def check_objects(self, count: int) -> None:
@@ -176,7 +184,9 @@ class QuestionTable:
             )
 
 
-def find_rows(kind: str, names: Sequence[str] | Names, rows: Mapping[str, int]) -> Integers:
+def find_rows(
+    kind: str, names: Sequence[str] | Names, rows: Mapping[str, int]
+) -> Integers:
     """Return the rows of names (n,) in a table, (n,).
 
     Args:
@@ -196,7 +206,9 @@ def find_rows(kind: str, names: Sequence[str] | Names, rows: Mapping[str, int]) 
     return np.array(numbers, dtype=np.int64)[inverse]
 
 
-def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Integers:
+def number_objects(
+    facets: tuple[ObjectColour, ...], *, whole: bool = False
+) -> Integers:
     """Return the number of each facet's object, in order of first appearance, (F,).
 
     Parts of one object have different numbers, or with ``whole`` the same one.
@@ -242,7 +254,12 @@ def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
 
 
 def with_distractors(
-    allowed: Mask, satisfies: Mask, related: Mask, shown: Mask, objects: Integers, count: int
+    allowed: Mask,
+    satisfies: Mask,
+    related: Mask,
+    shown: Mask,
+    objects: Integers,
+    count: int,
 ) -> Mask:
     """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
     order = np.argsort(objects, kind="stable")
@@ -251,7 +268,9 @@ def with_distractors(
     questions = np.argwhere(allowed)
     for start in range(0, len(questions), AT_ONCE):
         query, target = questions[start : start + AT_ONCE].T
-        distractors = _distractors(satisfies[query], related[target], shown, objects, target)
+        distractors = _distractors(
+            satisfies[query], related[target], shown, objects, target
+        )
         of_objects = np.logical_or.reduceat(distractors[:, order], starts, axis=1)
         enough[query, target] = of_objects.sum(axis=1) >= count - 1
     return enough
@@ -261,7 +280,9 @@ def _distractors(
     satisfies: Mask, related: Mask, shown: Mask, objects: Integers, target: Integers
 ) -> Mask:
     """Return the distractors of n questions from the rows (n, F) of their queries and targets."""
-    return np.asarray(shown & ~satisfies & related & (objects[target][:, None] != objects))
+    return np.asarray(
+        shown & ~satisfies & related & (objects[target][:, None] != objects)
+    )
 
 
 def _check_names(kind: str, names: Sequence[str] | Sequence[ObjectColour]) -> None:
@@ -270,7 +291,9 @@ def _check_names(kind: str, names: Sequence[str] | Sequence[ObjectColour]) -> No
         raise UserError(f"QuestionTable.{kind} is empty; give at least one.")
     for name, count in Counter(names).items():
         if count > 1:
-            raise UserError(f"QuestionTable.{kind} contains {name!r} twice; list each once.")
+            raise UserError(
+                f"QuestionTable.{kind} contains {name!r} twice; list each once."
+            )
 
 
 def _words(facet: ObjectColour) -> str:

@@ -41,7 +41,10 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
         reason = error.strerror or one_line(error)
         raise UnreadableFileError(f"Cannot read {path}: {reason}. {remedy}") from error
     except BaseException as error:
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+        if (
+            not isinstance(error, Exception)
+            and type(error).__name__ != "PanicException"
+        ):
             raise
         reason = f"is damaged or of another format: {one_line(error)}"
         raise UnreadableFileError(f"{path} {reason}. {remedy}") from error

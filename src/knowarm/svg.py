@@ -62,7 +62,11 @@ def band(upper: Sequence[Point], lower: Sequence[Point], **attributes: object) -
 
 
 def curve(
-    start: Point, end: Point, *children: str, bend: float | None = None, **attributes: object
+    start: Point,
+    end: Point,
+    *children: str,
+    bend: float | None = None,
+    **attributes: object,
 ) -> str:
     """Return a cubic curve that leaves and arrives horizontally.
 
@@ -79,7 +83,9 @@ def curve(
     return element("path", *children, d=data, **attributes)
 
 
-def drawing(width: float, height: float, name: str, *children: str, **attributes: object) -> str:
+def drawing(
+    width: float, height: float, name: str, *children: str, **attributes: object
+) -> str:
     """Return an inline ``<svg>`` element that takes its colours from the page's style sheet.
 
     Width and height are in pixels; ``name`` is the text alternative for screen readers.
@@ -96,7 +102,9 @@ def drawing(width: float, height: float, name: str, *children: str, **attributes
     )
 
 
-def document(width: float, height: float, name: str, *children: str, description: str = "") -> str:
+def document(
+    width: float, height: float, name: str, *children: str, description: str = ""
+) -> str:
     """Return the text of a standalone SVG file with a white background.
 
     ``name`` is its title; ``description`` is a longer text alternative, "" leaves it out.

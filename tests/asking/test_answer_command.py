@@ -5,7 +5,9 @@ from knowarm.cli.main import main
 
 def test_a_graph_alone_answers(capsys, tmp_path):
     out = tmp_path / "answers.json"
-    assert main(["answer", "usedFor learning and hasColor blue", "--json", str(out)]) == 0
+    assert (
+        main(["answer", "usedFor learning and hasColor blue", "--json", str(out)]) == 0
+    )
     text = capsys.readouterr().out
     assert text.count("blue") == 3
     assert "globe" in text

@@ -75,12 +75,20 @@ def test_an_edit_may_give_a_question_its_first_answer(tmp_path):
     path = tmp_path / "first.json"
     words = ["ask", RUN, "usedFor juggling", "--edit", "+ lamp usedFor juggling"]
     assert main([*words, "--json", str(path)]) == 0
-    assert {name.split("/")[0] for name in json.loads(path.read_text())["answers"]} == {"lamp"}
+    assert {name.split("/")[0] for name in json.loads(path.read_text())["answers"]} == {
+        "lamp"
+    }
 
 
 def test_an_edit_leads_the_arm_to_another_object(asker, tmp_path, capsys):
-    path, edits = tmp_path / "edited.json", ["- mug usedFor drinking", "+ lamp usedFor drinking"]
-    assert main(["ask", RUN, "usedFor drinking", "--edit", *edits, "--json", str(path)]) == 0
+    path, edits = (
+        tmp_path / "edited.json",
+        ["- mug usedFor drinking", "+ lamp usedFor drinking"],
+    )
+    assert (
+        main(["ask", RUN, "usedFor drinking", "--edit", *edits, "--json", str(path)])
+        == 0
+    )
     found = json.loads(path.read_text())
     assert found["reached"].startswith("lamp")
     assert found["right"]
@@ -99,10 +107,20 @@ def test_a_graph_of_others_is_asked_as_it_lies(tmp_path, capsys):
         "WineGlass;Drinking;UsedFor;2",
         "TeaCup;Drinking;UsedFor;1",
     ]
-    rows += ["http://a.org/lamp;Drinking;UsedFor;1", "http://b.org/lamp;Drinking;UsedFor;1"]
+    rows += [
+        "http://a.org/lamp;Drinking;UsedFor;1",
+        "http://b.org/lamp;Drinking;UsedFor;1",
+    ]
     home.write_text("\n".join(rows), "utf-16")
     (tmp_path / "names.txt").write_text("mug = teacup\n")
-    options = ["--graph", str(home), "--format", "csv", "--names", str(tmp_path / "names.txt")]
+    options = [
+        "--graph",
+        str(home),
+        "--format",
+        "csv",
+        "--names",
+        str(tmp_path / "names.txt"),
+    ]
     assert main(["ask", RUN, "usedFor drinking", *options, "--json", str(path)]) == 0
     answers = json.loads(path.read_text())["answers"]
     assert {each.split("/")[0] for each in answers} == {"wine_glass", "mug"}
@@ -119,8 +137,15 @@ def test_a_graph_of_others_is_asked_as_it_lies(tmp_path, capsys):
 
 def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
     path = tmp_path / "found.json"
-    options = ["--graph", str(ROOT / "examples" / "own_graph" / "tidy.csv"), "--json", str(path)]
-    assert main(["ask", RUN, "belongsIn desk and not ownedBy grandfather", *options]) == 0
+    options = [
+        "--graph",
+        str(ROOT / "examples" / "own_graph" / "tidy.csv"),
+        "--json",
+        str(path),
+    ]
+    assert (
+        main(["ask", RUN, "belongsIn desk and not ownedBy grandfather", *options]) == 0
+    )
     found = json.loads(path.read_text())
     assert {each.split("/")[0] for each in found["answers"]} == {"lamp", "book"}
     assert found["right"]
@@ -129,7 +154,10 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
         ("needs paper", "Unknown value of needs 'paper'. Available: electricity"),
         ("ownedBy desk", "No object of the task answers the question 'ownedBy desk'"),
         ("ownedBy grandmother and", "expected a relation, got its end"),
-        (time := "needs electricity and ownedBy grandfather", f"answers {time!r}: clock."),
+        (
+            time := "needs electricity and ownedBy grandfather",
+            f"answers {time!r}: clock.",
+        ),
     ):
         assert main(["ask", RUN, question, *options]) == 2
         error = capsys.readouterr().err
@@ -151,7 +179,9 @@ def test_the_sentence_measures_the_object_that_was_reached(asker):
     """Not the first of several that answer."""
     question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
     found = [asker.ask(question, scene=scene, unclear="guess") for scene in range(12)]
-    others = [asked for asked in found if asked.right and asked.reached != asked.shown[0]]
+    others = [
+        asked for asked in found if asked.right and asked.reached != asked.shown[0]
+    ]
     assert len(others) >= 2
     for asked in others:
         film_end = asked.film[-1]  # measured to the first that answers
@@ -161,11 +191,15 @@ def test_the_sentence_measures_the_object_that_was_reached(asker):
     for mark, changes in (
         ("good", {"within": True}), ("bad", {"within": False}), ("open", {"stopped": True}),
     ):  # fmt: skip
-        assert f'class="verdict {mark}"' in page(replace(others[0], **changes), question, [])
+        assert f'class="verdict {mark}"' in page(
+            replace(others[0], **changes), question, []
+        )
     assert any(asked.within for asked in others)
 
 
-def test_the_user_picks_where_several_objects_may_be_meant(monkeypatch, capsys, tmp_path):
+def test_the_user_picks_where_several_objects_may_be_meant(
+    monkeypatch, capsys, tmp_path
+):
     path = tmp_path / "found.json"
     words = ["ask", RUN, "not red", "--scene", "0"]
     words += ["--unclear", "ask", "--json", str(path)]
@@ -183,8 +217,15 @@ def test_the_user_picks_where_several_objects_may_be_meant(monkeypatch, capsys, 
 
 def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
     path = tmp_path / "home.csv"
-    path.write_text("head,relation,tail\nCoffeeCup,holds,tea\nvase,holds,rose\nsofa,holds,cat\n")
-    assert main(["ask", RUN, "holds tea", "--graph", str(path), "--names", "mug=CoffeeCup"]) == 0
+    path.write_text(
+        "head,relation,tail\nCoffeeCup,holds,tea\nvase,holds,rose\nsofa,holds,cat\n"
+    )
+    assert (
+        main(
+            ["ask", RUN, "holds tea", "--graph", str(path), "--names", "mug=CoffeeCup"]
+        )
+        == 0
+    )
     printed = " ".join(capsys.readouterr().out.split())
     assert "recognized and described │ 2 │ mug, vase" in printed
     assert "recognized only │ 24 │ bottle" in printed
@@ -198,12 +239,21 @@ def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
     [
         ([RUN], "Give a question"),
         ([RUN, "--browser", "--page", "x.html"], "leave out --page"),
-        ([RUN, "--browser", "--port", "70000"], "cannot listen on 127.0.0.1, port 70000"),
+        (
+            [RUN, "--browser", "--port", "70000"],
+            "cannot listen on 127.0.0.1, port 70000",
+        ),
         ([RUN, "usedFor drinkin"], "Did you mean 'drinking'"),
         ([RUN, "usedFor drinking", "--edit", "mug red"], "must be + or -"),
-        ([RUN, "usedFor drinking", "--scene", "4000"], "scene must be 0 to 3999, got 4000"),
+        (
+            [RUN, "usedFor drinking", "--scene", "4000"],
+            "scene must be 0 to 3999, got 4000",
+        ),
         ([RUN, "usedFor drinking", "--page", "x.pdf"], "must be an .html file"),
-        ([RUN.replace("choose-subgraph", "full"), "usedFor drinking"], "has no grounding network"),
+        (
+            [RUN.replace("choose-subgraph", "full"), "usedFor drinking"],
+            "has no grounding network",
+        ),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, capsys):
@@ -235,7 +285,9 @@ def served(asker):
 
 def get(port, path, host=None, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
-    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"} | headers)
+    connection.request(
+        "GET", path, headers={"Host": host or f"127.0.0.1:{port}"} | headers
+    )
     response = connection.getresponse()
     return response.status, response.read().decode()
 
@@ -246,9 +298,13 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert "which answers" in text
     first = get(served, "/?q=")[1]
     assert "A scene, with" in first
-    for link in re.findall(r'href="(/\?q=[^"]+)"', first)[:6:2]:  # an example, and values
+    for link in re.findall(r'href="(/\?q=[^"]+)"', first)[
+        :6:2
+    ]:  # an example, and values
         assert "Answers in the graph" in get(served, html.unescape(link))[1], link
-    status, text = get(served, "/?q=usedFor+lighting&edit=-+lamp+usedFor+lighting&scene=")
+    status, text = get(
+        served, "/?q=usedFor+lighting&edit=-+lamp+usedFor+lighting&scene="
+    )
     assert status == 200
     assert "Answers in the graph" in text
     assert "lamp usedFor lighting</td>" not in text
@@ -260,21 +316,31 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert get(served, "/other")[0] == 404
     assert get(served, "http://[")[0] == 403
     assert get(served, "/", host="[::1")[0] == 403
-    assert get(served, "/?q=usedFor+drinking", **{"Sec-Fetch-Site": "cross-site"})[0] == 403
+    assert (
+        get(served, "/?q=usedFor+drinking", **{"Sec-Fetch-Site": "cross-site"})[0]
+        == 403
+    )
     assert get(served, "/?q=&scene=" + 5000 * "9")[0] == 200
     assert "A scene, with" in get(served, "/?q=&scene=9999")[1]
 
 
 def test_the_page_says_what_can_be_asked_of_this_graph_and_this_policy(asker, tmp_path):
     file = tmp_path / "home.csv"
-    file.write_text("mug,keepsWarm,coffee\nteapot,keepsWarm,tea\ncan,holds,fish\ncan,isA,tin\n")
+    file.write_text(
+        "mug,keepsWarm,coffee\nteapot,keepsWarm,tea\ncan,holds,fish\ncan,isA,tin\n"
+    )
     home = Asker(load_agent(RUN), file)
     assert home.words.keys() == {"hasColor", "keepsWarm"}
     assert set(home.words["keepsWarm"]["tea"]) == {"teapot"}
-    assert set(home.examples) >= {"keepsWarm coffee", "keepsWarm coffee and not hasColor blue"}
+    assert set(home.examples) >= {
+        "keepsWarm coffee",
+        "keepsWarm coffee and not hasColor blue",
+    }
     text = page(None, "", (), asker=home)
     assert "its scenes never show: can," in text
-    with pytest.raises(UserError, match=r"No scene shows .*: can\. The scenes .*: basket, bell"):
+    with pytest.raises(
+        UserError, match=r"No scene shows .*: can\. The scenes .*: basket, bell"
+    ):
         home.ask("holds fish")
     home.close()
 
@@ -292,7 +358,9 @@ def test_labels_never_cover_each_other(asker):
         assert apart or abs(one.top - other.top) >= 100 * LINE / WIDTH - 1e-9
     assert all(0 < label.top < 100 for label in labels)
     named = replace(found, named=(("mug", "mauve"), *found.named[1:]))
-    assert [label.text for label in place_labels(named) if not label.right] == ["mauve mug"]
+    assert [label.text for label in place_labels(named) if not label.right] == [
+        "mauve mug"
+    ]
 
 
 def test_slow_headers_do_not_block_the_page(served):

@@ -29,14 +29,18 @@ GRAPH = graph_of(
         ("tea", "isA", "hot drink"),
     ]
 )
-FACETS = [(name, c) for name in ("mug", "lamp", "watering_can") for c in ("blue", "red")]
+FACETS = [
+    (name, c) for name in ("mug", "lamp", "watering_can") for c in ("blue", "red")
+]
 
 
 def names(text, graph=GRAPH):
     """Return the objects that answer, and their colours unless all of them do."""
     found = answer(graph, FACETS, text)
     assert [f in found.evidence for f in FACETS] == found.satisfies.tolist()
-    colours = {name: [c for n, c in found.evidence if n == name] for name, _ in found.evidence}
+    colours = {
+        name: [c for n, c in found.evidence if n == name] for name, _ in found.evidence
+    }
     return {n + (f" {c[0]}" if len(c) == 1 else "") for n, c in colours.items()}
 
 
@@ -49,7 +53,10 @@ def names(text, graph=GRAPH):
         ("not (hasPart handle and usedFor drinking)", {"lamp", "watering_can"}),
         ("usedFor drinking or usedFor lighting", {"mug", "lamp"}),
         # "and" binds tighter than "or"
-        ("usedFor lighting or hasPart handle and hasPart spout", {"lamp", "watering_can"}),
+        (
+            "usedFor lighting or hasPart handle and hasPart spout",
+            {"lamp", "watering_can"},
+        ),
         ("(usedFor lighting or hasPart handle) and hasPart spout", {"watering_can"}),
         ("usedFor (relatedTo tea)", {"mug"}),
         ("usedFor (relatedTo (isA hot drink))", {"mug"}),
@@ -69,8 +76,14 @@ def names(text, graph=GRAPH):
             "SELECT ?object { ?object :usedFor ?x FILTER NOT EXISTS { ?object :hasColor :blue } }",
             {"mug red", "lamp red", "watering_can red"},
         ),
-        ("select ?object ?colour { ?object :hasColor ?colour ; :hasPart :shade }", {"lamp"}),
-        ('SELECT ?object ?color { ?object :hasPart :shade . BIND("red" AS ?color) }', {"lamp red"}),
+        (
+            "select ?object ?colour { ?object :hasColor ?colour ; :hasPart :shade }",
+            {"lamp"},
+        ),
+        (
+            'SELECT ?object ?color { ?object :hasPart :shade . BIND("red" AS ?color) }',
+            {"lamp red"},
+        ),
     ],
 )
 def test_the_graph_answers(text, expected):
@@ -111,7 +124,10 @@ def test_objects_that_the_graph_does_not_describe_never_answer():
         ("count hasPart >= many", "expected a comparison such as >= 2"),
         ("usedFor tea", "No object of the task answers"),
         ("SELECT ?x WHERE { ?x :hasPart :handle }", r"must select \?object"),
-        ("SELECT ?object ?colr { ?object :hasColor ?colr }", r"no more; got object, colr"),
+        (
+            "SELECT ?object ?colr { ?object :hasColor ?colr }",
+            r"no more; got object, colr",
+        ),
     ],
 )
 def test_what_cannot_be_answered_is_one_clear_line(text, message):
@@ -131,7 +147,9 @@ def test_every_condition_of_the_choose_task_has_the_answers_of_its_table():
     graph, checked = shipped_graph("objects"), 0
     for query, satisfies in zip(questions.queries, questions.satisfies, strict=True):
         if satisfies.any():
-            np.testing.assert_array_equal(answer(graph, facets, query.name).satisfies, satisfies)
+            np.testing.assert_array_equal(
+                answer(graph, facets, query.name).satisfies, satisfies
+            )
             checked += 1
     assert checked > 40
 
@@ -176,7 +194,9 @@ def test_endless_questions_are_refused(question, message):
 
 @pytest.mark.parametrize("edit", ["+ mug likes tea", "+ http://a/mug likes tea"])
 def test_an_edit_of_several_things_is_refused(edit):
-    graph = graph_of([("http://a/mug", "http://a/likes", "x"), ("http://b/mug", "b:likes", "y")])
+    graph = graph_of(
+        [("http://a/mug", "http://a/likes", "x"), ("http://b/mug", "b:likes", "y")]
+    )
     with pytest.raises(UserError, match=r"'(mug|likes)' names 2 (entities|relations)"):
         edited(graph, [edit])
 
@@ -185,19 +205,31 @@ def test_the_colour_that_is_shown_counts_even_if_only_the_graph_knows_it():
     graph = graph_of([*GRAPH, ("mug", "hasColor", "green")])
     with pytest.raises(UserError, match="No object of the task answers"):
         answer(graph, FACETS, "hasColor green")
-    assert names("hasPart handle and not hasColor green", graph) == {"mug", "watering_can"}
+    assert names("hasPart handle and not hasColor green", graph) == {
+        "mug",
+        "watering_can",
+    }
 
 
-@pytest.mark.parametrize("text", ["(" * 2000 + "usedFor tea" + ")" * 2000, "not " * 2000 + "tea"])
+@pytest.mark.parametrize(
+    "text", ["(" * 2000 + "usedFor tea" + ")" * 2000, "not " * 2000 + "tea"]
+)
 def test_a_question_nests_no_deeper_than_it_can_be_read(text):
-    with pytest.raises(UserError, match="2000 brackets and negations; at most 500 and 50"):
+    with pytest.raises(
+        UserError, match="2000 brackets and negations; at most 500 and 50"
+    ):
         answer(GRAPH, FACETS, text)
-    for deep in ("(" * 50 + "usedFor drinking" + ")" * 50, "not " * 50 + "usedFor drinking"):
+    for deep in (
+        "(" * 50 + "usedFor drinking" + ")" * 50,
+        "not " * 50 + "usedFor drinking",
+    ):
         assert names(deep) == {"mug"}
 
 
 def test_a_string_answers_as_the_name_of_the_same_text_does():
-    graph = graph_of([("mug", "usedFor", "drinking"), ("lamp", "usedFor", literal("drinking"))])
+    graph = graph_of(
+        [("mug", "usedFor", "drinking"), ("lamp", "usedFor", literal("drinking"))]
+    )
     assert names("usedFor drinking", graph) == {"mug", "lamp"}
     assert names("usedFor drinking", graph_of([*graph, ("mug", "price", literal("5"))])) == {
         "mug", "lamp",
@@ -210,8 +242,12 @@ def test_a_string_answers_as_the_name_of_the_same_text_does():
 
 def test_relations_of_one_last_part_are_told_apart():
     a, b = "http://a.org/", "http://b.org/"
-    graph = graph_of([(a + "mug", a + "hasPart", a + "x"), (a + "lamp", b + "hasPart", a + "x")])
-    with pytest.raises(UserError, match=r"'hasPart' names 2 relations.*http://a.org/hasPart"):
+    graph = graph_of(
+        [(a + "mug", a + "hasPart", a + "x"), (a + "lamp", b + "hasPart", a + "x")]
+    )
+    with pytest.raises(
+        UserError, match=r"'hasPart' names 2 relations.*http://a.org/hasPart"
+    ):
         answer(graph, FACETS, "hasPart x")
     assert names("http://b.org/hasPart x", graph) == {"lamp"}
     assert names(f"{a}hasPart x or {b}hasPart x", graph) == {"mug", "lamp"}
@@ -219,14 +255,21 @@ def test_relations_of_one_last_part_are_told_apart():
 
 def test_labels_name_relations():
     e = "http://e.org/"
-    graph = graph_of([("mug", e + "P1", e + "Q2")], labels={e + "P1": "usedFor", e + "Q2": "tea"})
+    graph = graph_of(
+        [("mug", e + "P1", e + "Q2")], labels={e + "P1": "usedFor", e + "Q2": "tea"}
+    )
     assert names("usedFor tea", graph) == {"mug"}
 
 
 def random_question(rng, depth, target="?object"):
     """Return a random question in words, and as a condition of SPARQL."""
-    kind = rng.choice(["fact", "colour", "not", "and", "or", "chain", "count"][: 7 if depth else 2])
-    values = {"usedFor": ["drinking", "lighting", "watering"], "hasPart": ["handle", "base", "mug"]}
+    kind = rng.choice(
+        ["fact", "colour", "not", "and", "or", "chain", "count"][: 7 if depth else 2]
+    )
+    values = {
+        "usedFor": ["drinking", "lighting", "watering"],
+        "hasPart": ["handle", "base", "mug"],
+    }
     relation = str(rng.choice(list(values)))
     if kind == "fact":
         value = rng.choice(values[relation])
@@ -240,7 +283,10 @@ def random_question(rng, depth, target="?object"):
     if kind in ("and", "or"):
         parts = [random_question(rng, depth - 1, target) for _ in range(2)]
         sign = {"and": "&&", "or": "||"}[kind]
-        return f"(({parts[0][0]}) {kind} ({parts[1][0]}))", f"({parts[0][1]} {sign} {parts[1][1]})"
+        return (
+            f"(({parts[0][0]}) {kind} ({parts[1][0]}))",
+            f"({parts[0][1]} {sign} {parts[1][1]})",
+        )
     inner = f"?x{depth}"
     words, sparql = random_question(rng, depth - 1, inner)
     body = f"{target} :{relation} {inner} FILTER({sparql})"
@@ -257,14 +303,18 @@ def random_question(rng, depth, target="?object"):
 def test_words_and_sparql_give_the_same_answers_to_random_questions_with_colours():
     rng = np.random.default_rng(0)
     always = ("lamp", "isA", "anchor")  # so that no question is without an answer
-    graph = graph_of([*GRAPH, ("lamp", "hasPart", "mug"), ("lamp", "usedFor", "drinking"), always])
+    graph = graph_of(
+        [*GRAPH, ("lamp", "hasPart", "mug"), ("lamp", "usedFor", "drinking"), always]
+    )
     answered = 0
     for _ in range(300):
         words, condition = random_question(rng, 3)
         objects = "VALUES ?object { :mug :lamp :watering_can }"
         either = f"{condition} || EXISTS {{ ?object :isA :anchor }}"
         one = answer(graph, FACETS, f"{words} or isA anchor").evidence
-        other = answer(graph, FACETS, f"SELECT ?object {{ {objects} FILTER({either}) }}").evidence
+        other = answer(
+            graph, FACETS, f"SELECT ?object {{ {objects} FILTER({either}) }}"
+        ).evidence
         assert set(one) == set(other), words
         answered += any(name != "lamp" for name, _ in one)
     assert answered > 100

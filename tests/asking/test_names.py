@@ -47,7 +47,12 @@ def test_spellings_of_two_names(other):
 
 def test_the_nearest_spelling_counts():
     graph = graph_of(
-        [("mug", "p", "a"), ("Mug", "p", "b"), (E + "Cup", "p", "a"), ("cups", "p", "b")]
+        [
+            ("mug", "p", "a"),
+            ("Mug", "p", "b"),
+            (E + "Cup", "p", "a"),
+            ("cups", "p", "b"),
+        ]
     )
     assert graph.names[graph.entity_id("mug")] == "mug"
     assert graph.names[graph.entity_id("Mug")] == "Mug"
@@ -64,7 +69,12 @@ def test_the_nearest_spelling_counts():
 
 
 def test_labels_are_names_in_any_spelling():
-    labels = {E + "Q1": "Mug", E + "Q2": "drinking", E + "Q4": "wine glass", E + "P1": "usedFor"}
+    labels = {
+        E + "Q1": "Mug",
+        E + "Q2": "drinking",
+        E + "Q4": "wine glass",
+        E + "P1": "usedFor",
+    }
     graph = graph_of(
         [(E + "Q1", E + "P1", E + "Q2"), (E + "Q4", E + "P1", E + "Q2")], labels=labels
     )
@@ -79,32 +89,42 @@ def test_edits_name_what_is_there_in_any_spelling():
 
 
 def test_an_ambiguous_object_is_not_described_and_blocks_no_question():
-    triples = [(A + "mug", A + "usedFor", A + "drinking"), (B + "mug", B + "color", B + "red")]
+    triples = [
+        (A + "mug", A + "usedFor", A + "drinking"),
+        (B + "mug", B + "color", B + "red"),
+    ]
     graph = graph_of([*triples, (A + "pot", A + "usedFor", A + "cooking")])
-    message = (
-        "'mug' names 2 entities of the graph: http://a.org/mug, http://b.org/mug.*not described"
-    )
+    message = "'mug' names 2 entities of the graph: http://a.org/mug, http://b.org/mug.*not described"
     with pytest.warns(DataWarning, match=message):
         assert names(graph, "usedFor cooking or usedFor drinking") == {"pot"}
     assert names(graph, "usedFor drinking", {"mug": A + "mug"}) == {"mug"}
 
 
 def test_given_names():
-    graph = graph_of([("coffee_cup", "usedFor", "drinking"), ("mug", "usedFor", "writing")])
+    graph = graph_of(
+        [("coffee_cup", "usedFor", "drinking"), ("mug", "usedFor", "writing")]
+    )
     assert names(graph, "usedFor drinking", {"mug": "CoffeeCup"}) == {"mug"}
-    assert names(graph, "SELECT ?object { ?object :usedFor :drinking }", {"mug": "CoffeeCup"}) == {
-        "mug"
-    }
-    with pytest.raises(UserError, match=r"object of the task 'mugg'\. Did you mean 'mug'"):
+    assert names(
+        graph, "SELECT ?object { ?object :usedFor :drinking }", {"mug": "CoffeeCup"}
+    ) == {"mug"}
+    with pytest.raises(
+        UserError, match=r"object of the task 'mugg'\. Did you mean 'mug'"
+    ):
         answer(graph, FACETS, "usedFor drinking", {"mugg": "x"})
     with pytest.raises(UserError, match="Unknown entity 'teacup'"):
         answer(graph, FACETS, "usedFor drinking", {"mug": "teacup"})
 
 
 def test_near_names_are_offered():
-    others = [(E + "MugShot", E + "isA", E + "Picture"), (E + "Smugness", E + "isA", E + "Mood")]
+    others = [
+        (E + "MugShot", E + "isA", E + "Picture"),
+        (E + "Smugness", E + "isA", E + "Mood"),
+    ]
     graph = graph_of([(E + "CoffeeMug", E + "usedFor", E + "drinking"), *others])
-    with pytest.raises(UserError, match=r"none of the 3 objects.*names='mug=CoffeeMug'"):
+    with pytest.raises(
+        UserError, match=r"none of the 3 objects.*names='mug=CoffeeMug'"
+    ):
         answer(graph, FACETS, "usedFor drinking")
     with pytest.raises(UserError, match="names='mug=MyMug'"):
         answer(graph_of(others), FACETS, "usedFor drinking")
@@ -116,9 +136,17 @@ THINGS = graph_of(
         ("pot", "price", literal("12.5")),
         ("wine_glass", "price", "7"),
         ("mug", "made", literal("2020-01-01")),
-        ("pot", "made", literal("2021-06-30", datatype="http://www.w3.org/2001/XMLSchema#date")),
+        (
+            "pot",
+            "made",
+            literal("2021-06-30", datatype="http://www.w3.org/2001/XMLSchema#date"),
+        ),
         ("mug", "material", literal("Ceramic")),
-        ("mug", "isFragile", literal("true", datatype="http://www.w3.org/2001/XMLSchema#boolean")),
+        (
+            "mug",
+            "isFragile",
+            literal("true", datatype="http://www.w3.org/2001/XMLSchema#boolean"),
+        ),
         ("mug", "note", literal("a\nb")),
     ]
 )
@@ -155,7 +183,10 @@ def test_numbers_dates_and_texts_are_asked(text, expected):
         ("price > 2020-01-01", "the graph states no date by price"),
         ("made > 2020", "the graph states no number by made"),
         ("material > 5", "the graph states no number by material"),
-        ("hasColor turquoise", "Unknown value of hasColor 'turquoise'.*Available: blue, red"),
+        (
+            "hasColor turquoise",
+            "Unknown value of hasColor 'turquoise'.*Available: blue, red",
+        ),
     ],
 )
 def test_a_number_that_cannot_be_compared_is_refused_in_one_line(text, message):
@@ -175,7 +206,10 @@ def test_sparql_sees_colours_as_the_graph_names_them():
     shown = [("mug", "hasColor", E + "Blue"), ("pot", "hasColor", literal("red"))]
     graph = graph_of([*shown, (A + "red", "isA", "x"), (B + "red", "isA", "y")])
     text = f"SELECT ?object {{ ?object :hasColor <{E}Blue> }}"
-    assert set(answer(graph, FACETS, text).evidence) == {("mug", "blue"), ("pot", "blue")}
+    assert set(answer(graph, FACETS, text).evidence) == {
+        ("mug", "blue"),
+        ("pot", "blue"),
+    }
     for red in ('"red"', f"<{A}red>", f"<{B}red>"):
         found = answer(graph, FACETS, f"SELECT ?object {{ ?object :hasColor {red} }}")
         assert set(found.evidence) == {("mug", "red"), ("pot", "red")}
@@ -193,7 +227,11 @@ def test_queries_keep_names_of_one_last_part_apart_and_leave_out_blank_nodes(tmp
     graph = read_graph(path)
     heads = [name for name, _, _ in graph if not name.startswith("_:")]
     shown = [graph.names.short(graph.entity_id(name)) for name in heads]
-    assert set(shown) == {"http://c.net/c/en/cider/n", "http://c.net/c/en/stein/n", "cup"}
+    assert set(shown) == {
+        "http://c.net/c/en/cider/n",
+        "http://c.net/c/en/stein/n",
+        "cup",
+    }
     asked = QueryGraph(graph, [(name, "red") for name in dict.fromkeys(shown)])
     assert [c.name for c in asked.conditions] == [
         "IsA drink",
@@ -206,5 +244,8 @@ def test_queries_keep_names_of_one_last_part_apart_and_leave_out_blank_nodes(tmp
 def test_what_axioms_of_owl_say_is_asked(tmp_path):
     graph, _, _ = read(tmp_path, KITCHEN)
     facets = [(name, "red") for name in ("mug", "spoon", "teacup")]
-    assert {n for n, _ in answer(graph, facets, "usedFor drinking").evidence} == {"mug", "teacup"}
+    assert {n for n, _ in answer(graph, facets, "usedFor drinking").evidence} == {
+        "mug",
+        "teacup",
+    }
     assert {n for n, _ in answer(graph, facets, "price < 6").evidence} == {"spoon"}

@@ -43,7 +43,9 @@ def graph_named(name):
 
 def meaning(text):
     """Return the conditions of a question and what joins them, apart from order and spelling."""
-    words = re.findall(r'"[^"]*"|[^()\s]+', text.replace("==", "=").replace("Colour", "Color"))
+    words = re.findall(
+        r'"[^"]*"|[^()\s]+', text.replace("==", "=").replace("Colour", "Color")
+    )
     return sorted(name_key(word) for word in words)
 
 
@@ -80,7 +82,10 @@ def test_questions_are_read_rightly_or_refused(held_out):
             "something round and brown or cylindrical and red",
             "with brackets, as (hasShape round or hasColor brown) and hasColor red.",
         ),
-        ("something red or with a lid and round", "'and' and 'or' can be joined in several ways"),
+        (
+            "something red or with a lid and round",
+            "'and' and 'or' can be joined in several ways",
+        ),
         ("something " + "red " * 60, "allowed are 1 to 60"),
         ("x" * 60_000, "60,000 letters are not read"),
     ],
@@ -144,14 +149,19 @@ def test_words_sparql_and_conditions_answer_alike():
                 if random.random() < 0.5 or o == "mug"
             ]
             graph = graph_of(facts)
-        picked = random.choice([*PHRASES], random.integers(1, 4), replace=False).tolist()
-        conditions = [(r, str(random.choice(values[r])), random.random() < 0.4) for r in picked]
+        picked = random.choice(
+            [*PHRASES], random.integers(1, 4), replace=False
+        ).tolist()
+        conditions = [
+            (r, str(random.choice(values[r])), random.random() < 0.4) for r in picked
+        ]
         is_or = bool(random.random() < 0.3)
         exact = [f"{'not ' * n}{r} {v}" for r, v, n in conditions]
         words = ["not " * n + PHRASES[r].format(v) for r, v, n in conditions]
         texts = {
             "exact": (" or " if is_or else " and ").join(exact),
-            "words": "give me something " + (" or something " if is_or else " and ").join(words),
+            "words": "give me something "
+            + (" or something " if is_or else " and ").join(words),
             "sparql": sparql(conditions, is_or),
         }
         answers = set()
@@ -159,14 +169,20 @@ def test_words_sparql_and_conditions_answer_alike():
             try:
                 answers.add(answer(graph, facets, text).satisfies.tobytes())
             except UserError as error:
-                answers.add("nobody" if "No object of the task" in str(error) else str(error))
+                answers.add(
+                    "nobody" if "No object of the task" in str(error) else str(error)
+                )
         assert len(answers) == 1, texts
         answered += answers != {"nobody"}
     assert answered > 500
 
 
 def test_a_prompt_means_a_row_of_a_policy():
-    rows = ["usedFor drinking", "hasColor red and isMadeOf metal", "isLocatedIn living room"]
+    rows = [
+        "usedFor drinking",
+        "hasColor red and isMadeOf metal",
+        "isLocatedIn living room",
+    ]
     assert row_of("something to drink from", rows) == rows[0]
     assert row_of("a metal thing that is red", rows) == rows[1]
     assert row_of("in the living room", rows) == rows[2]

@@ -11,7 +11,11 @@ from knowarm.reading import write_json
 
 
 def write_run(
-    config: ExperimentConfig, out: Path, *, success: float = 0.5, step: int | None = None
+    config: ExperimentConfig,
+    out: Path,
+    *,
+    success: float = 0.5,
+    step: int | None = None,
 ) -> None:
     """Write what a training leaves, which has taken all of its steps unless given.
 

@@ -36,7 +36,9 @@ def test_no_change_is_published_and_all_are_tuned():
     assert settings(config("none")) == settings(published())
     assert settings(config("all")) == settings(tuned())
     one = settings(config("discount"))
-    different = {name for name, value in settings(published()).items() if one[name] != value}
+    different = {
+        name for name, value in settings(published()).items() if one[name] != value
+    }
     assert different == {"gamma", "gae_lambda"}
     assert (config("none").seed, config("none").total_steps) == (3, 1_000_000)
     assert config("pixels").interim.every_steps == 50_000
@@ -55,7 +57,14 @@ def test_one_set_of_changes_has_one_name_in_every_mode():
     assert names_of("set", every) == ["all"]
     assert names_of("set", every[1:]) == ["without-batch"]
     assert names_of("set", every[3:]) == ["without-batch_bootstrap_learning-rate"]
-    for groups in ((), *((name,) for name in GROUPS), every[:4], every[4:], every[1:], every):
+    for groups in (
+        (),
+        *((name,) for name in GROUPS),
+        every[:4],
+        every[4:],
+        every[1:],
+        every,
+    ):
         assert groups_of(name_of(groups)) == groups
     with pytest.raises(ValueError, match="'rewards_colour'; changes: batch"):
         groups_of("rewards_colour")
@@ -69,7 +78,9 @@ def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):
     )
     log = read_csv(reach_run.folder.metrics_path)
     last = [row for row in log if float(row["step"]) > 0.8 * float(log[-1]["step"])]
-    assert found["entropy"] == pytest.approx(np.mean([float(row["entropy"]) for row in last]))
+    assert found["entropy"] == pytest.approx(
+        np.mean([float(row["entropy"]) for row in last])
+    )
 
 
 def test_runs_that_are_done_are_kept_and_others_resume(tmp_path, monkeypatch):
@@ -86,18 +97,26 @@ def test_runs_that_are_done_are_kept_and_others_resume(tmp_path, monkeypatch):
     tables = []
     monkeypatch.setattr(a3c_changes, "train", train)
     monkeypatch.setattr(a3c_changes, "print_table", lambda *table: tables.append(table))
-    monkeypatch.setattr("sys.argv", ["_", "set", "--steps", "100", "--runs", str(tmp_path)])
+    monkeypatch.setattr(
+        "sys.argv", ["_", "set", "--steps", "100", "--runs", str(tmp_path)]
+    )
     a3c_changes.main()
     assert trained == [(1, True), (2, False)]
     ((_, columns, rows),) = tables
     assert columns[:3] == ["change", "seed", "success"]
-    assert [row[:3] for row in rows] == [["none", 0, 0.5], ["none", 1, 0.25], ["none", 2, 0.25]]
+    assert [row[:3] for row in rows] == [
+        ["none", 0, 0.5],
+        ["none", 1, 0.25],
+        ["none", 2, 0.25],
+    ]
 
 
 def test_a_set_of_changes_is_packed_with_its_study(tmp_path, monkeypatch):
     runs, out = tmp_path / "runs", tmp_path / "packs"
     write_runs(runs, 100, {"rewards_pixels": [0.1, 0.2]})
-    monkeypatch.setattr("sys.argv", ["_", "pack", "--runs", str(runs), "--out", str(out)])
+    monkeypatch.setattr(
+        "sys.argv", ["_", "pack", "--runs", str(runs), "--out", str(out)]
+    )
     a3c_changes.main()
     (file,) = out.iterdir()
     assert file.name == "100-rewards_pixels.tar.xz"
@@ -110,7 +129,9 @@ def test_a_set_of_changes_is_packed_with_its_study(tmp_path, monkeypatch):
 def test_a_run_that_is_not_done_is_not_packed(tmp_path):
     runs = tmp_path / "runs"
     write_runs(runs, 100, {"all": [0.1]})
-    write_run(study_of("all", 100, [1]).run(EXPERIMENT, 1), runs / "100" / "all", step=40)
+    write_run(
+        study_of("all", 100, [1]).run(EXPERIMENT, 1), runs / "100" / "all", step=40
+    )
     with pytest.raises(SystemExit, match="irb120-full-a3c/1 is not done"):
         a3c_changes.pack(runs, tmp_path / "packs")
     assert not (tmp_path / "packs").exists()

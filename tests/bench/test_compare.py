@@ -26,7 +26,9 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
     model = recurrent_ppo(parts.new_policy(0), config, env, seed=0)
     counts = parts.new_policy(0).parameter_counts()
     assert parameter_count(model) == counts["total"]
-    assert sum(p.numel() for p in model.policy.lstm_actor.parameters()) == counts["memory"]
+    assert (
+        sum(p.numel() for p in model.policy.lstm_actor.parameters()) == counts["memory"]
+    )
     assert (model.n_steps * env.num_envs) // model.batch_size == config.minibatches
     assert model.n_epochs == config.epochs
 
@@ -42,10 +44,15 @@ def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> 
     # They are measured as in `benchmarks/learn.py`.
     a3c = [{"name": name, "steps_per_s": 1.0} for name in ("a3c", "a3c-batched")]
     monkeypatch.setattr("benchmarks.compare_learn.a3c_rows", lambda config: a3c)
-    result = compare_learn(CompareLearnConfig(cores=1, seconds=0.1, turns=1, opengl=False))
+    result = compare_learn(
+        CompareLearnConfig(cores=1, seconds=0.1, turns=1, opengl=False)
+    )
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}
-    assert result["ratio_vs_sb3"] == rows["ppo"]["steps_per_s"] / rows["sb3"]["steps_per_s"]
+    assert (
+        result["ratio_vs_sb3"]
+        == rows["ppo"]["steps_per_s"] / rows["sb3"]["steps_per_s"]
+    )
     assert result["ratio_best_vs_sb3"] >= result["ratio_vs_sb3"]
     assert result["ratio_vs_sb3_opengl"] is None
 
@@ -60,7 +67,13 @@ def test_simulations_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) 
     every = world.env_configs
     for each in (module, world):  # the first of three tasks
         monkeypatch.setattr(each, "env_configs", lambda config: every(config)[:1])
-    sizes = {"num_envs": 4, "workers": 1, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}
+    sizes = {
+        "num_envs": 4,
+        "workers": 1,
+        "seconds": 0.05,
+        "robots": ("irb120",),
+        "image_size": 16,
+    }
     result = compare_world(CompareWorldConfig(opengl=False, **sizes))
     for row in result["rows"]:
         assert row["ratio_vs_mjwarp"] == row["steps_per_s"] / row["mjwarp_steps_per_s"]
@@ -70,7 +83,9 @@ def test_simulations_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) 
 def test_environments_must_be_divisible_by_workers() -> None:
     from benchmarks.compare_world import CompareWorldConfig
 
-    with pytest.raises(UserError, match=r"num_envs \(5\) must be a multiple of workers \(2\)"):
+    with pytest.raises(
+        UserError, match=r"num_envs \(5\) must be a multiple of workers \(2\)"
+    ):
         CompareWorldConfig(num_envs=5)
 
 

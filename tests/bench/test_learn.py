@@ -15,7 +15,9 @@ def test_all_learners_are_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.learn.A3C_WORKERS", 2)
     full = LearnBenchConfig.ppo
     monkeypatch.setattr(
-        LearnBenchConfig, "ppo", lambda *names: replace(full(*names), num_envs=8, minibatches=2)
+        LearnBenchConfig,
+        "ppo",
+        lambda *names: replace(full(*names), num_envs=8, minibatches=2),
     )
     result = bench_learn(LearnBenchConfig(cores=1, seconds=0.1, turns=1))
     rows = {row["name"]: row for row in result["rows"]}
@@ -38,7 +40,9 @@ def test_agents_with_a_network_beside_the_policy_are_refused() -> None:
 
 def test_configurations_take_turns_and_the_median_counts() -> None:
     speeds = iter([1.0, 5.0, 3.0, 4.0, 2.0, 9.0])
-    measures = [lambda name=name: {"name": name, "steps_per_s": next(speeds)} for name in "ab"]
+    measures = [
+        lambda name=name: {"name": name, "steps_per_s": next(speeds)} for name in "ab"
+    ]
     assert in_turns(measures, 3) == [
         {"name": "a", "steps_per_s": 2.0},
         {"name": "b", "steps_per_s": 5.0},

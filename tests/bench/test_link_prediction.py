@@ -50,7 +50,9 @@ def test_openke_keeps_its_split(tmp_path):
 def test_a_triple_in_two_parts_is_no_split(tmp_path):
     (tmp_path / "train.txt").write_text("mug\tusedFor\tdrinking\n")
     (tmp_path / "test.txt").write_text("mug\tusedFor\tdrinking\n")
-    with pytest.raises(UserError, match="the triple mug usedFor drinking is in several of train"):
+    with pytest.raises(
+        UserError, match="the triple mug usedFor drinking is in several of train"
+    ):
         read_split(tmp_path)
 
 
@@ -80,9 +82,23 @@ def test_scores_of_its_own_models_by_hand(own_models, name, relation, score):
 def test_a_folder_is_ranked_by_every_model(own_models, tmp_path, monkeypatch):
     write_openke(split_graph(household()), tmp_path)
     file = tmp_path / "scores.json"
-    options = ["--graph", str(tmp_path), "--seeds", "1", "--epochs", "20", "--json", str(file)]
+    options = [
+        "--graph",
+        str(tmp_path),
+        "--seeds",
+        "1",
+        "--epochs",
+        "20",
+        "--json",
+        str(file),
+    ]
     monkeypatch.setattr(sys, "argv", ["link_prediction", *options, "--dim", "16"])
     link_prediction.main()
     rows = json.loads(file.read_text())["rows"]
-    assert [row["model"] for row in rows] == ["analogy", "complex", "transe", "distmult"]
+    assert [row["model"] for row in rows] == [
+        "analogy",
+        "complex",
+        "transe",
+        "distmult",
+    ]
     assert all(0.05 < row["mrr"] < 1 for row in rows)

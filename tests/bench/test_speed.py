@@ -18,13 +18,17 @@ def test_every_speed_is_printed_and_written(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "argv", ["speed", *options])
     speed.main()
     out = capsys.readouterr().out
-    assert all(words in out for words in ("Simulation", "Images", "Training", "MFLOP", "hours"))
+    assert all(
+        words in out for words in ("Simulation", "Images", "Training", "MFLOP", "hours")
+    )
     values = json.loads(file.read_text())
     speeds = [value for name, value in values.items() if "_per_" in name]
     assert len(speeds) == 5
     assert all(value > 0 for value in speeds)
     expected = values["training_steps_per_s"] * values["training_flops"]
-    assert values["share_of_peak"] == pytest.approx(expected / values["peak_flops_per_s"])
+    assert values["share_of_peak"] == pytest.approx(
+        expected / values["peak_flops_per_s"]
+    )
 
 
 def test_operations_are_counted_from_the_shapes_of_the_policy():

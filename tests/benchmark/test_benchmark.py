@@ -50,13 +50,17 @@ def test_the_frozen_questions_have_their_frozen_answers(name):
         names = [name for name, _ in table.facets]
         first = np.array([names.index(name) for name in cell.env.targets])
         shown = first[episodes.objects] + episodes.colours
-        assert (table.satisfies[asked[:, None], shown] == [True, False, False, False]).all()
+        assert (
+            table.satisfies[asked[:, None], shown] == [True, False, False, False]
+        ).all()
 
 
 @pytest.mark.parametrize("name", ["choose-v1", "reach-v1"])
 def test_the_fixed_lists_still_reach_what_they_reached(name):
     for cell in list(read_suite(name).cells.values())[::6]:
-        env = ArmVectorEnv(replace(cell.env, image_size=8), 100)  # a list reads no image
+        env = ArmVectorEnv(
+            replace(cell.env, image_size=8), 100
+        )  # a list reads no image
         played = run_agent(entrant("open-loop").make(cell, env), env, cell.episodes)
         assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01
 
@@ -87,13 +91,17 @@ def test_a_suite_reads_back_what_was_frozen(small):
     assert again.digest == small.digest
     for name, cell in small.cells.items():
         assert again.cells[name].env == cell.env
-        np.testing.assert_array_equal(again.cells[name].episodes.objects, cell.episodes.objects)
+        np.testing.assert_array_equal(
+            again.cells[name].episodes.objects, cell.episodes.objects
+        )
 
 
 def playing(name):
     """A scripted agent, declared as two seeds of a policy that uses images and words."""
     make = entrant(name).make
-    return [Entrant(spec=name, make=make, inputs=("image", "words"), seed=i) for i in (0, 1)]
+    return [
+        Entrant(spec=name, make=make, inputs=("image", "words"), seed=i) for i in (0, 1)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -125,13 +133,17 @@ def test_a_row_has_score_controls_and_intervals(row):
 def test_a_row_verifies_and_another_policy_does_not(stored):
     row = read_row(stored)
     verify(row, playing("oracle"))
-    with pytest.raises(UserError, match=r"policy\.seeds: the row says \[0, .* has \[None"):
+    with pytest.raises(
+        UserError, match=r"policy\.seeds: the row says \[0, .* has \[None"
+    ):
         verify(row, [entrant("oracle")] * 2)
     with pytest.raises(UserError, match=r"policy\.digests"):
         verify(row, playing("oracle")[:1])
     with pytest.raises(UserError, match=r"the same controls \(black\)"):
         verify(without_black(row), playing("oracle"))
-    with pytest.raises(UserError, match=r"cells\.irb120-fixed\.outcomes\[0\]\.policy\.success"):
+    with pytest.raises(
+        UserError, match=r"cells\.irb120-fixed\.outcomes\[0\]\.policy\.success"
+    ):
         verify(row, playing("zero"))
 
 
@@ -209,9 +221,21 @@ def test_rows_of_another_suite_or_format_are_refused(stored):
 
 
 FORGED = {
-    "a control is left out": (("cells", "irb120-S1", "outcomes", 0, "black"), None, "black"),
-    "an unknown control": (("cells", "irb120-fixed", "outcomes", 1, "luck"), {}, "luck"),
-    "an unknown input": (("policy", "inputs"), ["image", "words", "telepathy"], "telepathy"),
+    "a control is left out": (
+        ("cells", "irb120-S1", "outcomes", 0, "black"),
+        None,
+        "black",
+    ),
+    "an unknown control": (
+        ("cells", "irb120-fixed", "outcomes", 1, "luck"),
+        {},
+        "luck",
+    ),
+    "an unknown input": (
+        ("policy", "inputs"),
+        ["image", "words", "telepathy"],
+        "telepathy",
+    ),
     "fewer inputs hide controls": (("policy", "inputs"), [], "black"),
     "seeds": (("policy", "seeds"), [0], "differ in length"),
     "digests": (("policy", "digests"), ["", "", ""], "differ in length"),
@@ -244,7 +268,9 @@ def test_forged_declarations_are_refused(row, stored, forged):
 
 def test_one_policy_given_five_times_is_one_seed(small):
     make = entrant("oracle").make
-    five = [Entrant(spec=f"copy-{i}", make=make, seed=i, digest=str(i)) for i in range(5)]
+    five = [
+        Entrant(spec=f"copy-{i}", make=make, seed=i, digest=str(i)) for i in range(5)
+    ]
     many, one = (run_suite(small, each, name="x") for each in (five, five[:1]))
     for name, cell in many["cells"].items():
         for end in ("mean", "low", "high"):
@@ -255,7 +281,10 @@ def test_cells_that_share_their_episodes_count_once(small):
     cell = small.cells["irb120-fixed"]
     twins = {name: replace(cell, name=name) for name in ("one", "two", "three")}
     row = run_suite(replace(small, cells=twins), [entrant("zero")], name="x")
-    of_cell, of_table = row["cells"]["one"]["success"], row["summary"][cell.table]["success"]
+    of_cell, of_table = (
+        row["cells"]["one"]["success"],
+        row["summary"][cell.table]["success"],
+    )
     assert of_table == of_cell
 
 
@@ -273,7 +302,9 @@ def test_a_tolerance_that_accepts_anything_is_refused(row, small, stored, tolera
         verify(row, playing("zero"), tolerance=tolerance)
 
 
-@pytest.mark.parametrize("file", ["config.json", "provenance.json", "knowledge.safetensors"])
+@pytest.mark.parametrize(
+    "file", ["config.json", "provenance.json", "knowledge.safetensors"]
+)
 def test_the_digest_of_a_run_covers_what_it_declares_and_knows(tmp_path, file):
     run = shutil.copytree(ROOT / "zoo/irb120-full-fast", tmp_path / "run")
     before = entrant(str(run)).digest
@@ -290,7 +321,14 @@ def test_a_row_chooses_no_model_to_open(tmp_path):
     assert is_safe("oracle")
     (tmp_path / "a.onnx").write_text("")
     (tmp_path / "contract.json").write_text("")
-    for spec in (str(tmp_path), str(tmp_path / "a.onnx"), "m:Name", "ws://h", "\\\\h\\s", "//h/s"):
+    for spec in (
+        str(tmp_path),
+        str(tmp_path / "a.onnx"),
+        "m:Name",
+        "ws://h",
+        "\\\\h\\s",
+        "//h/s",
+    ):
         assert not is_safe(spec)
 
 
@@ -307,8 +345,13 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
         ("oracle", 1),
         ("zero <b>", 2),
     ]
-    assert [line["is_ranked"] for line in table["lines"]] == [True, False]  # zero sees nothing
-    html, markdown = write_leaderboard(read_rows(stored.parent), stored.parent / "page.html")
+    assert [line["is_ranked"] for line in table["lines"]] == [
+        True,
+        False,
+    ]  # zero sees nothing
+    html, markdown = write_leaderboard(
+        read_rows(stored.parent), stored.parent / "page.html"
+    )
     assert "zero &lt;b&gt;" in html.read_text()
     assert ">blind</th>" in html.read_text()
     assert "| 1 | oracle | " in markdown.read_text()
@@ -346,7 +389,9 @@ def damaged():
     """A suite of one cell with a damaged graph and few episodes."""
     cell = copy.copy(read_suite("damaged-graph-v1").cells["irb120-missing"])
     object.__setattr__(cell, "episodes", cell.episodes[:4])
-    return freeze("damaged-graph-v1", "small", [cell], training_seeds=1, control_episodes=4)
+    return freeze(
+        "damaged-graph-v1", "small", [cell], training_seeds=1, control_episodes=4
+    )
 
 
 def test_damaged_graphs_are_played_with_the_episodes_of_choose():
@@ -355,7 +400,9 @@ def test_damaged_graphs_are_played_with_the_episodes_of_choose():
         intact = whole[f"{cell.env.robot}-S1"]
         assert cell.env == intact.env
         np.testing.assert_array_equal(cell.episodes.question, intact.episodes.question)
-        np.testing.assert_array_equal(cell.episodes.positions, intact.episodes.positions)
+        np.testing.assert_array_equal(
+            cell.episodes.positions, intact.episodes.positions
+        )
         np.testing.assert_array_equal(cell.open_loop, intact.open_loop)
         removed, added = set(graph) - set(cell.graph), set(cell.graph) - set(graph)
         assert 45 <= len(removed) <= 60  # about 30 % of the triples about 25 objects
@@ -363,7 +410,9 @@ def test_damaged_graphs_are_played_with_the_episodes_of_choose():
         assert cell.graph.entities == graph.entities
 
 
-def test_a_policy_receives_the_damaged_graph_and_its_control_does_not(damaged, monkeypatch):
+def test_a_policy_receives_the_damaged_graph_and_its_control_does_not(
+    damaged, monkeypatch
+):
     received = []
 
     class Reading(Noting):
@@ -373,7 +422,9 @@ def test_a_policy_receives_the_damaged_graph_and_its_control_does_not(damaged, m
             super().reset(batch)
             received.append(batch.graph)
 
-    monkeypatch.setattr("tests.benchmark.test_benchmark.Reading", Reading, raising=False)
+    monkeypatch.setattr(
+        "tests.benchmark.test_benchmark.Reading", Reading, raising=False
+    )
     made = entrant("tests.benchmark.test_benchmark:Reading")
     row = run_suite(damaged, [made], name="reading")
     cell = damaged.cells["irb120-missing"]
@@ -401,12 +452,15 @@ def test_an_agent_knows_the_damaged_graph_in_its_cells(damaged):
 def test_wrong_actions_are_refused(small, wrong):
     cell, policy = small.cells["irb120-fixed"], Noting()
     policy.act = lambda observations: wrong
-    with pytest.raises(UserError, match="actions must be integers from 0 to 6 of shape"):
+    with pytest.raises(
+        UserError, match="actions must be integers from 0 to 6 of shape"
+    ):
         run_agent(policy, ArmVectorEnv(cell.env, 12), cell.episodes)
 
 
 @pytest.mark.parametrize(
-    "spec", ["nothing", "no_module:Name", "json:Name", "json:JSONDecoder", "random:sample"]
+    "spec",
+    ["nothing", "no_module:Name", "json:Name", "json:JSONDecoder", "random:sample"],
 )
 def test_unknown_policies_are_refused(spec):
     with pytest.raises(UserError):
@@ -424,24 +478,50 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(ROOT / "examples/benchmark")
     short = freeze_short()
     for module in ("rows", "leaderboard"):
-        monkeypatch.setattr(f"knowarm.benchmark.{module}.read_suite", lambda name: short)
+        monkeypatch.setattr(
+            f"knowarm.benchmark.{module}.read_suite", lambda name: short
+        )
     monkeypatch.setattr("knowarm.benchmark.command.read_suite", lambda name: short)
     row, page = tmp_path / "rows/row.json", tmp_path / "page.html"
     row.parent.mkdir()
     assert main(["benchmark", "show"]) == 0
     assert main(["benchmark", "run", "reach-v1", "--policy", "--out", str(row)]) == 2
     assert "--policy needs a policy" in capsys.readouterr().err
-    few = ["benchmark", "run", "reach-v1", "--policy", "oracle", "--out", str(row), "--trial"]
+    few = [
+        "benchmark",
+        "run",
+        "reach-v1",
+        "--policy",
+        "oracle",
+        "--out",
+        str(row),
+        "--trial",
+    ]
     assert (main([*few, "2"]), main([*few, "0"]), row.exists()) == (0, 2, False)
     assert (
-        main(["benchmark", "run", "reach-v1", "--policy", "my_policy:Random", "--out", str(row)])
+        main(
+            [
+                "benchmark",
+                "run",
+                "reach-v1",
+                "--policy",
+                "my_policy:Random",
+                "--out",
+                str(row),
+            ]
+        )
         == 0
     )
-    assert main(["benchmark", "verify", str(row)]) == 2  # a row must not choose code to import
+    assert (
+        main(["benchmark", "verify", str(row)]) == 2
+    )  # a row must not choose code to import
     assert main(["benchmark", "verify", str(row), "--no-play"]) == 0
     assert main(["benchmark", "verify", str(row), "--policy", "my_policy:Random"]) == 0
     assert main(["benchmark", "table", str(row.parent), "--out", str(page)]) == 0
-    assert main(["benchmark", "run", "reach-v1", "--policy", "oracle", "--cells", "panda"]) == 2
+    assert (
+        main(["benchmark", "run", "reach-v1", "--policy", "oracle", "--cells", "panda"])
+        == 2
+    )
     assert main([*few[:-3], "--out", str(tmp_path)]) == 2
     shown = capsys.readouterr()
     assert "played again with the same outcomes" in shown.out

@@ -51,7 +51,10 @@ def counting(tmp_path):
     graph = helper.make_graph(
         nodes,
         "counting",
-        [tensor("joint_targets", TensorProto.FLOAT, 6), tensor("count", TensorProto.FLOAT, 1)],
+        [
+            tensor("joint_targets", TensorProto.FLOAT, 6),
+            tensor("count", TensorProto.FLOAT, 1),
+        ],
         [tensor("levels", TensorProto.INT64, 6), tensor("next", TensorProto.FLOAT, 1)],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
@@ -79,9 +82,13 @@ def test_damaged_and_unfit_onnx_files_are_refused(counting, tmp_path):
     with pytest.raises(UserError, match=r"one per state.*here count"):
         entrant(str(tmp_path / "lacks.onnx"))
     other = next(
-        cell for cell in read_suite("reach-v1").cells.values() if cell.env.robot == "tiago"
+        cell
+        for cell in read_suite("reach-v1").cells.values()
+        if cell.env.robot == "tiago"
     )
-    with pytest.raises(UserError, match=r"counting\.onnx does not take joint_targets float32"):
+    with pytest.raises(
+        UserError, match=r"counting\.onnx does not take joint_targets float32"
+    ):
         play(*made_for(entrant(str(counting)), other, 1), other.episodes[:1])
     (tmp_path / "damaged.onnx").write_bytes(b"no model")
     with pytest.raises(UserError, match=r"damaged\.onnx is damaged"):
@@ -97,10 +104,14 @@ def scoring(tmp_path):
     def make(scores, width=1):
         scores = np.asarray(scores, np.float32).reshape(1, 6, -1)
         info = helper.make_tensor_value_info
-        state = [info(name, TensorProto.FLOAT, ["n", width]) for name in ("count", "next")]
+        state = [
+            info(name, TensorProto.FLOAT, ["n", width]) for name in ("count", "next")
+        ]
         out = info("scores", TensorProto.FLOAT, [1, *scores.shape[1:]])
         nodes = [
-            helper.make_node("Constant", [], ["scores"], value=numpy_helper.from_array(scores)),
+            helper.make_node(
+                "Constant", [], ["scores"], value=numpy_helper.from_array(scores)
+            ),
             helper.make_node("Identity", ["count"], ["next"]),
         ]
         graph = helper.make_graph(nodes, "scoring", state[:1], [out, state[1]])
@@ -114,14 +125,18 @@ def scoring(tmp_path):
 
 @pytest.mark.parametrize("scores", [np.full(42, np.nan), np.zeros(30), np.zeros(54)])
 def test_scores_that_are_none_are_not_played(scoring, scores):
-    assert (actions_of(made_for(entrant(scoring(np.zeros(42))), CELL, 1)[0], 1) == 0).all()
+    assert (
+        actions_of(made_for(entrant(scoring(np.zeros(42))), CELL, 1)[0], 1) == 0
+    ).all()
     with pytest.raises(UserError, match=r"scores must be finite, \(n, J, 7\)"):
         actions_of(made_for(entrant(scoring(scores)), CELL, 1)[0], 1)
 
 
 @pytest.mark.parametrize("width", ["wide", 10**12])
 def test_a_state_without_a_size_that_fits_is_refused(scoring, width):
-    with pytest.raises(UserError, match="All sizes of states but the first are numbers"):
+    with pytest.raises(
+        UserError, match="All sizes of states but the first are numbers"
+    ):
         actions_of(made_for(entrant(scoring(np.zeros(42), width)), CELL, 1)[0], 1)
 
 
@@ -145,7 +160,11 @@ class Continuous:
 
 def test_continuous_actions_are_played_as_the_nearest_levels():
     policy = PredictingPolicy(Continuous())
-    assert (policy.inputs, policy.training, policy.seed) == ((), "Continuous, 1,234 steps", 5)
+    assert (policy.inputs, policy.training, policy.seed) == (
+        (),
+        "Continuous, 1,234 steps",
+        5,
+    )
     steps = actions_of(policy, 1)
     np.testing.assert_array_equal(steps[0], [2, 0, 5, 3, 1, 4])
     assert (steps[1:] == 0).all()
@@ -158,7 +177,9 @@ def test_a_model_of_other_observations_is_refused():
     model.observation_space = spaces.Dict(
         {"image": spaces.Box(0, 255, (2,)), "knowledge": spaces.Box(0, 1, (2,))}
     )
-    with pytest.raises(UserError, match="The Continuous observes knowledge; the benchmark gives"):
+    with pytest.raises(
+        UserError, match="The Continuous observes knowledge; the benchmark gives"
+    ):
         PredictingPolicy(model)
 
 
@@ -167,7 +188,9 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
     from knowarm.learn.sb3_vec_env import SB3VecEnv
 
     env = SB3VecEnv(ArmVectorEnv(CELL.env, 1))
-    sb3.PPO("CnnPolicy", env, n_steps=2, batch_size=2, seed=3).save(tmp_path / "model.zip")
+    sb3.PPO("CnnPolicy", env, n_steps=2, batch_size=2, seed=3).save(
+        tmp_path / "model.zip"
+    )
     made = entrant(f"stable_baselines3:PPO:{tmp_path / 'model.zip'}")
     assert (made.inputs, made.training, made.seed) == (("image",), "PPO, 0 steps", 3)
     assert actions_of(made_for(made, CELL, 1)[0], 2).shape == (100, 6)
@@ -184,11 +207,15 @@ def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
     export(trained, tmp_path)
     sessions = []
     make = onnxruntime.InferenceSession
-    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *a: sessions.append(a) or make(*a))
+    monkeypatch.setattr(
+        onnxruntime, "InferenceSession", lambda *a: sessions.append(a) or make(*a)
+    )
     made = entrant(str(tmp_path))
     for count in (3, 2):
         local = actions_of(trained.agent, count)
-        np.testing.assert_array_equal(actions_of(made_for(made, CELL, 1)[0], count), local)
+        np.testing.assert_array_equal(
+            actions_of(made_for(made, CELL, 1)[0], count), local
+        )
     assert len(sessions) == 1, "runners share the model"
     contract = (tmp_path / "contract.json").read_text()
     for text in (
@@ -214,7 +241,9 @@ def test_a_served_policy_acts_as_the_same_policy_here():
     try:
         for count in (2, 3):  # connections are used again, each episode starts anew
             local = actions_of(trained.agent, count)
-            np.testing.assert_array_equal(actions_of(made_for(made, CELL, 1)[0], count), local)
+            np.testing.assert_array_equal(
+                actions_of(made_for(made, CELL, 1)[0], count), local
+            )
         wrong = read_suite("reach-v1").cells["tiago-fixed"]
         with pytest.raises(UserError, match=r"moves other joints than"):
             play(*made_for(made, wrong, 1), wrong.episodes[:1])

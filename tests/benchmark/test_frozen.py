@@ -47,7 +47,11 @@ def test_other_defaults_change_no_suite(monkeypatch):
         defaults = config.__init__.__kwdefaults__
         for field in fields(config):
             new = other(field.default)
-            if field.default is not MISSING and new != field.default and field.name != "kind":
+            if (
+                field.default is not MISSING
+                and new != field.default
+                and field.name != "kind"
+            ):
                 monkeypatch.setitem(defaults, field.name, new)
                 changed += 1
     assert changed > 15
@@ -72,4 +76,6 @@ def test_the_digest_covers_thresholds_episodes_and_graphs():
     ):
         assert old in text
         assert parse_suite(text.replace(old, new), arrays).digest != suite.digest
-    assert parse_suite(text, arrays[:-1] + bytes([arrays[-1] ^ 1])).digest != suite.digest
+    assert (
+        parse_suite(text, arrays[:-1] + bytes([arrays[-1] ^ 1])).digest != suite.digest
+    )

@@ -103,13 +103,19 @@ def found(tmp_path_factory):
     """What a Python with LeRobot prints after it ran the plugin."""
     python = os.environ.get("KNOWARM_LEROBOT_ENV_PYTHON")
     if python is None:
-        pytest.skip("KNOWARM_LEROBOT_ENV_PYTHON names no Python with lerobot_env_knowarm")
+        pytest.skip(
+            "KNOWARM_LEROBOT_ENV_PYTHON names no Python with lerobot_env_knowarm"
+        )
     script = tmp_path_factory.mktemp("lerobot") / "script.py"
     script.write_text(CODE)
     environment = os.environ | {"HF_HUB_OFFLINE": "1"}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(
-        [python, str(script)], capture_output=True, text=True, env=environment, timeout=600
+        [python, str(script)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr[-4000:]
     return json.loads(done.stdout.splitlines()[-1])
@@ -139,7 +145,9 @@ def test_the_query_is_the_task_description(found):
     assert found["choose-v1/tiago-S1"]["task"] == cell.episodes.question[:4].tolist()
     cell = read_suite("reach-v1").cells["irb120-fixed"]
     shown = [facets_of(cell.env)[i] for i in cell.episodes.objects[:4, 0]]
-    assert found["reach-v1/irb120-fixed"]["task"] == [f"{c} {name}" for name, c in shown]
+    assert found["reach-v1/irb120-fixed"]["task"] == [
+        f"{c} {name}" for name, c in shown
+    ]
 
 
 def test_environments_in_processes_and_cells_of_two_robots(found):

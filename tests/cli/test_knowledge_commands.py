@@ -25,7 +25,14 @@ def test_show(capsys, tmp_path):
     objects = ("--objects", "mug", "bottle", "cereal_box")
     code, text, _ = run(capsys, "show", *objects, "--detail", "full", "--json", out)
     assert code == 0
-    for piece in ("hasColor", "light_blue", "mug has color", "shape (300,)", "norm", "100 %"):
+    for piece in (
+        "hasColor",
+        "light_blue",
+        "mug has color",
+        "shape (300,)",
+        "norm",
+        "100 %",
+    ):
         assert piece in text.replace("\n", " ").replace("\n", " ")
     values = json.loads(out.read_text())
     assert values["shape"] == [300]
@@ -56,7 +63,12 @@ def test_subgraph(capsys, tmp_path):
     assert code == 0
     assert "ceramic" in text
     code, text, _ = run(
-        capsys, "subgraph", "--graph", out, "--sparql", "SELECT ?c WHERE {:mug :hasColor ?c}"
+        capsys,
+        "subgraph",
+        "--graph",
+        out,
+        "--sparql",
+        "SELECT ?c WHERE {:mug :hasColor ?c}",
     )
     assert code == 0
     assert "blue" in text
@@ -68,7 +80,9 @@ def test_subgraph(capsys, tmp_path):
     assert ["mug", "isA", "y"] in json.loads(found.read_text())["facts"]
     code, *_ = run(capsys, "subgraph", "--minus", out, "--json", found)
     assert json.loads(found.read_text())["triples"] == len(household()) - 15
-    code, *_ = run(capsys, "subgraph", "--graph", out, "--union", HOUSEHOLD, "--json", found)
+    code, *_ = run(
+        capsys, "subgraph", "--graph", out, "--union", HOUSEHOLD, "--json", found
+    )
     assert json.loads(found.read_text())["triples"] == len(household())
     code, text, _ = run(capsys, "subgraph", "--statistics", "--json", found)
     assert code == 0
@@ -78,7 +92,9 @@ def test_subgraph(capsys, tmp_path):
 
 def test_embed(capsys, tmp_path):
     for suffix in (".npy", ".safetensors"):
-        code, text, _ = run(capsys, "embed", "--agent", "full+", "--out", tmp_path / f"v{suffix}")
+        code, text, _ = run(
+            capsys, "embed", "--agent", "full+", "--out", tmp_path / f"v{suffix}"
+        )
         assert code == 0
         assert "6 slots of 50 numbers" in text
     slots = load_file(tmp_path / "v.safetensors")["slots"]
@@ -100,7 +116,11 @@ def test_fit(capsys, tmp_path):
 def test_a_long_fit_says_how_far_it_is_between_validations(capsys, monkeypatch):
     monkeypatch.setattr("knowarm.cli.knowledge.fit.SILENT_S", 0.0)
     _, text, _ = run(capsys, "fit", "--epochs", "3", "--evaluate-every", "3")
-    assert re.findall(r"epoch (\d) of 3: .*, at most [\d.]+ min left", text) == ["1", "2", "3"]
+    assert re.findall(r"epoch (\d) of 3: .*, at most [\d.]+ min left", text) == [
+        "1",
+        "2",
+        "3",
+    ]
 
 
 def test_probe(capsys, tmp_path):
@@ -126,7 +146,9 @@ def test_sources_by_short_name_and_by_field(capsys, tmp_path):
     assert code == 0
     code, field, _ = run(capsys, "embed", "--source.file", vectors, *options)
     assert (code, field) == (0, short)
-    code, _, error = run(capsys, "embed", "--source", "random", "--source.matches.name", "none")
+    code, _, error = run(
+        capsys, "embed", "--source", "random", "--source.matches.name", "none"
+    )
     assert code == 2
     assert "shipped word vectors 'none'" in error
 
@@ -156,7 +178,10 @@ def test_draw(capsys, tmp_path):
         (("fit", "--out", "/proc/none/a.safetensors"), "Choose another path for --out"),
         (("draw", "--out", "/proc/none/a.svg"), "Cannot write"),
         (("show", "--objects", "\udcff"), r"Unknown entity '\udcff'"),
-        (("queries", "--objects-per-episode", "0"), "objects_per_episode must be at least 1"),
+        (
+            ("queries", "--objects-per-episode", "0"),
+            "objects_per_episode must be at least 1",
+        ),
         (("queries", "--seed", "-1"), "Queries.seed must lie between 0"),
         (("subgraph", "--objects", "mug", "--max-degree", "-1"), "max_degree is -1"),
         (("fit", "--seed", "-1"), "seed must lie between 0"),
@@ -183,7 +208,9 @@ def test_queries(capsys, tmp_path):
     assert values["empty"] == {}
     code, _, _ = run(capsys, "queries", "--split", "S4", "--json", out)
     asked = json.loads(out.read_text())["questions"]
-    assert all(any(value in query for value in values["held_out"]["S4"]) for query in asked)
+    assert all(
+        any(value in query for value in values["held_out"]["S4"]) for query in asked
+    )
     code, text, _ = run(capsys, "queries", "--agent", "subgraph", "--json", out)
     assert json.loads(out.read_text())["rank_correlation"] > 0.4
     for control in ("subgraph-shuffled", "query-random"):
@@ -200,7 +227,9 @@ def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
     graph = tmp_path / "mine.csv"
     uses = zip("abcdef", "uuvvww", strict=True)
     graph.write_text("".join(f"{name},usedFor,{use}\n" for name, use in uses))
-    code, text, _ = run(capsys, "queries", "--graph", graph, "--colours", "red", "blue", "green")
+    code, text, _ = run(
+        capsys, "queries", "--graph", graph, "--colours", "red", "blue", "green"
+    )
     assert code == 0
     assert "No S3 (objects that training never showed): 5 of the 6 objects" in text
     code, _, error = run(capsys, "queries", "--graph", graph, "--split", "S4")
@@ -225,7 +254,18 @@ def test_the_example_of_an_own_graph(capsys, tmp_path):
     edited = tmp_path / "edited.csv"
     changed = ("book,ownedBy,grandmother", "book,ownedBy,grandfather")
     edited.write_text(example.read_text().replace(*changed))
-    run(capsys, "queries", "--graph", example, "--edited", edited, "--split", "S5", "--json", out)
+    run(
+        capsys,
+        "queries",
+        "--graph",
+        example,
+        "--edited",
+        edited,
+        "--split",
+        "S5",
+        "--json",
+        out,
+    )
     questions = json.loads(out.read_text())["questions"]
     assert set(map(tuple, questions.values())) == {("book",)}
     assert all(query.startswith("ownedBy grandfather") for query in questions)
@@ -233,12 +273,25 @@ def test_the_example_of_an_own_graph(capsys, tmp_path):
 
 def test_graphs_by_name_and_by_path(capsys, tmp_path, monkeypatch):
     out = tmp_path / "out.json"
-    run(capsys, "subgraph", "--graph", "household", "--minus", "household", "--json", out)
+    run(
+        capsys,
+        "subgraph",
+        "--graph",
+        "household",
+        "--minus",
+        "household",
+        "--json",
+        out,
+    )
     assert json.loads(out.read_text())["triples"] == 0
     code, _, _ = run(capsys, "subgraph", "--union", "objects", "--json", out)
     assert code == 0
     monkeypatch.chdir(tmp_path)
-    files = {"entity": "2\nmug\t0\ncup\t1\n", "relation": "1\nisA\t0\n", "train": "1\n0 1 0\n"}
+    files = {
+        "entity": "2\nmug\t0\ncup\t1\n",
+        "relation": "1\nisA\t0\n",
+        "train": "1\n0 1 0\n",
+    }
     (tmp_path / "families").mkdir()
     for name, text in files.items():
         (tmp_path / "families" / f"{name}2id.txt").write_text(text)

@@ -69,7 +69,9 @@ def test_every_command_has_a_help(capsys):
 def test_a_typing_error_in_a_command_imports_nothing_heavy():
     heavy = "{'torch', 'numba', 'mujoco', 'scipy'} & set(sys.modules)"
     script = f"import sys; from knowarm.cli.main import main; main(['trian']); print({heavy})"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     assert "Did you mean 'train'" in done.stderr
     assert done.stdout == "set()\n"
 
@@ -94,7 +96,9 @@ for words in {MISTYPED}:
         main(words)
     print(words[0], "torch" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     assert done.stdout.split("\n") == [*(f"{words[0]} False" for words in MISTYPED), ""]
     assert "Did you mean 'film'" in done.stderr.replace("\n", " ")
 
@@ -108,15 +112,23 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, col
             main(["train", "irb120-full-fast", *words])
         return re.findall(r"^[│ ] --(\w[\w.-]*)", capsys.readouterr().out, re.MULTILINE)
 
-    first, group, everything = shown("--help"), shown("--help", "env"), shown("--help-all")
+    first, group, everything = (
+        shown("--help"),
+        shown("--help", "env"),
+        shown("--help-all"),
+    )
     assert len(first) == 10
-    assert shown("--help", *re.findall(r"--help (\w+) ", USAGE))  # the group of the usage
+    assert shown(
+        "--help", *re.findall(r"--help (\w+) ", USAGE)
+    )  # the group of the usage
     assert {"seed", "total-steps", "graph"} < set(first)
     assert all(name.startswith("env.") for name in group)
     assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)
     assert {*first, *group} < set(everything)
-    assert not [name for name in everything if name.endswith(".kind")]  # tags of alternatives
+    assert not [
+        name for name in everything if name.endswith(".kind")
+    ]  # tags of alternatives
     assert main(["train", "irb120-full-fast", "--help", "polcy"]) == 2
     assert "Did you mean 'policy'" in capsys.readouterr().err
 
@@ -185,41 +197,79 @@ def test_list_shows_one_kind_only(capsys):
         (["train", "irb121-full-ppo"], ["Unknown robot", "'irb120'"]),
         (["train", "--seed", "1"], ["first argument"]),
         (["train", "irb120-bm-ppo", "--env.targets", "mgu"], ["mgu", "'mug'"]),
-        (["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"], ["no run to resume"]),
+        (
+            ["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"],
+            ["no run to resume"],
+        ),
         (["evaluate", "runs/none/0"], ["is not a run folder"]),
         (["evaluate", "orakle"], ["'oracle'"]),
         (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
         (["evaluate", "kitchen.csv"], ["is a file"]),
         (["evaluate", "runs/X"], ["Give a run, such as runs/X/0"]),
         (["list", "robot"], ["'robots'"]),
-        (["knowledge", "queries", "--graph", "empty.csv"], ["empty.csv holds no triples"]),
-        (["train", "irb120-full-fast", "--graph", "kitchen.csv"], ["--knows.detail partial"]),
+        (
+            ["knowledge", "queries", "--graph", "empty.csv"],
+            ["empty.csv holds no triples"],
+        ),
+        (
+            ["train", "irb120-full-fast", "--graph", "kitchen.csv"],
+            ["--knows.detail partial"],
+        ),
         (["ask", "usedFor drinking"], ["Give a run, then a question"]),
         (["study", "unpack", "kitchen.csv"], ["no pack of a study"]),
         (["train", "full-fast", "--env.robot", "arm.urdf"], ["is a model file"]),
         (["knowledge", "shwo"], ["'show'"]),
         (["knowledge", "show", "--objects", "mgu"], ["mgu", "mug"]),
-        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], ["mpi_rad must be larger than 0"]),
-        (["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"], ["must divide num_envs"]),
-        (["evaluate", "zero", "--episodes", "0"], ["episodes must be at least 1, got 0"]),
+        (
+            ["train", "irb120-bm-ppo", "--env.mpi-rad", "0"],
+            ["mpi_rad must be larger than 0"],
+        ),
+        (
+            ["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"],
+            ["must divide num_envs"],
+        ),
+        (
+            ["evaluate", "zero", "--episodes", "0"],
+            ["episodes must be at least 1, got 0"],
+        ),
         (["ros", "none", "--max-steps", "0"], ["max_steps must be at least 1, got 0"]),
         (["train", "irb120-bm-ppo", *2 * ["--env.targets", "mug"]], ["is given twice"]),
         (["train", "irb120-bm-ppo", "--seed", "1", "--seed=2"], ["is given twice"]),
         (["knowledge", "show", *2 * ["--source", "zeros"]], ["is given twice"]),
-        (["evaluate", "zero", "--episodes", "many"], ["expected a whole number", "'many'"]),
+        (
+            ["evaluate", "zero", "--episodes", "many"],
+            ["expected a whole number", "'many'"],
+        ),
         (["evaluate", "zero", "--distance-m", "5cm"], ["expected a number", "'5cm'"]),
-        (["evaluate", "zero", "--epsiodes", "3"], ["Unrecognized", "Did you mean --episodes?"]),
-        (["train", "irb120-bm-ppo", "--learning-rate", "3"], ["Did you mean --algorithm.learn"]),
-        (["evaluate", "zero", "--split", "S9"], ["Unknown value of --split 'S9'", "S1, S2, S3,"]),
+        (
+            ["evaluate", "zero", "--epsiodes", "3"],
+            ["Unrecognized", "Did you mean --episodes?"],
+        ),
+        (
+            ["train", "irb120-bm-ppo", "--learning-rate", "3"],
+            ["Did you mean --algorithm.learn"],
+        ),
+        (
+            ["evaluate", "zero", "--split", "S9"],
+            ["Unknown value of --split 'S9'", "S1, S2, S3,"],
+        ),
         (["evaluate", "zero", "--split"], ["Missing value", "knowarm evaluate --help"]),
-        (["evaluate"], ["Missing from knowarm evaluate: AGENT. `knowarm evaluate --help`"]),
+        (
+            ["evaluate"],
+            ["Missing from knowarm evaluate: AGENT. `knowarm evaluate --help`"],
+        ),
         (["train", "irb120-bm-ppo", "--env.mpi-rad", "x"], ["expected FLOAT, got 'x'"]),
         (["train", "irb120-bm-ppo", "--name", ""], ["got ''"]),
-        (["evaluate", "runs/X/0", "--env.robot", "irb120"], ["A run has its own environment"]),
+        (
+            ["evaluate", "runs/X/0", "--env.robot", "irb120"],
+            ["A run has its own environment"],
+        ),
         (["view", "runs/X/0"], ["is a run: knowarm view --agent runs/X/0"]),
     ],
 )
-def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, arguments, words):
+def test_mistakes_end_in_one_line_and_code_2(
+    capsys, tmp_path, monkeypatch, arguments, words
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kitchen.csv").write_text("mug,usedFor,drinking\n")
     (tmp_path / "empty.csv").write_text("")
@@ -239,12 +289,16 @@ def test_a_mistake_ends_in_one_line_on_a_terminal_with_colours(capsys, monkeypat
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     _, _, err = run(capsys, "evaluate", "zero", "--epsiodes", "3")
-    assert err.startswith("knowarm: Unrecognized options: --epsiodes, 3. Did you mean --episodes?")
+    assert err.startswith(
+        "knowarm: Unrecognized options: --epsiodes, 3. Did you mean --episodes?"
+    )
     assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
-    "error", [MemoryError(), OSError(errno.EMFILE, "Too many open files")], ids=lambda e: f"{e!r}"
+    "error",
+    [MemoryError(), OSError(errno.EMFILE, "Too many open files")],
+    ids=lambda e: f"{e!r}",
 )
 def test_limits_of_the_machine_end_in_one_line(capsys, monkeypatch, error):
     def run(command):
@@ -272,9 +326,22 @@ def test_integers_may_be_written_as_floats():
     ],
 )
 def test_an_environment_that_does_not_work_ends_in_one_line(tmp_path, shell):
-    command = ["bash", "-c", shell, "bash", sys.executable, "-m", "knowarm", "list", "agents"]
+    command = [
+        "bash",
+        "-c",
+        shell,
+        "bash",
+        sys.executable,
+        "-m",
+        "knowarm",
+        "list",
+        "agents",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode in (0, 2)  # what is imported decides whether the folder matters
+    assert done.returncode in (
+        0,
+        2,
+    )  # what is imported decides whether the folder matters
     assert done.stderr.count("\n") == done.returncode // 2
 
 
@@ -289,29 +356,43 @@ def test_characters_that_the_output_lacks_are_replaced(tmp_path):
 
 def test_an_unwritable_runs_folder_is_found_before_training(capsys, tmp_path):
     (tmp_path / "file").write_text("")
-    code, _, err = run(capsys, "train", "irb120-bm-ppo", "--runs", str(tmp_path / "file"))
+    code, _, err = run(
+        capsys, "train", "irb120-bm-ppo", "--runs", str(tmp_path / "file")
+    )
     assert code == 2
     assert "Cannot write to the output folder" in err
 
 
 def test_evaluate_prints_and_writes_the_table(capsys, tmp_path):
     file = tmp_path / "table.json"
-    code, out, _ = run(capsys, "evaluate", "oracle", "--episodes", "6", "--json", str(file))
+    code, out, _ = run(
+        capsys, "evaluate", "oracle", "--episodes", "6", "--json", str(file)
+    )
     assert code == 0
     table = json.loads(file.read_text())
-    assert {"return_mean", "accuracy", "success", "length_mean"} <= set(table["numbers"])
+    assert {"return_mean", "accuracy", "success", "length_mean"} <= set(
+        table["numbers"]
+    )
     assert table["numbers"]["episodes"] == 6
     assert "success" in out
 
 
 def test_errors_of_the_library_name_flags() -> None:
     pan = Argument("knows.aliases", {"sauce pan": "pan"})
-    error = UserError("Pass ", Argument("resume", True), " or ", Argument("save", False))
+    error = UserError(
+        "Pass ", Argument("resume", True), " or ", Argument("save", False)
+    )
     assert str(error) == "Pass resume=True or save=False"
     assert with_flags(error, "study") == "Pass --resume or --no-save"
     error = UserError("Use ", Argument("knows.detail", "full"), " or ", pan)
-    assert with_flags(error, "study") == "Use detail='full' or aliases={'sauce pan': 'pan'}"
-    assert with_flags(error, "knowledge") == "Use --detail full or --aliases 'sauce pan' pan"
+    assert (
+        with_flags(error, "study")
+        == "Use detail='full' or aliases={'sauce pan': 'pan'}"
+    )
+    assert (
+        with_flags(error, "knowledge")
+        == "Use --detail full or --aliases 'sauce pan' pan"
+    )
     assert with_flags(error, "train") == (
         "Use --knows.detail full or --knows.aliases 'sauce pan' pan"
     )
@@ -337,10 +418,14 @@ main()
 """
 
 
-@pytest.mark.parametrize(("argument", "code", "out"), [("--version", 0, 1), ("fly", 2, 0)])
+@pytest.mark.parametrize(
+    ("argument", "code", "out"), [("--version", 0, 1), ("fly", 2, 0)]
+)
 def test_a_command_ends_without_freeing_its_objects(argument, code, out) -> None:
     """With PyTorch loaded this took a second, and 12 on a machine with other programs."""
-    done = subprocess.run([sys.executable, "-c", AT_EXIT, argument], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", AT_EXIT, argument], capture_output=True, text=True
+    )
     assert done.returncode == code
     assert len(done.stdout.splitlines()) == out + 1
     assert done.stdout.endswith("at exit\n")
@@ -358,7 +443,9 @@ def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:
     commands = done.stdout.replace("\\\n", " ").splitlines()
     train = next(line for line in commands if " -m knowarm train " in line)
     arguments = shlex.split(train.split(" train ")[1])
-    config = to_dict(parse_train([word for word in arguments if word != "--resume"]).config)
+    config = to_dict(
+        parse_train([word for word in arguments if word != "--resume"]).config
+    )
     shipped = to_dict(RunFolder.open(ROOT / "zoo" / "irb120-full-fast").experiment())
     # The number of processes depends on the machine; it changes the rounding only.
     for values in (config, shipped):
@@ -371,7 +458,17 @@ def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
     assert main(["evaluate", "oracle", "--env.task", "choose", *options]) == 0
     assert "right choices" in capsys.readouterr().out
     assert (
-        main(["record", "oracle", "--env.task", "choose", *options, "--to", str(tmp_path / "d")])
+        main(
+            [
+                "record",
+                "oracle",
+                "--env.task",
+                "choose",
+                *options,
+                "--to",
+                str(tmp_path / "d"),
+            ]
+        )
         == 0
     )
     assert main(["record", "oracle", "--seed", "-1", "--to", str(tmp_path / "e")]) == 2
@@ -380,15 +477,21 @@ def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
     assert "'choose'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", ["ask", "study run", "doctor", "view", "train --help-all"])
+@pytest.mark.parametrize(
+    "words", ["ask", "study run", "doctor", "view", "train --help-all"]
+)
 def test_the_help_of_every_command_has_one_face(capsys, monkeypatch, words):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main([*words.replace("train", "train irb120-full-fast").split(), "--help"])
     shown = re.sub("[│╭╰╮╯─]", " ", capsys.readouterr().out)
     assert "-h, --help" in shown
-    assert not re.findall(r"None\}|default: (?:None|False)?\)|--[\w.-]*kind|--no-dry-run", shown)
+    assert not re.findall(
+        r"None\}|default: (?:None|False)?\)|--[\w.-]*kind|--no-dry-run", shown
+    )
     lines = shown.splitlines()
-    for line, after in itertools.pairwise(lines):  # sentences are broken at the right margin only
+    for line, after in itertools.pairwise(
+        lines
+    ):  # sentences are broken at the right margin only
         if after.strip() and all(each.startswith(" " * 14) for each in (line, after)):
             assert len(line.rstrip()) + 1 + len(after.split()[0]) > 76, line

@@ -6,12 +6,26 @@ from rich.text import Text
 from knowarm.cli.tables import UNLIMITED, make_console, print_table
 from knowarm.experiment.logs import TrainingProgress
 
-COLUMNS = ["experiment", "accuracy %", "success wide %", "return", "description of the experiment"]
+COLUMNS = [
+    "experiment",
+    "accuracy %",
+    "success wide %",
+    "return",
+    "description of the experiment",
+]
 ROWS = [
-    ["irb120-choose-subgraph-fast", "98.2 [97, 99]", "99.1 [98, 100]", 12.5, "as long as a line"],
+    [
+        "irb120-choose-subgraph-fast",
+        "98.2 [97, 99]",
+        "99.1 [98, 100]",
+        12.5,
+        "as long as a line",
+    ],
     ["tiago-choose-query-onehot-fast", "8.2 [7, 9]", "9.1 [8, 10]", -3.25, "short"],
 ]
-WORDS = {word for texts in [COLUMNS, *ROWS] for text in texts for word in str(text).split()}
+WORDS = {
+    word for texts in [COLUMNS, *ROWS] for text in texts for word in str(text).split()
+}
 
 
 def printed(capsys, *table) -> list[str]:
@@ -22,7 +36,9 @@ def printed(capsys, *table) -> list[str]:
 @pytest.mark.parametrize("width", [60, 80, 100, 200])
 def test_words_stay_whole_in_a_terminal(capsys, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))
-    title, *lines = printed(capsys, "A title that is longer than the table " * 3, COLUMNS, ROWS)
+    title, *lines = printed(
+        capsys, "A title that is longer than the table " * 3, COLUMNS, ROWS
+    )
     assert title == "A title that is longer than the table " * 3
     assert max(map(len, lines)) <= width
     words = {word for line in lines for word in line.replace("┃", "│").split()}
@@ -65,7 +81,9 @@ def test_names_are_no_markup(capsys):
 
 
 def test_names_do_not_act_on_the_terminal(capsys):
-    text = "".join(printed(capsys, "\x1b]0;title\a", ["\x1b[31m"], [["\x1b[2J\r\u202eend"]]))
+    text = "".join(
+        printed(capsys, "\x1b]0;title\a", ["\x1b[31m"], [["\x1b[2J\r\u202eend"]])
+    )
     assert text.isprintable()
     assert "\\x1b[2J\\r\\u202eend" in text
 

@@ -43,10 +43,19 @@ def test_without_a_file_a_page_is_opened_in_the_browser(
         (["irb120", "--agent", "orakle"], "Unknown agent or run folder 'orakle'"),
         (["irb120", "--targets", "bttle", "--strip", "x.png"], "Did you mean 'bottle'"),
         (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
-        (["irb120", "--seed", "-1", "--strip", "x.png"], "seed must be at least 0, got -1"),
+        (
+            ["irb120", "--seed", "-1", "--strip", "x.png"],
+            "seed must be at least 0, got -1",
+        ),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
-        (["irb120", "--page", "film.png"], "The page must be an .html file, got 'film.png'"),
-        (["irb120", "--angle-deg", "0", "--strip", "x.png"], "angle_deg must be larger than 0"),
+        (
+            ["irb120", "--page", "film.png"],
+            "The page must be an .html file, got 'film.png'",
+        ),
+        (
+            ["irb120", "--angle-deg", "0", "--strip", "x.png"],
+            "angle_deg must be larger than 0",
+        ),
         (
             ["--agent", ZOO, "--colours", "randomized", "--strip", "x.png"],
             "does not fit this environment",

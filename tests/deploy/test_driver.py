@@ -50,14 +50,20 @@ class Robot:
 
         runner = Runner(contract, np.zeros((2, 3), np.float32), policy)
         if step is not None:
-            runner.act = lambda observations: setattr(runner, "targets", np.array([step]))
+            runner.act = lambda observations: setattr(
+                runner, "targets", np.array([step])
+            )
         gripper = gripper or (lambda angles: np.array([*angles, 0.0]))
         safety = {"confirm_steps": 0} | safety
-        self.driver = Driver(runner, gripper, Safety(**safety), "usedFor drinking", resize=resize)
+        self.driver = Driver(
+            runner, gripper, Safety(**safety), "usedFor drinking", resize=resize
+        )
         self.now = 100.0
         self.driver.clock = lambda: self.now
 
-    def tick(self, image=IMAGE, joints=(0.0, 0.5), names=NAMES, late=0.0, state_late=0.0):
+    def tick(
+        self, image=IMAGE, joints=(0.0, 0.5), names=NAMES, late=0.0, state_late=0.0
+    ):
         """Let a period pass; images and states arrive unless they are None."""
         self.now += 0.1
         if image is not None:
@@ -219,12 +225,17 @@ def test_old_images_with_new_stamps_end_the_episode(images):
     robot, joints, sent = Robot(patience_s=1), (0.0, 0.5), 0
     for number in range(30):
         targets = robot.tick(IMAGE + np.uint8(number % images), joints)
-        sent, joints = sent + (targets is not None), joints if targets is None else targets
+        sent, joints = (
+            sent + (targets is not None),
+            joints if targets is None else targets,
+        )
     assert sent < 9
     assert "the image is the same as before the arm moved" in robot.driver.end
     moving = Robot()
     for step in range(8):
-        moving.tick(image=IMAGE + np.uint8(step), joints=(0.05 * step, 0.5 + 0.05 * step))
+        moving.tick(
+            image=IMAGE + np.uint8(step), joints=(0.05 * step, 0.5 + 0.05 * step)
+        )
     assert moving.driver.steps == 8
 
 
@@ -272,7 +283,9 @@ def test_a_confirmation_is_of_what_is_seen_now():
         robot.tick(image=IMAGE + np.uint8(1))
     assert len(robot.calls) == 2
     np.testing.assert_array_equal(robot.calls[1]["image"][0], IMAGE + np.uint8(1))
-    assert robot.calls[1]["episode_start"] == first["episode_start"], "the memory is as before"
+    assert robot.calls[1]["episode_start"] == first["episode_start"], (
+        "the memory is as before"
+    )
     robot.driver.confirm()
     np.testing.assert_allclose(robot.tick(), [0.05, 0.55])
 
@@ -412,7 +425,9 @@ def test_ros_images_are_decoded_or_refused():
     pixels = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     padded = np.pad(pixels.reshape(2, 12), ((0, 0), (0, 4)))
     np.testing.assert_array_equal(decoded("rgb8", 2, 4, 16, padded.tobytes()), pixels)
-    np.testing.assert_array_equal(decoded("bgr8", 2, 4, 12, pixels.tobytes()), pixels[..., ::-1])
+    np.testing.assert_array_equal(
+        decoded("bgr8", 2, 4, 12, pixels.tobytes()), pixels[..., ::-1]
+    )
     for wrong in (
         ("16UC1", 2, 4, 12, pixels.tobytes()),
         ("rgb8", 2, 4, 11, pixels.tobytes()),
@@ -421,10 +436,14 @@ def test_ros_images_are_decoded_or_refused():
         ("rgb8", 0, 0, 0, b""),
     ):
         assert isinstance(decoded(*wrong), str)
-    assert "is grey, and the policy sees colours" in decoded("mono8", 2, 4, 4, b"12345678")
+    assert "is grey, and the policy sees colours" in decoded(
+        "mono8", 2, 4, 4, b"12345678"
+    )
     with_alpha = np.pad(pixels, ((0, 0), (0, 0), (0, 1))).tobytes()
     np.testing.assert_array_equal(decoded("rgba8", 2, 4, 16, with_alpha), pixels)
-    np.testing.assert_array_equal(decoded("bgra8", 2, 4, 16, with_alpha), pixels[..., ::-1])
+    np.testing.assert_array_equal(
+        decoded("bgra8", 2, 4, 16, with_alpha), pixels[..., ::-1]
+    )
 
 
 def test_compressed_images_are_decoded_or_refused():

@@ -25,10 +25,15 @@ pytest.importorskip("onnxscript")
 ZOO = Path(__file__).parents[2] / "zoo"
 
 
-@pytest.fixture(scope="module", params=["irb120-choose-subgraph-fast", "irb120-full-fast"])
+@pytest.fixture(
+    scope="module", params=["irb120-choose-subgraph-fast", "irb120-full-fast"]
+)
 def exported(request, tmp_path_factory):
     """A policy exported by the function, and one by the command."""
-    trained, folder = load_agent(ZOO / request.param), tmp_path_factory.mktemp("exported")
+    trained, folder = (
+        load_agent(ZOO / request.param),
+        tmp_path_factory.mktemp("exported"),
+    )
     if "choose" in request.param:
         export(trained, folder)
     else:
@@ -38,7 +43,9 @@ def exported(request, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "exported", ["irb120-choose-subgraph-fast", "irb120-choose-answers-fast"], indirect=True
+    "exported",
+    ["irb120-choose-subgraph-fast", "irb120-choose-answers-fast"],
+    indirect=True,
 )
 def test_the_runner_takes_the_actions_of_pytorch(exported):
     trained, folder = exported
@@ -69,7 +76,9 @@ assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
 def test_the_runner_imports_two_libraries():
     text = Path(runner_module.__file__).read_text()
     names = {
-        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
+        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(
+            "."
+        )[0]
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
@@ -83,7 +92,9 @@ def test_the_contract_says_what_the_robot_needs(exported):
     assert len(joints["names"]) == len(joints["lower"]) == trained.policy.shape.joints
     assert contract["camera"]["size"] == trained.config.env.image_size
     assert len(contract["knowledge"]["rows"]) == len(np.load(folder / "knowledge.npy"))
-    lower, upper = (np.array(contract["workspace_m"][end]) for end in ("lower", "upper"))
+    lower, upper = (
+        np.array(contract["workspace_m"][end]) for end in ("lower", "upper")
+    )
     assert (lower < upper).all()
 
 
@@ -107,7 +118,9 @@ def test_bad_input_is_refused_in_one_line(exported, joints, knowledge, image, wo
     runner = Runner.load(exported[1])
     home = dict(zip(runner.joint_names, runner.contract["joints"]["home"], strict=True))
     given = home if joints is None else (home | joints if joints else {})
-    given = {name.replace("joint_1", runner.joint_names[0]): v for name, v in given.items()}
+    given = {
+        name.replace("joint_1", runner.joint_names[0]): v for name, v in given.items()
+    }
 
     if knowledge is not ROW and len(runner.contract["knowledge"]["rows"]) == 1:
         pytest.skip("an agent that always knows the same reads no row")
@@ -116,7 +129,9 @@ def test_bad_input_is_refused_in_one_line(exported, joints, knowledge, image, wo
         runner.reset(Start(given, knowledge))
         runner.act({"image": image[None]})
 
-    with pytest.raises(ValueError, match=words.replace("joint_1", runner.joint_names[0])) as error:
+    with pytest.raises(
+        ValueError, match=words.replace("joint_1", runner.joint_names[0])
+    ) as error:
         play()
     assert "\n" not in str(error.value)
 
@@ -144,7 +159,9 @@ def test_no_file_without_a_digest_and_no_device_is_read(copied, file):
     with pytest.raises(ValueError, match="not the exported file"):
         Runner.load(copied)
     for digests in ({}, contract["digests"] | {"/etc/passwd": "0"}):
-        (copied / "contract.json").write_text(json.dumps(contract | {"digests": digests}))
+        (copied / "contract.json").write_text(
+            json.dumps(contract | {"digests": digests})
+        )
         with pytest.raises(ValueError, match=r"must state digests of policy\.onnx, "):
             Runner.load(copied)
 

@@ -24,9 +24,27 @@ MODEL = mujoco.MjModel.from_xml_path(str(ROBOTS["irb120"].mjcf))
 UNITS = ("rad", "deg", "range_0_100", "range_m100_100")
 JOINTS = CONTRACT["joints"]
 REAL = [
-    {"joint": "elbow", "name": "E.pos", "unit": "deg", "scale": -180 / math.pi, "offset": 90.0},
-    {"joint": "jaw", "name": "jaw.pos", "unit": "range_0_100", "scale": 0.0, "offset": 60.0},
-    {"joint": "shoulder", "name": "S.pos", "unit": "deg", "scale": 180 / math.pi, "offset": 0.0},
+    {
+        "joint": "elbow",
+        "name": "E.pos",
+        "unit": "deg",
+        "scale": -180 / math.pi,
+        "offset": 90.0,
+    },
+    {
+        "joint": "jaw",
+        "name": "jaw.pos",
+        "unit": "range_0_100",
+        "scale": 0.0,
+        "offset": 60.0,
+    },
+    {
+        "joint": "shoulder",
+        "name": "S.pos",
+        "unit": "deg",
+        "scale": 180 / math.pi,
+        "offset": 0.0,
+    },
 ]
 MAPPED = CONTRACT | {"joints": JOINTS | {"real": REAL}}
 
@@ -59,7 +77,9 @@ def test_to_the_real_arm_and_back_is_the_identity(reals, order, angles):
     assert joint_map.names == tuple(order)
     values = joint_map.to_real([angles])
     np.testing.assert_allclose(joint_map.from_real(values), [angles], atol=1e-9)
-    np.testing.assert_allclose(joint_map.to_real(joint_map.from_real(values)), values, atol=1e-9)
+    np.testing.assert_allclose(
+        joint_map.to_real(joint_map.from_real(values)), values, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,8 +103,13 @@ def test_a_held_joint_is_sent_at_its_value():
     robot = ROBOTS["irb120"]
     joint_map = dict.fromkeys(robot.joints, RealJoint(unit="deg", offset=1.0))
     fewer = {"joints": robot.joints[:5], "home": robot.home[:5], "areas": {}}
-    entry = real_joints(scene_with(joint_map, **fewer, held_joints={"joint_6": 0.5}))[-1]
-    assert (entry["scale"], entry["offset"]) == (0.0, pytest.approx(math.degrees(0.5) + 1))
+    entry = real_joints(scene_with(joint_map, **fewer, held_joints={"joint_6": 0.5}))[
+        -1
+    ]
+    assert (entry["scale"], entry["offset"]) == (
+        0.0,
+        pytest.approx(math.degrees(0.5) + 1),
+    )
     assert real_joints(scene_with(joint_map, **fewer))[-1]["offset"] == 1.0
 
 
@@ -99,7 +124,9 @@ def test_a_held_joint_is_sent_at_its_value():
 def test_a_map_that_does_not_fit_is_refused(change, words):
     joint_map = dict.fromkeys(ROBOTS["irb120"].joints, RealJoint()) | change
     with pytest.raises(UserError, match=words):
-        real_joints(scene_with({name: real for name, real in joint_map.items() if real}))
+        real_joints(
+            scene_with({name: real for name, real in joint_map.items() if real})
+        )
 
 
 def mapped_runner(step):

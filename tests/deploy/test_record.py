@@ -23,7 +23,9 @@ COUNT = 5
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded") / "dataset"
-    assert main(["record", "oracle", "--episodes", str(COUNT), "--to", str(folder)]) == 0
+    assert (
+        main(["record", "oracle", "--episodes", str(COUNT), "--to", str(folder)]) == 0
+    )
     return folder
 
 
@@ -39,10 +41,16 @@ def test_the_actions_lead_through_the_recorded_images_again(dataset, frames):
         rows = [frame for frame in frames if frame["episode_index"] == number]
         image, _ = env.reset(options={"episodes": episodes[number : number + 1]})
         for row in rows:
-            stored = np.asarray(Image.open(io.BytesIO(row["observation.image"]["bytes"])))
+            stored = np.asarray(
+                Image.open(io.BytesIO(row["observation.image"]["bytes"]))
+            )
             np.testing.assert_array_equal(stored, image[0])
-            np.testing.assert_allclose(row["observation.state"], env.joint_positions[0], atol=1e-6)
-            image, _, terminated, _, _ = env.advance([row["action.levels"]], np.array([True]))
+            np.testing.assert_allclose(
+                row["observation.state"], env.joint_positions[0], atol=1e-6
+            )
+            image, _, terminated, _, _ = env.advance(
+                [row["action.levels"]], np.array([True])
+            )
             np.testing.assert_allclose(row["action"], env.joint_targets[0], atol=1e-6)
             assert row["next.success"] == terminated[0] == row["next.done"]
 
@@ -67,15 +75,20 @@ def test_meta_files_describe_the_data(dataset, frames):
     np.testing.assert_allclose(stats["std"], actions.std(0), atol=1e-5)
     np.testing.assert_allclose(stats["max"], actions.max(0), atol=1e-5)
     for name, share in QUANTILES.items():
-        np.testing.assert_allclose(stats[name], np.quantile(actions, share, 0), atol=1e-5)
+        np.testing.assert_allclose(
+            stats[name], np.quantile(actions, share, 0), atol=1e-5
+        )
 
 
 def test_statistics_of_images_are_those_of_their_values(dataset, frames):
     stats = json.loads((dataset / "meta/stats.json").read_text())["observation.image"]
     files = [io.BytesIO(frame["observation.image"]["bytes"]) for frame in frames]
-    values = np.stack([np.asarray(Image.open(file)) for file in files]).reshape(-1, 3) / 255
+    values = (
+        np.stack([np.asarray(Image.open(file)) for file in files]).reshape(-1, 3) / 255
+    )
     shares = {
-        name: np.quantile(values, q, 0, method="inverted_cdf") for name, q in QUANTILES.items()
+        name: np.quantile(values, q, 0, method="inverted_cdf")
+        for name, q in QUANTILES.items()
     }
     others = {name: getattr(values, name)(0) for name in ("min", "max", "mean", "std")}
     for name, expected in (shares | others).items():
@@ -86,9 +99,19 @@ def test_statistics_of_images_are_those_of_their_values(dataset, frames):
 def test_fingers_follow_a_map_that_does_not_name_them(tmp_path):
     lines = [f'joint_{i} = {{unit = "deg"}}' for i in range(1, 7)]
     (tmp_path / "map.toml").write_text("\n".join(["[joint_map]", *lines]))
-    options = ["--joint-map", str(tmp_path / "map.toml"), "--to", str(tmp_path / "lifts")]
-    assert main(["record", "oracle", "--env.task", "lift", "--episodes", "1", *options]) == 0
-    action = json.loads((tmp_path / "lifts/meta/info.json").read_text())["features"]["action"]
+    options = [
+        "--joint-map",
+        str(tmp_path / "map.toml"),
+        "--to",
+        str(tmp_path / "lifts"),
+    ]
+    assert (
+        main(["record", "oracle", "--env.task", "lift", "--episodes", "1", *options])
+        == 0
+    )
+    action = json.loads((tmp_path / "lifts/meta/info.json").read_text())["features"][
+        "action"
+    ]
     assert action["units"] == ["deg"] * 6 + ["m"] * (len(action["names"]) - 6)
     assert len(action["names"]) > 6
 
@@ -98,7 +121,10 @@ def mapped(tmp_path_factory):
     """The dataset of the same episodes as of an arm in degrees, from a camera with a name."""
     folder = tmp_path_factory.mktemp("mapped")
     names = [f"joint_{i}" for i in range(1, 7)]
-    lines = [f'{n} = {{name = "{n}.pos", sign = -1, offset = 5, unit = "deg"}}' for n in names]
+    lines = [
+        f'{n} = {{name = "{n}.pos", sign = -1, offset = 5, unit = "deg"}}'
+        for n in names
+    ]
     (folder / "map.toml").write_text("\n".join(["[joint_map]", *lines]))
     options = ["--camera", "front", "--joint-map", str(folder / "map.toml")]
     to = ["--episodes", str(COUNT), "--to", str(folder / "dataset")]
@@ -120,7 +146,12 @@ def test_a_mapped_dataset_has_names_units_and_values_of_the_real_arm(mapped, fra
 
 def test_the_task_in_words_does_not_hold_the_answer(tmp_path):
     to = str(tmp_path / "choose")
-    assert main(["record", "oracle", "--env.task", "choose", "--episodes", "2", "--to", to]) == 0
+    assert (
+        main(
+            ["record", "oracle", "--env.task", "choose", "--episodes", "2", "--to", to]
+        )
+        == 0
+    )
     words = pq.read_table(tmp_path / "choose/meta/tasks.parquet").to_pylist()
     assert words
     assert not any(": the" in str(row) for row in words)
@@ -140,7 +171,9 @@ def test_the_real_lerobot_trains_with_quantiles(mapped):
     environment = os.environ | {"HF_HUB_OFFLINE": "1"}
     environment.pop("PYTHONPATH", None)
     command = [python, Path(__file__).with_name("lerobot_act.py"), mapped, "200"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    done = subprocess.run(
+        command, check=True, capture_output=True, text=True, env=environment
+    )
     episodes, shape, first, last = done.stdout.split()
     assert (episodes, shape) == (str(COUNT), "3x64x64")
     assert 0 < float(last) < 0.8 * float(first)

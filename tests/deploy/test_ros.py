@@ -66,9 +66,14 @@ def test_the_simulated_robot_is_driven_as_in_process(trained, parts):
     [{"compressed": True}, {"positions": "/forward_position_controller/commands"}],
     ids=str,
 )
-def test_a_robot_in_degrees_is_driven_as_one_in_radians(trained, parts, topics, tmp_path):
+def test_a_robot_in_degrees_is_driven_as_one_in_radians(
+    trained, parts, topics, tmp_path
+):
     file, names = tmp_path / "map.toml", parts.contract["joints"]["names"]
-    lines = [f'{n} = {{name = "{n}.pos", sign = -1, offset = 7.5, unit = "deg"}}' for n in names]
+    lines = [
+        f'{n} = {{name = "{n}.pos", sign = -1, offset = 7.5, unit = "deg"}}'
+        for n in names
+    ]
     file.write_text("\n".join(["[joint_map]", *reversed(lines)]))
     episodes = evaluation_episodes(trained.config.env, 3, 0)
     mapped = deployment(trained, file)
@@ -89,7 +94,12 @@ class Cell:
 
     def drive(self, **safety):
         """Run `drive` beside the cell; return the driver."""
-        options = {"confirm_steps": 0, "patience_s": 1.0, "wait_s": 1.0, "max_steps": 5} | safety
+        options = {
+            "confirm_steps": 0,
+            "patience_s": 1.0,
+            "wait_s": 1.0,
+            "max_steps": 5,
+        } | safety
         gripper = lambda joints: tcp_position(self.parts.scene, joints)  # noqa: E731
         row = self.parts.contract["knowledge"]["rows"][0]
         self.driver = Driver(self.parts.runner(), gripper, Safety(**options), row)
@@ -112,16 +122,26 @@ class Cell:
         states = node.create_publisher(JointState, TOPICS.joint_states, 1)
         self.stop = node.create_publisher(Empty, TOPICS.stop, self._stop_qos)
         for _ in range(self._controllers):
-            node.create_subscription(JointTrajectory, TOPICS.trajectory, self.received.append, 1)
+            node.create_subscription(
+                JointTrajectory, TOPICS.trajectory, self.received.append, 1
+            )
         self.node = node
         joints = self.parts.contract["joints"]
         while not self._over:
-            image = {"encoding": "rgb8", "height": 64, "width": 64, "step": 192} | self.image
+            image = {
+                "encoding": "rgb8",
+                "height": 64,
+                "width": 64,
+                "step": 192,
+            } | self.image
             size = image["height"] * image["step"]
             stamp = {"stamp": node.get_clock().now().to_msg()}
             data = (np.arange(size) % 251).astype(np.uint8).tobytes()
             images.publish(Image(header=Header(**stamp), data=data, **image))
-            state = {"name": list(joints["names"]), "position": list(joints["home"])} | self.state
+            state = {
+                "name": list(joints["names"]),
+                "position": list(joints["home"]),
+            } | self.state
             states.publish(JointState(header=Header(**stamp), **state))
             executor.spin_once(timeout_sec=0.02)
             self.then()
@@ -145,7 +165,10 @@ def test_a_robot_that_stands_still_receives_trajectories(parts):
         ({"image": {"height": 32}}, "image is (32, 64, 3)"),
         ({"image": {"encoding": "mono8"}}, "mono8"),
         ({"state": {"name": ["torso_lift_joint"], "position": [0.2]}}, "not yet seen"),
-        ({"state": {"name": ["arm_1_joint"], "position": [0.2]}}, "lack a number for arm_2_joint"),
+        (
+            {"state": {"name": ["arm_1_joint"], "position": [0.2]}},
+            "lack a number for arm_2_joint",
+        ),
         ({"state": {"position": [float("nan")] * 7}}, "lack a number"),
         ({"controllers": 0}, "no controller"),
     ],
@@ -174,7 +197,9 @@ def test_a_second_program_on_the_topic_moves_nothing(parts):
     assert len(cell.received) < 50, "only until the other one is discovered"
 
 
-@pytest.mark.parametrize("qos", [1, qos_profile_sensor_data], ids=["reliable", "best effort"])
+@pytest.mark.parametrize(
+    "qos", [1, qos_profile_sensor_data], ids=["reliable", "best effort"]
+)
 def test_the_stop_topic_ends_the_episode(parts, qos):
     cell = Cell(parts, stop_qos=qos)
     cell.then = lambda: cell.received and cell.stop.publish(Empty())
@@ -223,7 +248,11 @@ def test_every_line_but_a_confirmation_stops(terminal, step, reason, monkeypatch
 def test_nobody_confirms_the_first_steps():
     command = [sys.executable, "-m", "knowarm", "ros", str(RUN), "--wait-s", "30"]
     done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, env=os.environ
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env=os.environ,
     )
     assert done.returncode == 2
     assert "nobody is at the terminal" in done.stderr

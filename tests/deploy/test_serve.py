@@ -66,7 +66,9 @@ def server(parts):
 
 
 def client(server, **options):
-    return connect(f"ws://127.0.0.1:{server.port}", compression=None, max_size=None, **options)
+    return connect(
+        f"ws://127.0.0.1:{server.port}", compression=None, max_size=None, **options
+    )
 
 
 def observation(parts, **changes):
@@ -88,12 +90,15 @@ def test_served_episodes_are_those_in_process(trained, server):
     episodes = evaluation_episodes(trained.config.env, 12, 5)
     theirs = play(Client(f"ws://127.0.0.1:{server.port}"), env, episodes)
     ours = play(trained.agent, env, episodes)
-    np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
+    np.testing.assert_array_equal(
+        theirs.steps.joint_positions, ours.steps.joint_positions
+    )
 
 
 def test_an_arm_in_degrees_is_served_as_one_in_radians(trained, tmp_path):
     lines = [
-        f'joint_{i} = {{name = "j{i}", sign = -1, offset = 7.5, unit = "deg"}}' for i in range(1, 7)
+        f'joint_{i} = {{name = "j{i}", sign = -1, offset = 7.5, unit = "deg"}}'
+        for i in range(1, 7)
     ]
     (tmp_path / "map.toml").write_text("\n".join(["[joint_map]", *reversed(lines)]))
     server = started(deployment(trained, tmp_path / "map.toml"))
@@ -104,7 +109,9 @@ def test_an_arm_in_degrees_is_served_as_one_in_radians(trained, tmp_path):
     theirs = play(Client(f"ws://127.0.0.1:{server.port}"), env, episodes)
     server.close()
     ours = play(trained.agent, env, episodes)
-    np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
+    np.testing.assert_array_equal(
+        theirs.steps.joint_positions, ours.steps.joint_positions
+    )
 
 
 def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
@@ -139,18 +146,29 @@ def answers(parts, server, changes):
         return [unpack(ask(connection, observation(parts, **each))) for each in changes]
 
 
-def test_another_question_starts_an_episode_and_the_answer_says_how_it_was_read(parts, server):
-    prompts = ["usedFor drinking", "something to drink from", "usedFor heating", "usedFor heating"]
+def test_another_question_starts_an_episode_and_the_answer_says_how_it_was_read(
+    parts, server
+):
+    prompts = [
+        "usedFor drinking",
+        "something to drink from",
+        "usedFor heating",
+        "usedFor heating",
+    ]
     found = answers(parts, server, [{"prompt": prompt} for prompt in prompts])
     assert [each["episode_start"] for each in found] == [True, False, True, False]
-    assert [each["reading"] for each in found] == ["usedFor drinking"] * 2 + ["usedFor heating"] * 2
+    assert [each["reading"] for each in found] == ["usedFor drinking"] * 2 + [
+        "usedFor heating"
+    ] * 2
     (fresh,) = answers(parts, server, [{"prompt": "usedFor heating"}])
     np.testing.assert_array_equal(found[2]["actions"], fresh["actions"])
 
 
 def test_environments_of_a_connection_do_not_share_an_episode(parts, server):
     found = answers(parts, server, [{"env_id": name} for name in (0, 1, 0, 1, "other")])
-    first, other_first, second, other_second, third = (each["actions"] for each in found)
+    first, other_first, second, other_second, third = (
+        each["actions"] for each in found
+    )
     np.testing.assert_array_equal(first, other_first)
     np.testing.assert_array_equal(first, third)
     np.testing.assert_array_equal(second, other_second)
@@ -233,15 +251,23 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
         ({"observation/state": {"a": 1}}, "must be a list of numbers"),
         ({"prompt": "usedFor flying"}, "not understood"),
         ({"env_id": [1]}, "must be a number or text"),
-        (partial(packed, {b"__npgeneric__": True, b"dtype": "|i1", b"data": 300}), "msgpack"),
-        (partial(packed, {b"__ndarray__": True, b"dtype": "i4,(", b"data": b""}), "msgpack"),
+        (
+            partial(packed, {b"__npgeneric__": True, b"dtype": "|i1", b"data": 300}),
+            "msgpack",
+        ),
+        (
+            partial(packed, {b"__ndarray__": True, b"dtype": "i4,(", b"data": b""}),
+            "msgpack",
+        ),
         (b"\xc1", "msgpack"),
         ("text", "binary"),
         (partial(packed, OBJECTS), "dtype"),
         (partial(packed, OBJECTS | {b"dtype": "|u1", b"shape": [-1]}), "shape"),
     ],
 )
-def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words, caplog):
+def test_bad_messages_get_one_line_and_the_connection_ends(
+    parts, server, change, words, caplog
+):
     message = change() if callable(change) else change
     message = observation(parts, **message) if isinstance(message, dict) else message
     with client(server) as connection:
@@ -265,8 +291,14 @@ def assert_serves(parts, server):
 def test_a_message_of_a_gigabyte_is_refused_by_its_header(parts, server):
     with client(server) as connection:
         connection.recv()
-        binary, masked_length, mask = b"\x82", b"\xff" + (1 << 30).to_bytes(8, "big"), bytes(4)
-        connection.socket.sendall(binary + masked_length + mask)  # and not one byte of content
+        binary, masked_length, mask = (
+            b"\x82",
+            b"\xff" + (1 << 30).to_bytes(8, "big"),
+            bytes(4),
+        )
+        connection.socket.sendall(
+            binary + masked_length + mask
+        )  # and not one byte of content
         with pytest.raises(ConnectionClosed) as closed:
             connection.recv(timeout=60)
         assert closed.value.rcvd.code == 1009
@@ -284,11 +316,17 @@ def test_a_client_may_vanish_in_a_step(parts, server):
 @pytest.mark.slow(10)
 def test_the_command_says_who_connects_and_ctrl_c_ends_the_connections_too():
     # A shell that starts the tests in the background ignores Ctrl-C for all that they start.
-    program = (
-        "import signal as s; s.signal(s.SIGINT, s.default_int_handler); import knowarm.cli.main"
-    )
+    program = "import signal as s; s.signal(s.SIGINT, s.default_int_handler); import knowarm.cli.main"
     program += " as m, sys; sys.exit(m.main(sys.argv[1:]))"
-    command = [sys.executable, "-c", program, "serve", str(ZOO / "irb120-full-fast"), "--port", "0"]
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "serve",
+        str(ZOO / "irb120-full-fast"),
+        "--port",
+        "0",
+    ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
         try:
@@ -333,7 +371,9 @@ def test_the_key_is_checked(parts):
     server.close()
 
 
-@pytest.mark.parametrize("key", ["", " ", "short", 20 * "\xe9", 20 * " ", 16 * "a" + "\n"])
+@pytest.mark.parametrize(
+    "key", ["", " ", "short", 20 * "\xe9", 20 * " ", 16 * "a" + "\n"]
+)
 def test_a_key_that_protects_nothing_or_never_fits_is_refused(parts, key):
     with pytest.raises(UserError, match="at least 16 characters"):
         PolicyServer(parts.runner, port=0, key=key)
@@ -352,7 +392,11 @@ def test_a_key_that_protects_nothing_or_never_fits_is_refused(parts, key):
 def test_pages_of_a_browser_are_refused(parts, server, given):
     given = {"Host": f"localhost:{server.port}"} | given
     with socket.create_connection(("127.0.0.1", server.port)) as link:
-        head = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        head = {
+            "Upgrade": "websocket",
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Version": "13",
+        }
         head |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="} | given
         lines = [f"{name}: {value}" for name, value in head.items()]
         link.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
@@ -371,7 +415,9 @@ def test_the_policy_is_compiled_before_a_client_comes(parts):
     server.close()
 
 
-def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts, short_handshakes):
+def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(
+    parts, short_handshakes
+):
     """None of them sends a key; a client that is there is served on, and new ones later."""
     server = started(parts)
     with client(server) as connection:
@@ -380,10 +426,16 @@ def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts, short_h
             for _ in range(3 * MOST_SOCKETS):
                 idle.enter_context(socket.create_connection(("127.0.0.1", server.port)))
             deadline = time.monotonic() + 20
-            while threading.active_count() > MOST_SOCKETS + 20 and time.monotonic() < deadline:
+            while (
+                threading.active_count() > MOST_SOCKETS + 20
+                and time.monotonic() < deadline
+            ):
                 time.sleep(0.1)
             assert threading.active_count() <= MOST_SOCKETS + 20
-            assert unpack(ask(connection, observation(parts)))["actions"].shape == (1, 6)
+            assert unpack(ask(connection, observation(parts)))["actions"].shape == (
+                1,
+                6,
+            )
     deadline = time.monotonic() + 20
     while time.monotonic() < deadline:
         with contextlib.suppress(OSError, WebSocketException):
@@ -428,7 +480,9 @@ def test_a_long_dtype_is_refused_before_it_is_parsed():
     """It once stopped all clients for seconds."""
     text = "f8," * 1_300_000
     began = time.monotonic()
-    message = packed({b"__ndarray__": True, b"dtype": text, b"shape": [1], b"data": b""})
+    message = packed(
+        {b"__ndarray__": True, b"dtype": text, b"shape": [1], b"data": b""}
+    )
     with pytest.raises(ValueError, match="are not read"):
         unpack(message)
     assert time.monotonic() - began < 1
@@ -451,7 +505,9 @@ def test_a_client_does_not_wait_for_a_silent_server(answers, monkeypatch):
         def play_one():
             played = Client(f"ws://127.0.0.1:{other.socket.getsockname()[1]}")
             played.reset(Batch(env=EnvConfig(), names=np.array(["mug/red"])))
-            played.act({"image": IMAGE[None], "joint_targets": np.zeros((1, 6), np.float32)})
+            played.act(
+                {"image": IMAGE[None], "joint_targets": np.zeros((1, 6), np.float32)}
+            )
 
         with pytest.raises(UserError, match="timed out"):
             play_one()
@@ -463,7 +519,10 @@ def test_the_real_openpi_client_plays(parts, server, tmp_path):
         pytest.skip("KNOWARM_OPENPI_PYTHON names no Python with openpi-client")
     code = (ROOT / "examples" / "serve_client.py").read_text()
     code = code.replace("8000", str(server.port)).replace(
-        '"observation/state": angles', '"observation/state": angles, "prompt": "usedFor drinking"'
+        '"observation/state": angles',
+        '"observation/state": angles, "prompt": "usedFor drinking"',
     )
-    done = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [python, "-c", code], check=True, capture_output=True, text=True
+    )
     assert "Last joint targets" in done.stdout

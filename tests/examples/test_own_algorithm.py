@@ -13,7 +13,12 @@ import pytest
 
 from knowarm.cli.main import _parse, main
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import ALGORITHMS, VARIABLE, algorithms, register_algorithm
+from knowarm.experiment.algorithms import (
+    ALGORITHMS,
+    VARIABLE,
+    algorithms,
+    register_algorithm,
+)
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.learn import read_checkpoint
@@ -53,7 +58,10 @@ def test_it_is_trained_and_evaluated_by_commands(
     run = tmp_path / NAME / "0"
     assert f"knowarm evaluate {run} --algorithms a2c:A2C\n" in capsys.readouterr().out
     assert read_json(run / "config.json")["algorithm"]["gamma"] == 0.9
-    assert _parse("train", [NAME]).again == f"knowarm train {NAME} --resume --algorithms a2c:A2C"
+    assert (
+        _parse("train", [NAME]).again
+        == f"knowarm train {NAME} --resume --algorithms a2c:A2C"
+    )
 
     ALGORITHMS.pop("a2c")  # as a new process does not know it
     monkeypatch.setenv(VARIABLE, "")
@@ -63,7 +71,9 @@ def test_it_is_trained_and_evaluated_by_commands(
     assert main([*played, *own]) == 0
 
 
-def test_a_resumed_training_has_the_bytes_of_an_uninterrupted_one(tmp_path: Path) -> None:
+def test_a_resumed_training_has_the_bytes_of_an_uninterrupted_one(
+    tmp_path: Path,
+) -> None:
     register_algorithm("a2c:A2C")
     config = experiment_config(NAME, **SMALL)
     asked: list[None] = []
@@ -104,7 +114,9 @@ def test_an_attribute_of_its_own_named_best_does_not_collide(
 
 def test_the_processes_of_a_study_know_what_is_registered_here() -> None:
     register_algorithm("a2c:A2C")
-    program = "from knowarm.experiment.algorithms import algorithms; print(*algorithms())"
+    program = (
+        "from knowarm.experiment.algorithms import algorithms; print(*algorithms())"
+    )
     words = [sys.executable, "-c", program]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert "a2c" in done.stdout.split()
@@ -112,7 +124,9 @@ def test_the_processes_of_a_study_know_what_is_registered_here() -> None:
 
 def test_the_tutorial_shows_parts_of_the_file() -> None:
     page = (FOLDER.parents[1] / "docs/tutorials/own-algorithm.md").read_text("utf-8")
-    parts = re.findall(r"skip part of the file -->\n\n```python\n(.*?)```", page, re.DOTALL)
+    parts = re.findall(
+        r"skip part of the file -->\n\n```python\n(.*?)```", page, re.DOTALL
+    )
     assert len(parts) == 3
     for part in parts:
         assert part in (FOLDER / "a2c.py").read_text("utf-8")
@@ -124,7 +138,9 @@ def test_the_variable_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert experiment_config(NAME).algorithm == algorithms()["a2c"].config
 
 
-def test_a_mistyped_field_of_its_policy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mistyped_field_of_its_policy_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     mistyped = dataclasses.replace(FAST, policy={"pixel_shfit": 0.0})
     monkeypatch.setitem(ALGORITHMS, "mine", mistyped)
     with pytest.raises(UserError, match=r"'pixel_shfit'.*Did you mean 'pixel_shift'"):
@@ -136,7 +152,10 @@ def test_a_mistyped_field_of_its_policy_is_named(monkeypatch: pytest.MonkeyPatch
     [
         ("a2c", "is given as package.module:Name, got 'a2c'"),
         ("no_such_module:A2C", "Cannot import the algorithm 'no_such_module:A2C'"),
-        ("a2c:A2CTrainer", "is no algorithm: a2c has another 'A2CTrainer'. Name an instance of"),
+        (
+            "a2c:A2CTrainer",
+            "is no algorithm: a2c has another 'A2CTrainer'. Name an instance of",
+        ),
         ("a2c:A3C", "a2c has no 'A3C'"),
         ("tests.examples.test_own_algorithm:FAST", "has the name 'ppo', which another"),
     ],

@@ -67,10 +67,15 @@ def test_it_is_trained_evaluated_and_reported(
 
 @pytest.mark.usefixtures("in_its_folder")
 def test_it_takes_the_place_of_the_skill_that_an_agent_is_named_with() -> None:
-    command = _parse("train", ["irb120-choose-answers-distil", "--env.task", "hover:Hover"])
+    command = _parse(
+        "train", ["irb120-choose-answers-distil", "--env.task", "hover:Hover"]
+    )
     config = command.config
     assert config.name == "irb120-choose-hover-answers-distil"
-    assert (config.env.task.asked.kind, config.env.task.skill.kind) == ("choose", "hover")
+    assert (config.env.task.asked.kind, config.env.task.skill.kind) == (
+        "choose",
+        "hover",
+    )
     assert config.env.task.name == "choose-hover"
     options = ["irb120-choose-lift-bm-ppo", "--env.task", "hover:Hover"]
     assert _parse("train", options).config.env.task.name == "choose-hover"

@@ -26,13 +26,17 @@ def played(task: Task) -> tuple[np.ndarray, np.ndarray]:
         image_size=1,
     )
     env = ArmVectorEnv(config, 16, num_threads=1)
-    steps = list(play_steps(OracleAgent(env), env, evaluation_episodes(config, 16, 0)))[1:]
+    steps = list(play_steps(OracleAgent(env), env, evaluation_episodes(config, 16, 0)))[
+        1:
+    ]
     near = np.stack([(step.infos["distance"] < 0.1) & step.played for step in steps])
     solved = np.stack([step.infos["is_success"] & step.played for step in steps])
     return near, solved
 
 
-def test_success_needs_a_gripper_that_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_success_needs_a_gripper_that_stands_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.syspath_prepend(str(FOLDER))
     from steady import Steady  # type: ignore[import-not-found]
 

@@ -30,8 +30,16 @@ def parameters(agent: str, facets: list[tuple[str, str]]) -> dict[str, int]:
     [
         ("full", ["zeros", "wide"], ["random", "shuffled", "onehot", "wrong-object"]),
         ("full+", ["zeros", "wide"], ["random+", "shuffled+", "onehot+"]),
-        ("target", ["target-zeros"], ["target-random", "target-shuffled", "target-onehot"]),
-        ("target+", ["target-zeros"], ["target-random+", "target-shuffled+", "target-onehot+"]),
+        (
+            "target",
+            ["target-zeros"],
+            ["target-random", "target-shuffled", "target-onehot"],
+        ),
+        (
+            "target+",
+            ["target-zeros"],
+            ["target-random+", "target-shuffled+", "target-onehot+"],
+        ),
     ],
 )
 def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
@@ -43,7 +51,11 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
     counts = parameters(subject, facets)
     for name in capacity + content:
         control = scene_embedding(AGENTS[name].knows, facets)
-        assert (control.scope, control.dim, control.slots) == (real.scope, real.dim, real.slots)
+        assert (control.scope, control.dim, control.slots) == (
+            real.scope,
+            real.dim,
+            real.slots,
+        )
         others = parameters(name, facets)
         assert others["image"] == counts["image"]
         assert others["total"] == pytest.approx(counts["total"], rel=0.01)
@@ -51,7 +63,9 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
     lengths = np.linalg.norm(real.matrix, axis=1)
     for name in content:
         control = scene_embedding(AGENTS[name].knows, facets)
-        assert np.linalg.norm(control.matrix, axis=1) == pytest.approx(lengths, rel=1e-5), name
+        assert np.linalg.norm(control.matrix, axis=1) == pytest.approx(
+            lengths, rel=1e-5
+        ), name
         assert not np.allclose(control.matrix, real.matrix, atol=1e-3)
         assert len(np.unique(control.matrix, axis=0)) == len(facets)
 
@@ -68,7 +82,11 @@ QUERIES = [
     [
         ("subgraph", ["query-onehot", "query-random", "subgraph-shuffled"]),
         ("query-words", ["query-onehot", "query-random"]),
-        pytest.param("query-analogy", ["query-onehot", "query-random"], marks=pytest.mark.slow(28)),
+        pytest.param(
+            "query-analogy",
+            ["query-onehot", "query-random"],
+            marks=pytest.mark.slow(28),
+        ),
     ],
 )
 def test_controls_of_knowledge_of_the_query(subject, content):
@@ -87,10 +105,14 @@ def test_controls_of_knowledge_of_the_query(subject, content):
 
 
 def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
-    told = [name for name in experiment_names() if "subgraph" in name or "query" in name]
+    told = [
+        name for name in experiment_names() if "subgraph" in name or "query" in name
+    ]
     assert told
     assert all(name.split("-")[1] in ("choose", "purpose", "families") for name in told)
-    with pytest.raises(UserError, match="'subgraph' has no experiment of the task 'reach'"):
+    with pytest.raises(
+        UserError, match="'subgraph' has no experiment of the task 'reach'"
+    ):
         experiment_config("irb120-subgraph-ppo")
     with pytest.raises(UserError, match="describes nothing in the task 'reach'"):
         experiment_config("irb120-full-ppo", knows={"kind": "query", "detail": "full"})
@@ -113,4 +135,7 @@ def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():
     agents = [each for name, each in AGENTS.items() if name.startswith("subgraph-")]
     fused = [agent for agent in agents if agent.knows.grounding is None]
     assert {agent.policy.fusion for agent in fused} == {*FUSIONS} - {"none", "critic"}
-    assert len({repr((each.knows, replace(each.policy, fusion="none"))) for each in fused}) == 1
+    assert (
+        len({repr((each.knows, replace(each.policy, fusion="none"))) for each in fused})
+        == 1
+    )

@@ -33,7 +33,10 @@ def test_a3c_has_the_papers_numbers_and_follows_its_lineage_where_the_paper_is_s
 
 
 def test_only_a3c_starts_with_large_actor_heads():
-    gains = {name: experiment_config(f"irb120-bm-{name}").policy.actor_gain for name in ALGORITHMS}
+    gains = {
+        name: experiment_config(f"irb120-bm-{name}").policy.actor_gain
+        for name in ALGORITHMS
+    }
     assert {name for name, gain in gains.items() if gain != 0.01} == {"a3c"}
 
 
@@ -65,7 +68,12 @@ def test_imitation_gives_the_goal_to_the_layer_of_the_auxiliary_loss():
     """The settings of docs/results/answers.md; agents without a grounding network keep theirs."""
     fusion = {
         name: experiment_config(f"irb120-choose-{name}").policy.fusion
-        for name in ("answers-distil", "mask-distil", "answers-fast", "subgraph-similarity-distil")
+        for name in (
+            "answers-distil",
+            "mask-distil",
+            "answers-fast",
+            "subgraph-similarity-distil",
+        )
     }
     assert [*fusion.values()] == ["before_fc", "before_fc", "before_lstm", "similarity"]
     assert experiment_config("irb120-choose-answers-distil").total_steps == 300_000

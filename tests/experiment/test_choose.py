@@ -37,17 +37,30 @@ def test_a_task_may_change_the_settings_of_an_algorithm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     training = {"fast": {"total_steps": 7, "algorithm": {"gamma": 0.5}}}
-    monkeypatch.setattr(AskObject, "training", lambda self, algorithm: training.get(algorithm, {}))
-    reach, choose = (experiment_config(f"irb120-{name}-fast") for name in ("bm", "choose-bm"))
-    assert (choose.total_steps, choose.algorithm) == (7, replace(reach.algorithm, gamma=0.5))
+    monkeypatch.setattr(
+        AskObject, "training", lambda self, algorithm: training.get(algorithm, {})
+    )
+    reach, choose = (
+        experiment_config(f"irb120-{name}-fast") for name in ("bm", "choose-bm")
+    )
+    assert (choose.total_steps, choose.algorithm) == (
+        7,
+        replace(reach.algorithm, gamma=0.5),
+    )
     assert reach.total_steps == ALGORITHMS["fast"].total_steps
 
 
-def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Path) -> None:
+def test_training_and_evaluation_report_the_choice(
+    choose_run: Run, tmp_path: Path
+) -> None:
     header = (choose_run.folder.path / "evaluations.csv").read_text().splitlines()[0]
     assert "choice" in header.split(",")
     result = evaluate(
-        choose_run.folder.path, episodes=8, probes=(), test=(SplitTest(split="S2"),), write=False
+        choose_run.folder.path,
+        episodes=8,
+        probes=(),
+        test=(SplitTest(split="S2"),),
+        write=False,
     )
     folder = result.write(tmp_path / result.summary.label)
     assert folder.name == "post-training-greedy-s2"
@@ -56,7 +69,9 @@ def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Pa
     assert result.summary.groups["query"]
 
 
-def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path) -> None:
+def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(
+    tmp_path: Path,
+) -> None:
     """Vectors of the subgraph follow the edit, and one-hot codes stay; both for the test only."""
     how = SplitTest(split="S5")
     for agent, follows in (("subgraph", True), ("query-onehot", False)):
@@ -74,14 +89,18 @@ def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path)
         how.prepare(Subject(env=elsewhere.env, config=elsewhere))
 
 
-def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Run) -> None:
+def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(
+    choose_run: Run,
+) -> None:
     trained = load_agent(choose_run.folder.path)
     network = trained.network
     assert network is not None
     tables = []
     make = trained.with_knowledge
     trained.with_knowledge = lambda known: tables.append(known.table) or make(known)  # type: ignore[method-assign]
-    result = evaluate(trained, episodes=8, probes=(), test=(SplitTest(split="S5"),), write=False)
+    result = evaluate(
+        trained, episodes=8, probes=(), test=(SplitTest(split="S5"),), write=False
+    )
     assert (tables[0] != network.knowledge.numpy()).any()
     assert (trained.agent.recognition.knowledge == network.knowledge).all()
     wrong = result.episodes["chose_old_answer"]
@@ -109,10 +128,23 @@ def test_a_split_needs_queries_of_a_graph() -> None:
 
 def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:
     graph = tmp_path / "tidy.csv"
-    graph.write_bytes((Path(__file__).parents[2] / "examples/own_graph/tidy.csv").read_bytes())
-    targets = ("mug", "teapot", "bowl", "mallet", "toolbox", "bucket", "lamp", "book", "clock")
+    graph.write_bytes(
+        (Path(__file__).parents[2] / "examples/own_graph/tidy.csv").read_bytes()
+    )
+    targets = (
+        "mug",
+        "teapot",
+        "bowl",
+        "mallet",
+        "toolbox",
+        "bucket",
+        "lamp",
+        "book",
+        "clock",
+    )
     env = EnvConfig(
-        targets=targets, task=AskObject(queries=GraphQueries(graph=str(graph), hold_out=()))
+        targets=targets,
+        task=AskObject(queries=GraphQueries(graph=str(graph), hold_out=())),
     )
     before = questions_of(env)
     assert before is not None

@@ -11,7 +11,9 @@ from knowarm.report import write_report
 
 @pytest.mark.slow
 def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch, no_search):
-    monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
+    monkeypatch.setattr(
+        module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4)
+    )
     stops = iter([False, True])
     assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None
     with pytest.raises(UserError, match="holds a demo of 1536 steps, got 3072"):
@@ -19,11 +21,18 @@ def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch, no_search)
     paths = demo(tmp_path, steps=1536, should_stop=lambda: False)
     assert paths is not None
     evaluated = []
-    monkeypatch.setattr("knowarm.experiment.evaluate.evaluate", lambda *a, **o: evaluated.append(a))
-    stopped = demo(tmp_path / "stopped", steps=1536, should_stop=lambda: len(evaluated) > 0)
+    monkeypatch.setattr(
+        "knowarm.experiment.evaluate.evaluate", lambda *a, **o: evaluated.append(a)
+    )
+    stopped = demo(
+        tmp_path / "stopped", steps=1536, should_stop=lambda: len(evaluated) > 0
+    )
     assert (stopped, len(evaluated)) == (None, 2)
     roles = [AGENTS[config.agent].role for config in demo_experiments(1536)]
     assert roles == ["baseline", "knowledge"]
-    assert [len(list(path.glob("evaluation/*/summary.json"))) for path in paths] == [2, 2]
+    assert [len(list(path.glob("evaluation/*/summary.json"))) for path in paths] == [
+        2,
+        2,
+    ]
     page = write_report(paths, tmp_path / "report.html").read_text()
     assert all(config.name in page for config in demo_experiments(1536))

@@ -40,7 +40,10 @@ from knowarm.world.tasks.held_out import HeldOut
 ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
 SMALL = EvaluationConfig(
-    episodes=24, probes=(StepsProbe(), FilmsProbe(episodes=2)), distance_m=0.4, angle_deg=80.0
+    episodes=24,
+    probes=(StepsProbe(), FilmsProbe(episodes=2)),
+    distance_m=0.4,
+    angle_deg=80.0,
 )
 SMALL_WIDE = replace(SMALL, probes=(), angle_deg=40)
 
@@ -98,7 +101,9 @@ def test_the_same_evaluation_gives_the_same_bytes(result, tmp_path):
         "summary.json",
     ]
     for name in names:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+        assert (tmp_path / "a" / name).read_bytes() == (
+            tmp_path / "b" / name
+        ).read_bytes()
 
 
 def test_what_was_written_is_what_was_found(result, tmp_path):
@@ -125,15 +130,21 @@ def test_the_wider_angle_is_judged_as_if_it_had_been_played(monkeypatch):
     narrow = evaluate(ZeroAgent(), ENV, SMALL_WIDE)
     played = evaluate(ZeroAgent(), ENV, replace(SMALL_WIDE, angle_deg=180.0))
     assert narrow.summary["success"] < narrow.summary["success_wide"]
-    np.testing.assert_array_equal(narrow.episodes["success_wide"], played.episodes["success"])
+    np.testing.assert_array_equal(
+        narrow.episodes["success_wide"], played.episodes["success"]
+    )
 
 
 def test_evaluation_seeds_share_the_episodes():
     config = EvaluationConfig(episodes=12, seeds=3, seed=5, probes=())
     whole = evaluate(ZeroAgent(), ENV, config)
-    np.testing.assert_array_equal(whole.episodes["evaluation_seed"], np.repeat([5, 6, 7], 4))
+    np.testing.assert_array_equal(
+        whole.episodes["evaluation_seed"], np.repeat([5, 6, 7], 4)
+    )
     second = evaluate(ZeroAgent(), ENV, EvaluationConfig(episodes=4, seed=6, probes=()))
-    np.testing.assert_array_equal(whole.episodes["distance_m"][4:8], second.episodes["distance_m"])
+    np.testing.assert_array_equal(
+        whole.episodes["distance_m"][4:8], second.episodes["distance_m"]
+    )
 
 
 def test_an_unwritable_place_is_named(result, tmp_path):
@@ -161,7 +172,9 @@ def played(success=(True, True, False, False), distance=(0.05, 0.08, 0.09, 0.5))
     count = len(success)
     return {
         "target": np.array(["mug", "mug", "bottle", "bottle"][:count]),
-        "facet": np.array(["mug/red", "mug/blue", "bottle/yellow", "bottle/yellow"][:count]),
+        "facet": np.array(
+            ["mug/red", "mug/blue", "bottle/yellow", "bottle/yellow"][:count]
+        ),
         "return": np.array([90.0, 80.0, -10.0, -40.0][:count]),
         "length": np.array([5, 9, 50, 50][:count]),
         "distance_m": np.array(distance),
@@ -174,7 +187,9 @@ def played(success=(True, True, False, False), distance=(0.05, 0.08, 0.09, 0.5))
 
 def test_the_paper_s_numbers_by_hand():
     numbers, groups = summarize(played())
-    found = {name: getattr(number, "estimate", number) for name, number in numbers.items()}
+    found = {
+        name: getattr(number, "estimate", number) for name, number in numbers.items()
+    }
     assert found["return_mean"] == 30
     assert found["return_std"] == pytest.approx(np.std([90, 80, -10, -40], ddof=1))
     assert found["length_mean"] == 28.5
@@ -184,7 +199,9 @@ def test_the_paper_s_numbers_by_hand():
     assert found["failure_distance_std"] == pytest.approx(np.std([0.09, 0.5], ddof=1))
     assert found["failure_distance_max"] == 0.5
     assert numbers["accuracy"] == wilson(3, 4)
-    assert numbers["return_mean"].low < found["return_mean"] < numbers["return_mean"].high
+    assert (
+        numbers["return_mean"].low < found["return_mean"] < numbers["return_mean"].high
+    )
     targets, facets = (groups[name] for name in ("target", "facet"))
     assert set(targets) == {"mug", "bottle"}
     assert set(facets) == {"mug/red", "mug/blue", "bottle/yellow"}
@@ -200,7 +217,9 @@ def test_without_failures_there_is_no_failure_distance():
 
 def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
     quick = BlindEntry(
-        make=lambda agent, env, seed: OpenLoopAgent(search_open_loop(env.config, 200, seed)),
+        make=lambda agent, env, seed: OpenLoopAgent(
+            search_open_loop(env.config, 200, seed)
+        ),
         about="",
     )
     monkeypatch.setitem(BLIND_AGENTS, "open-loop", quick)
@@ -212,7 +231,9 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
     for found in blind.values():
         assert found["episodes"] == 20
         difference = found["difference"]
-        assert difference.estimate == pytest.approx(summary["success"] - found["success"].estimate)
+        assert difference.estimate == pytest.approx(
+            summary["success"] - found["success"].estimate
+        )
         assert difference.low < difference.estimate <= difference.high
     best = max(blind[name]["success"].estimate for name in ("open-loop", "blind"))
     assert summary["vision_gain"] == pytest.approx(summary["success"] - best)
@@ -224,7 +245,9 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
     )
     assert alone.summary["success"] == blind["blind"]["success"].estimate
     without = evaluate(trained, config=replace(config, probes=()), write=False).summary
-    seen = {name: each for name, each in summary.numbers.items() if name != "vision_gain"}
+    seen = {
+        name: each for name, each in summary.numbers.items() if name != "vision_gain"
+    }
     assert without.numbers == seen
     assert without.groups == {n: g for n, g in summary.groups.items() if n != "blind"}
 
@@ -301,7 +324,11 @@ def test_evaluations_that_differ_have_folders_of_their_own():
         "s5": [SplitTest(split="S5")],
         "s5-new": [SplitTest(split="S5", edited="a/new.ttl")],
         "held-out": [HeldOutTest()],
-        "s1-graph-missing-30": [SplitTest(split="S1"), ReasoningTest(by="graph"), missing],
+        "s1-graph-missing-30": [
+            SplitTest(split="S1"),
+            ReasoningTest(by="graph"),
+            missing,
+        ],
         "other-graph-stop": [
             GraphTest(graph="a/other.tsv"),
             ReasoningTest(by="graph", unclear="stop"),
@@ -339,7 +366,10 @@ def test_binding_tells_whether_an_agent_follows_its_question(monkeypatch):
     monkeypatch.setattr(PolicyAgent, "reset", deaf)
     ignoring = evaluate(trained, config=config, write=False).summary
     assert abs(ignoring["binding"]) < 0.35
-    assert "binding" not in evaluate(ZOO, config=replace(config, episodes=2), write=False).summary
+    assert (
+        "binding"
+        not in evaluate(ZOO, config=replace(config, episodes=2), write=False).summary
+    )
 
 
 def test_coverage_and_questions_are_counted_at_a_level():
@@ -347,7 +377,10 @@ def test_coverage_and_questions_are_counted_at_a_level():
     config = EvaluationConfig(episodes=40, probes=())
     found = {
         level: evaluate(
-            run, config=config, test=(ReasoningTest(unclear="ask", level=level),), write=False
+            run,
+            config=config,
+            test=(ReasoningTest(unclear="ask", level=level),),
+            write=False,
         )
         for level in (0.5, 0.99)
     }
@@ -356,9 +389,13 @@ def test_coverage_and_questions_are_counted_at_a_level():
     assert most.summary["coverage"] > 0.9
     asked = few.episodes["visible_answers"] != 1
     assert few.summary["questions"] == asked.mean()
-    assert (few.episodes["length"][asked] == few.episodes["length"].max()).all()  # it stays
+    assert (
+        few.episodes["length"][asked] == few.episodes["length"].max()
+    ).all()  # it stays
     assert few.summary.label.endswith("-ask-level-50")
-    assert "coverage" not in evaluate(run, config=config, episodes=2, write=False).summary
+    assert (
+        "coverage" not in evaluate(run, config=config, episodes=2, write=False).summary
+    )
 
 
 def test_the_other_question_is_of_another_visible_object():
@@ -370,6 +407,8 @@ def test_the_other_question_is_of_another_visible_object():
     for number, question in enumerate(other_questions(env, episodes, 0)):
         shown = zip(episodes.objects[number], episodes.colours[number], strict=True)
         facets = [(scene.targets[o].name, scene.colour_names[o][c]) for o, c in shown]
-        answers = [table.satisfies[rows[question], table.facets.index(each)] for each in facets]
+        answers = [
+            table.satisfies[rows[question], table.facets.index(each)] for each in facets
+        ]
         assert sum(answers) == 1
         assert not answers[0]

@@ -64,9 +64,14 @@ class Hub(BaseHTTPRequestHandler):
         for line in body.splitlines():
             item = json.loads(line)
             if item["key"] == "file":
-                self.repos[repo][item["value"]["path"]] = base64.b64decode(item["value"]["content"])
+                self.repos[repo][item["value"]["path"]] = base64.b64decode(
+                    item["value"]["content"]
+                )
         return self.answer(
-            {"commitUrl": f"{self.address()}/{repo}/commit/{COMMIT}", "commitOid": COMMIT}
+            {
+                "commitUrl": f"{self.address()}/{repo}/commit/{COMMIT}",
+                "commitOid": COMMIT,
+            }
         )
 
     def address(self):
@@ -92,7 +97,11 @@ class Hub(BaseHTTPRequestHandler):
                     ]
                 )
             return self.answer(
-                {"id": repo, "sha": COMMIT, "siblings": [{"rfilename": n} for n in files]}
+                {
+                    "id": repo,
+                    "sha": COMMIT,
+                    "siblings": [{"rfilename": n} for n in files],
+                }
             )
         data = files["/".join(parts[4:])]
         tag = hashlib.sha256(data).hexdigest()
@@ -132,7 +141,9 @@ def hub(tmp_path):
 
 def load():
     trained = knowarm.from_pretrained("someone/reach")
-    print(trained.step, sum(float(p.double().sum()) for p in trained.policy.parameters()))
+    print(
+        trained.step, sum(float(p.double().sum()) for p in trained.policy.parameters())
+    )
 
 
 @pytest.mark.slow(20)
@@ -154,7 +165,9 @@ def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
     assert loaded.returncode == 0, loaded.stderr
     assert not [*tmp_path.rglob("model.pkl"), *tmp_path.rglob("run.exe")]
     own = knowarm.load_agent(ZOO)
-    weights = sum(float(each.detach().double().sum()) for each in own.policy.parameters())
+    weights = sum(
+        float(each.detach().double().sum()) for each in own.policy.parameters()
+    )
     assert loaded.stdout.split() == [str(own.step), str(weights)]
 
     offline = hub(load=load, HF_HUB_OFFLINE="1", HF_ENDPOINT="http://127.0.0.1:9")
@@ -182,7 +195,10 @@ def test_a_link_is_not_uploaded(tmp_path):
 )
 def test_what_the_hub_answers_is_one_line(error):
     """huggingface_hub raises many types for answers that it does not expect."""
-    with pytest.raises(UserError, match="The Hub did not serve a/b: ") as caught, _access("a/b"):
+    with (
+        pytest.raises(UserError, match="The Hub did not serve a/b: ") as caught,
+        _access("a/b"),
+    ):
         raise error
     assert "\n" not in str(caught.value)
     assert "hf_1" not in str(caught.value)
@@ -195,7 +211,9 @@ def test_a_pack_is_shared_as_a_file(hub, tmp_path):
     assert hub("push", pack, "someone/study").returncode == 0
     assert hub("pull", "someone/study", "--to", tmp_path / "there").returncode == 0
     assert (tmp_path / "there/study.tar.xz").read_bytes() == b"packed"
-    unreachable = hub("pull", "someone/study", "--to", tmp_path, HF_ENDPOINT="http://127.0.0.1:1")
+    unreachable = hub(
+        "pull", "someone/study", "--to", tmp_path, HF_ENDPOINT="http://127.0.0.1:1"
+    )
     assert unreachable.returncode == 2, unreachable.stdout
     assert "Check the connection" in unreachable.stderr
 

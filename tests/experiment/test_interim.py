@@ -31,21 +31,34 @@ SMALL = {
 
 
 def documented_steps() -> list[int]:
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
+    pages = [
+        ROOT / "README.md",
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "docs").rglob("*.ipynb"),
+    ]
     found = {number for page in pages for number in TOTAL.findall(page.read_text())}
     return sorted({int(re.sub("[_,]", "", each)) for each in found})
 
 
 def documented_trainings() -> dict[str, set[int]]:
     """Return the numbers of steps that the documentation names for each algorithm."""
-    found: dict[str, set[int]] = {name: {entry.total_steps} for name, entry in algorithms().items()}
+    found: dict[str, set[int]] = {
+        name: {entry.total_steps} for name, entry in algorithms().items()
+    }
     for page in PAGES:
         text = (ROOT / page).read_text()
-        named = [(line, TOTAL.findall(line)) for line in text.replace("\\\n", " ").splitlines()]
+        named = [
+            (line, TOTAL.findall(line))
+            for line in text.replace("\\\n", " ").splitlines()
+        ]
         if page.endswith("choose-an-algorithm.md"):  # a table row per algorithm
-            named += [(row, STEPS.findall(row)) for row in re.findall(r"^\| .*", text, re.M)]
+            named += [
+                (row, STEPS.findall(row)) for row in re.findall(r"^\| .*", text, re.M)
+            ]
         for line, numbers in named:
-            for name in {*re.findall(r"(?:-|`)(fast|distil|ppo|a3c-tuned|a3c)\b(?!-)", line)}:
+            for name in {
+                *re.findall(r"(?:-|`)(fast|distil|ppo|a3c-tuned|a3c)\b(?!-)", line)
+            }:
                 found[name] |= {int(re.sub("[_,]", "", each)) for each in numbers}
     return found
 
@@ -97,7 +110,11 @@ def test_documented_trainings_are_evaluated_with_their_best_network(
         every = steps * 2 // 3
         short = {"total_steps": steps, "interim": {"every_steps": every, "episodes": 2}}
         updates = SMALL[trainer] | {"rollout_steps": 2}  # of at most eight steps
-        updates |= {"envs_per_worker": 1 if algorithm == "a3c" else 4} if trainer == "a3c" else {}
+        updates |= (
+            {"envs_per_worker": 1 if algorithm == "a3c" else 4}
+            if trainer == "a3c"
+            else {}
+        )
         options = {**short, "algorithm": updates, "runs": tmp_path / str(steps)}
         name = f"irb120-bm-{algorithm}"
         assert main(["train", name, *flags(options)]) == 0
@@ -113,7 +130,9 @@ def test_documented_trainings_are_evaluated_with_their_best_network(
         assert agent.step > 0 or "untrained network" in printed
 
 
-def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(tmp_path, monkeypatch):
+def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(
+    tmp_path, monkeypatch
+):
     config = short(total_steps=100)
     with monkeypatch.context() as old:
         old.setattr("knowarm.learn.trainer.Trainer.lacks_evaluation", False)
@@ -127,9 +146,20 @@ def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(tmp_path
 
 
 def test_an_untrained_network_is_never_preferred_in_silence(tmp_path, capsys, caplog):
-    rate = {"learning_rate": 1e-30}  # no step changes a weight, and no evaluation the return
-    settings = {"total_steps": 40, "interim": {"episodes": 2}, "algorithm": ALGORITHM | rate}
-    arguments = ["irb120-full-ppo", "--runs", str(tmp_path / "my runs"), *flags(settings)]
+    rate = {
+        "learning_rate": 1e-30
+    }  # no step changes a weight, and no evaluation the return
+    settings = {
+        "total_steps": 40,
+        "interim": {"episodes": 2},
+        "algorithm": ALGORITHM | rate,
+    }
+    arguments = [
+        "irb120-full-ppo",
+        "--runs",
+        str(tmp_path / "my runs"),
+        *flags(settings),
+    ]
     assert main(["train", *arguments]) == 0
     printed = capsys.readouterr().out
     assert "success 0 %, return" in printed

@@ -15,7 +15,10 @@ from knowarm.world.tasks import task_names
     ("text", "parts"),
     [
         ("irb120-full-dr-fast", ("irb120", "reach", "full", "randomized", "fast")),
-        ("irb120-choose-subgraph-fast", ("irb120", "choose", "subgraph", "randomized", "fast")),
+        (
+            "irb120-choose-subgraph-fast",
+            ("irb120", "choose", "subgraph", "randomized", "fast"),
+        ),
         (
             "tiago-target-random+-a3c-tuned",
             ("tiago", "reach", "target-random+", "fixed", "a3c-tuned"),
@@ -41,7 +44,10 @@ def test_every_name_is_read_as_it_is_written():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("irb120", r"ROBOT-TASK-AGENT-ALGORITHM.*got 'irb120'.*such as 'irb120-full-fast'"),
+        (
+            "irb120",
+            r"ROBOT-TASK-AGENT-ALGORITHM.*got 'irb120'.*such as 'irb120-full-fast'",
+        ),
         ("full", "such as 'irb120-full-fast'"),
         ("subgraph", "such as 'irb120-choose-subgraph-fast'"),
         ("tiago-bm", "such as 'tiago-bm-fast'"),
@@ -69,7 +75,9 @@ def test_unknown_names_offer_the_nearest(name, message):
         ("irb120-full-distil", "panda", "panda-full-distil"),
     ],
 )
-def test_the_robot_is_an_option_and_every_robot_has_names_of_its_own(name, robot, written):
+def test_the_robot_is_an_option_and_every_robot_has_names_of_its_own(
+    name, robot, written
+):
     env = {} if robot is None else {"robot": robot}
     config = experiment_config(name, env=env)
     assert config.name == written
@@ -119,8 +127,17 @@ def test_two_graphs_are_taken_only_if_both_are_named(kitchen):
         with pytest.raises(UserError, match="For both pass graph"):
             Train.parse("", [name, flag, kitchen])
     other = {"env": {"task": {"asked": {"queries": {"graph": "household"}}}}}
-    assert graphs_of(experiment_config(name, **knows, **other)) == (kitchen, "household")
-    words = [name, "--knows.graph", kitchen, "--env.task.asked.queries.graph", "household"]
+    assert graphs_of(experiment_config(name, **knows, **other)) == (
+        kitchen,
+        "household",
+    )
+    words = [
+        name,
+        "--knows.graph",
+        kitchen,
+        "--env.task.asked.queries.graph",
+        "household",
+    ]
     assert graphs_of(Train.parse("", words).config) == (kitchen, "household")
     words = [name, "--graph", "household", "--knows.graph", kitchen]
     assert graphs_of(Train.parse("", words).config) == (kitchen, "household")

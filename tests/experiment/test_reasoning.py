@@ -40,7 +40,9 @@ ASKED = [
 BRIEF = {"episodes": 60, "probes": (), "write": False}
 
 
-def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder(tmp_path):
+def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder(
+    tmp_path,
+):
     run = train("irb120-choose-answers-fast", tmp_path, **CHOOSE)
     trained = load_agent(run.folder.path)
     assert isinstance(trained.agent, AnsweringAgent)
@@ -49,7 +51,9 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     assert (trained.agent.recognition.knowledge.numpy() == satisfies).all()
     result = evaluate(trained, **{**BRIEF, "episodes": 8})
     assert set(result.episodes["visible_answers"]) <= {0, 1, 2, 3, 4}
-    by_vector = evaluate(trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8})
+    by_vector = evaluate(
+        trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8}
+    )
     assert "visible_answers" not in by_vector.episodes
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
     answers = shuffled.knows.answers(shuffled.env, 0, facets_of(shuffled.env))
@@ -57,7 +61,9 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
 
 
 @pytest.mark.slow(40)
-def test_the_graph_answers_new_pairs_and_an_edited_graph_and_its_controls_do_not(trained):
+def test_the_graph_answers_new_pairs_and_an_edited_graph_and_its_controls_do_not(
+    trained,
+):
     def right(split, reasoning):
         test = (SplitTest(split=split), ReasoningTest(by=reasoning))
         return evaluate(trained, test=test, **BRIEF).summary["choice"]
@@ -89,8 +95,12 @@ def test_damage_lowers_right_choices_of_vectors_and_answers(trained):
 def test_another_graph_asks_and_answers(trained, tmp_path):
     """Relations that the software has never seen, about five of the objects; one is unknown."""
     names = ["mug", "vase", "kettle", "book", "lamp"]
-    rows = [f"{name}\tgoesWith\t{value}" for name, value in zip(names, "aabbc", strict=True)]
-    rows += [f"{name}\tweighs\t{value}" for name, value in zip(names, "xyxyx", strict=True)]
+    rows = [
+        f"{name}\tgoesWith\t{value}" for name, value in zip(names, "aabbc", strict=True)
+    ]
+    rows += [
+        f"{name}\tweighs\t{value}" for name, value in zip(names, "xyxyx", strict=True)
+    ]
     graph = tmp_path / "other.tsv"
     graph.write_text("\n".join([*rows, "sofa\tgoesWith\ta"]))
     test = (GraphTest(graph=str(graph)), ReasoningTest(by="graph"))
@@ -107,14 +117,24 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
     named = dataclasses.replace(test[0], names={"mug": "CoffeeCup"})
     again = evaluate(trained, test=(named, test[1]), **BRIEF)
     assert again.summary.numbers == result.summary.numbers
-    assert again.summary.env == result.summary.env  # the given graph, not a copy with names
+    assert (
+        again.summary.env == result.summary.env
+    )  # the given graph, not a copy with names
     assert again.summary.config.test[0] == named
     with pytest.raises(UserError, match="has an entity 'vase' of its own"):
-        evaluate(trained, test=(dataclasses.replace(named, names={"vase": "CoffeeCup"}),), **BRIEF)
+        evaluate(
+            trained,
+            test=(dataclasses.replace(named, names={"vase": "CoffeeCup"}),),
+            **BRIEF,
+        )
     graph.write_text(graph.read_text().replace("CoffeeCup\t", "mug\t"))
-    missing = evaluate(trained, test=(*test, DamageTest(damage="missing", share=1.0)), **BRIEF)
+    missing = evaluate(
+        trained, test=(*test, DamageTest(damage="missing", share=1.0)), **BRIEF
+    )
     assert missing.summary["choice"] < result.summary["choice"] - 0.1
-    with pytest.raises(UserError, match="everything that it can be asked is a question of S1"):
+    with pytest.raises(
+        UserError, match="everything that it can be asked is a question of S1"
+    ):
         evaluate(trained, test=(SplitTest(split="S4"), *test), **BRIEF)
     graph.write_text("\n".join(rows[:3]))
     with pytest.raises(UserError, match="describes 3 objects of the task"):
@@ -127,7 +147,10 @@ def test_a_repaired_graph_answers_otherwise(trained):
     env = trained.config.env
     how = DamageTest(damage="missing", share=0.6, repair="complex")
     subject = Subject(env=env, config=trained.config)
-    graphs = [each.prepare(subject).graph for each in (how, dataclasses.replace(how, repair=None))]
+    graphs = [
+        each.prepare(subject).graph
+        for each in (how, dataclasses.replace(how, repair=None))
+    ]
     assert set(graphs[0]) > set(graphs[1])
     none = experiment_config("irb120-choose-bm-fast")
     with pytest.raises(UserError, match="changes a graph, and agent 'bm' has none"):
@@ -154,7 +177,9 @@ def test_the_query_enters_through_its_vector_only(name):
     parts = build(config)
     table = torch.from_numpy(parts.knowledge.table)
     generator = torch.Generator().manual_seed(0)
-    image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
+    image = torch.randint(
+        0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator
+    )
     images = image.expand(len(table), -1, -1, -1)
     if config.knows.grounding is not None:
         spec = GroundingSpec.of(config.env, config.knows.grounding)
@@ -173,8 +198,12 @@ def test_the_query_enters_through_its_vector_only(name):
 
     with torch.no_grad():
         real, zeroed = act(table), act(torch.zeros_like(table))
-        torch.testing.assert_close(act(table.flip(0)).flip(0), real, rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(zeroed, zeroed[:1].expand_as(zeroed), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(
+            act(table.flip(0)).flip(0), real, rtol=1e-4, atol=1e-5
+        )
+    torch.testing.assert_close(
+        zeroed, zeroed[:1].expand_as(zeroed), rtol=1e-4, atol=1e-5
+    )
     if AGENTS[name].role == "knowledge":
         assert np.ptp(real.numpy(), axis=0).max() > 1e-4
 

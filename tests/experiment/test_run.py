@@ -38,7 +38,9 @@ def one_thread():
 def curve(folder: RunFolder) -> list[dict[str, str]]:
     rows = read_csv(folder.metrics_path)
     # Names that end in _s are times and rates of the clock.
-    return [{n: value for n, value in row.items() if not n.endswith("_s")} for row in rows]
+    return [
+        {n: value for n, value in row.items() if not n.endswith("_s")} for row in rows
+    ]
 
 
 def test_a_run_folder_tells_all(reach_run):
@@ -67,8 +69,13 @@ def test_the_number_of_cores_changes_no_byte(tmp_path, name):
     for threads in (1, 3):
         torch.set_num_threads(threads)
         run = train(short(name), tmp_path / str(threads))
-        paths = [*run.folder.checkpoints.rglob("*.safetensors"), run.folder.evaluations_path]
-        files.append({path.relative_to(run.folder.path): path.read_bytes() for path in paths})
+        paths = [
+            *run.folder.checkpoints.rglob("*.safetensors"),
+            run.folder.evaluations_path,
+        ]
+        files.append(
+            {path.relative_to(run.folder.path): path.read_bytes() for path in paths}
+        )
     assert len(files[0]) > 3
     assert files[0] == files[1]
 
@@ -90,7 +97,8 @@ def test_stop_and_resume_give_the_same_bytes(reach_run, tmp_path):
         a = (whole.folder.checkpoints / file).read_bytes()
         assert a == (resumed.folder.checkpoints / file).read_bytes(), name
     assert (
-        whole.folder.evaluations_path.read_bytes() == resumed.folder.evaluations_path.read_bytes()
+        whole.folder.evaluations_path.read_bytes()
+        == resumed.folder.evaluations_path.read_bytes()
     )
 
 
@@ -104,11 +112,17 @@ def test_a_stop_before_the_first_update_evaluates_once(reach_run, tmp_path):
 
 @pytest.mark.parametrize("stop_after", [None, 2])
 def test_a_training_ends_early_once_its_rule_is_met(tmp_path, stop_after):
-    easy = dataclasses.replace(short().env, success_distance_m=10.0, success_angle_deg=180.0)
+    easy = dataclasses.replace(
+        short().env, success_distance_m=10.0, success_angle_deg=180.0
+    )
     config = short(env=easy, stop_when=StopWhen(success=1.0, evaluations=5))
     if stop_after is not None:
         asked = []
-        train(config, tmp_path, should_stop=lambda: asked.append(0) or len(asked) > stop_after)
+        train(
+            config,
+            tmp_path,
+            should_stop=lambda: asked.append(0) or len(asked) > stop_after,
+        )
     run = train(config, tmp_path, resume=stop_after is not None)
     assert (run.result.reason, run.result.step) == ("finished", 80)
     assert [row["step"] for row in read_csv(run.folder.evaluations_path)] == [
@@ -125,14 +139,20 @@ def test_the_rule_of_an_early_end_counts_consecutive_evaluations():
     rule = StopWhen(success=0.5, evaluations=2)
     assert rule.met_at([(0, 0.5), (1, 0.4), (2, 0.6), (3, 1)]) == 3
     assert rule.met_at([(0, 0.5), (1, 0.4), (2, 0.6)]) is None
-    for wrong in ({"success": 0.0}, {"success": 1.5}, {"success": 0.5, "evaluations": 0}):
+    for wrong in (
+        {"success": 0.0},
+        {"success": 1.5},
+        {"success": 0.5, "evaluations": 0},
+    ):
         with pytest.raises(UserError, match="stop_when"):
             StopWhen(**wrong)
 
 
 def test_another_config_is_not_resumed(reach_run, copy_of):
     runs = copy_of(reach_run).path.parents[1]
-    changed = dataclasses.replace(short(), policy=dataclasses.replace(short().policy, features=64))
+    changed = dataclasses.replace(
+        short(), policy=dataclasses.replace(short().policy, features=64)
+    )
     with pytest.raises(UserError, match=r"policy\.features: 128 \| 64"):
         train(changed, runs, resume=True)
     assert train(short(total_steps=180), runs, resume=True).result.step == 180
@@ -170,12 +190,18 @@ def test_a_run_that_resumes_elsewhere_says_so(reach_run, copy_of, capsys):
     assert resumed["versions"] == values["versions"]
     assert resumed["algorithm"]["learning_rate"] == 0.0007
     said = capsys.readouterr().err
-    assert said.count("versions.torch 2.0.0 |") == said.count("algorithm.learning_rate ") == 1
+    assert (
+        said.count("versions.torch 2.0.0 |")
+        == said.count("algorithm.learning_rate ")
+        == 1
+    )
 
 
 def test_the_trained_agent_is_the_one_that_was_saved(reach_run):
     folder = reach_run.folder
-    latest, untrained = (load_agent(folder.path, which=which) for which in ("latest", "untrained"))
+    latest, untrained = (
+        load_agent(folder.path, which=which) for which in ("latest", "untrained")
+    )
     assert latest.step == 160
     assert untrained.step == 0
     fresh = build(short()).new_policy(0).state_dict()
@@ -195,7 +221,9 @@ def test_a_truncated_checkpoint_is_refused(reach_run, copy_of):
 def test_a_checkpoint_of_another_network_is_refused(reach_run, copy_of):
     full = copy_of(reach_run)
     other = policy_arrays(build(short("irb120-bm-ppo")).new_policy(0))
-    CheckpointStore(full.checkpoints, {}).save_best(Checkpoint(policy=other, facts={"step": 1}))
+    CheckpointStore(full.checkpoints, {}).save_best(
+        Checkpoint(policy=other, facts={"step": 1})
+    )
     with pytest.raises(UserError, match=r"memory\.weight_hh"):
         load_agent(full.path)
 
@@ -258,20 +286,27 @@ def test_training_seeds_share_neither_actions_nor_minibatches(tmp_path):
 
 def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
     config = short("irb120-random-ppo", total_steps=20)
-    tables = [build(dataclasses.replace(config, seed=seed)).knowledge.table for seed in range(2)]
+    tables = [
+        build(dataclasses.replace(config, seed=seed)).knowledge.table
+        for seed in range(2)
+    ]
     assert not np.array_equal(*tables)
     folder = train(config, tmp_path).folder
     np.testing.assert_array_equal(folder.knowledge(), tables[0])
     # A run goes on with the table it was started with, however a later version draws it.
     folder.write_knowledge(tables[1])
     resumed = train(dataclasses.replace(config, total_steps=40), tmp_path, resume=True)
-    np.testing.assert_array_equal(load_agent(resumed.folder.path).agent.table, tables[1])
+    np.testing.assert_array_equal(
+        load_agent(resumed.folder.path).agent.table, tables[1]
+    )
 
 
 def test_the_policy_is_built_once(tmp_path, monkeypatch):
     made, new_policy = [], Parts.new_policy
     monkeypatch.setattr(
-        Parts, "new_policy", lambda parts, seed: made.append(seed) or new_policy(parts, seed)
+        Parts,
+        "new_policy",
+        lambda parts, seed: made.append(seed) or new_policy(parts, seed),
     )
     train(short(total_steps=20, seed=3), tmp_path)
     assert made == [3]

@@ -11,10 +11,14 @@ from knowarm.experiment.csv_log import CsvLog, read_csv
 from knowarm.experiment.run_folder import RunFolder
 
 
-def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, monkeypatch):
+def test_the_commit_of_another_project_is_not_taken_for_the_packages(
+    tmp_path, monkeypatch
+):
     def git(*words):
         identity = ("-c", "user.name=a", "-c", "user.email=a@example.org")
-        subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True)
+        subprocess.run(
+            ["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True
+        )
 
     git("init")
     installed = tmp_path / "venv" / "knowarm" / "provenance.py"
@@ -47,7 +51,9 @@ def test_what_is_no_run_folder_is_refused(tmp_path, text, words):
 
 
 def test_a_config_that_is_nested_deep_is_one_line(tmp_path):
-    (tmp_path / "config.json").write_text('{"format": 1, "a": ' + '{"b": ' * 600 + "1" + "}" * 601)
+    (tmp_path / "config.json").write_text(
+        '{"format": 1, "a": ' + '{"b": ' * 600 + "1" + "}" * 601
+    )
     limit = sys.getrecursionlimit()
     sys.setrecursionlimit(500)
     try:
@@ -105,7 +111,9 @@ def test_a_row_that_cannot_be_written_is_an_error_for_users(tmp_path):
     log = CsvLog(folder / "metrics.csv")
     log.write({"step": 1})
     folder.rename(tmp_path / "moved")  # while training
-    with pytest.raises(UserError, match=r"Cannot write .*metrics\.csv: No such file.*resume"):
+    with pytest.raises(
+        UserError, match=r"Cannot write .*metrics\.csv: No such file.*resume"
+    ):
         log.write({"step": 2})
     with pytest.raises(UserError, match="Cannot read"):
         log.write({"step": 2, "new": 1})
@@ -114,7 +122,9 @@ def test_a_row_that_cannot_be_written_is_an_error_for_users(tmp_path):
 def test_a_damaged_header_is_named_before_training_goes_on(tmp_path):
     path = tmp_path / "metrics.csv"
     path.write_bytes(b"st\xffp,loss\n10,0.5\n")
-    with pytest.raises(UserError, match=r"names no column step\. Restore the file, or move it"):
+    with pytest.raises(
+        UserError, match=r"names no column step\. Restore the file, or move it"
+    ):
         CsvLog(path, keep_to_step=30)
 
 

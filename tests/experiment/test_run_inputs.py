@@ -68,7 +68,9 @@ def test_a_graph_of_several_files_is_kept_and_compared(run, tmp_path, file):
     assert other_fields(folder, config)
 
 
-def test_a_folder_with_the_name_of_a_shipped_graph_is_no_graph_of_the_run(tmp_path, monkeypatch):
+def test_a_folder_with_the_name_of_a_shipped_graph_is_no_graph_of_the_run(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "objects").mkdir()
     (tmp_path / "objects" / "mug.txt").write_text("mine")
@@ -83,7 +85,8 @@ def test_the_edited_graph_of_s5_is_kept(tmp_path):
     edited = tmp_path / "edited.csv"
     edited.write_text(GRAPH)
     config = experiment_config(
-        "irb120-choose-subgraph-fast", env={"task": {"asked": {"queries": {"edited": str(edited)}}}}
+        "irb120-choose-subgraph-fast",
+        env={"task": {"asked": {"queries": {"edited": str(edited)}}}},
     )
     folder = RunFolder.create(tmp_path / "run")
     folder.write_experiment(config)
@@ -107,7 +110,9 @@ def test_a_graph_that_was_copied_in_part_is_copied_again(run):
     (copy,) = (folder.path / "graphs").glob("*/kitchen.csv")
     copy.rename(copy.with_name(".kitchen.csv.tmp")).write_text("head,rel")
     folder.write_experiment(config)
-    assert [each.read_text() for each in (folder.path / "graphs").glob("*/*")] == [GRAPH]
+    assert [each.read_text() for each in (folder.path / "graphs").glob("*/*")] == [
+        GRAPH
+    ]
 
 
 @pytest.fixture
@@ -129,7 +134,9 @@ def arm(tmp_path):
     (models / "scara.xml").write_text(text)
     (own / "scara.xml").unlink()
     toml = own / "scara.toml"
-    toml.write_text(toml.read_text().replace('mjcf = "scara.xml"', 'mjcf = "../models/scara.xml"'))
+    toml.write_text(
+        toml.read_text().replace('mjcf = "scara.xml"', 'mjcf = "../models/scara.xml"')
+    )
     config = experiment_config("full-fast", env={"robot": str(toml)})
     folder = RunFolder.create(tmp_path / "run")
     folder.write_experiment(config)
@@ -151,7 +158,8 @@ def test_a_run_plays_its_own_copy_of_a_robot_whatever_became_of_the_original(arm
 
 
 @pytest.mark.parametrize(
-    "changed", ["own/scara.toml", "models/scara.xml", "models/parts.xml", "models/meshes/pad.obj"]
+    "changed",
+    ["own/scara.toml", "models/scara.xml", "models/parts.xml", "models/meshes/pad.obj"],
 )
 def test_a_changed_robot_is_neither_played_nor_trained_on(arm, changed):
     path, folder, config = arm
@@ -164,7 +172,9 @@ def test_a_changed_robot_is_neither_played_nor_trained_on(arm, changed):
     assert "restore the original from it, which has changed" in different["env.robot"]
     assert input_content(folder.experiment().env.robot) == content
     folder.write_experiment(folder.experiment())  # as resuming does
-    assert json.loads(folder.config_path.read_text())["env"]["robot"] == config.env.robot
+    assert (
+        json.loads(folder.config_path.read_text())["env"]["robot"] == config.env.robot
+    )
 
 
 def test_the_robot_of_a_moved_run_is_trusted_while_it_equals_the_original(arm):
@@ -182,6 +192,8 @@ def test_the_robot_of_a_moved_run_is_trusted_while_it_equals_the_original(arm):
 def test_a_mesh_that_the_copy_would_not_hold_is_refused(arm):
     path, _, config = arm
     xml = path / "models" / "parts.xml"
-    xml.write_text(xml.read_text().replace("pad.obj", str(path / "models" / "meshes" / "pad.obj")))
+    xml.write_text(
+        xml.read_text().replace("pad.obj", str(path / "models" / "meshes" / "pad.obj"))
+    )
     with pytest.raises(UserError, match="by an absolute path"):
         RunFolder.create(path / "other").write_experiment(config)

@@ -44,7 +44,9 @@ def holder(tmp_path):
 
 def test_one_process_at_a_time_holds_a_folder(tmp_path, holder):
     with (
-        pytest.raises(UserError, match=rf"is in use by process {holder.pid} on .*Stop it\."),
+        pytest.raises(
+            UserError, match=rf"is in use by process {holder.pid} on .*Stop it\."
+        ),
         lock_folder(tmp_path / "run", remedy="Stop it."),
     ):
         pytest.fail("the lock was given twice")
@@ -81,7 +83,9 @@ def test_two_trainings_do_not_share_a_run_folder(tmp_path, resume, reach_run, co
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     with pytest.raises(UserError, match=rf"is in use by process {process.pid}"):
         train(short(), path.parents[1], resume=resume)
-    assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
+    assert {
+        file: file.read_bytes() for file in path.rglob("*") if file.is_file()
+    } == before
     process.communicate()
 
 
@@ -99,5 +103,8 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
 )
 def test_a_read_only_folder_is_named(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(UserError, match="Cannot write"), lock_folder(tmp_path, remedy=""):
+    with (
+        pytest.raises(UserError, match="Cannot write"),
+        lock_folder(tmp_path, remedy=""),
+    ):
         pytest.fail("locked a folder that is read-only")

@@ -7,7 +7,9 @@ from knowarm.experiment.logs import TrainingProgress
 from knowarm.experiment.run_lock import StopRequest
 
 NAMES = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-hangup = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no SIGHUP")
+hangup = pytest.mark.skipif(
+    not hasattr(signal, "SIGHUP"), reason="Windows has no SIGHUP"
+)
 
 
 @pytest.fixture(autouse=True)

@@ -15,9 +15,13 @@ from knowarm.experiment.summary import (
 
 @pytest.mark.parametrize("described", [EPISODE_COLUMNS, step_columns(7)])
 def test_every_column_carries_its_meaning_and_unit(tmp_path, described):
-    columns = {name: np.zeros(2) for name, (kind, _) in described.items() if kind != "string"}
+    columns = {
+        name: np.zeros(2) for name, (kind, _) in described.items() if kind != "string"
+    }
     columns |= {
-        name: np.array(["", ""]) for name, (kind, _) in described.items() if kind == "string"
+        name: np.array(["", ""])
+        for name, (kind, _) in described.items()
+        if kind == "string"
     }
     write_table(tmp_path / "t.parquet", columns, described)
     for field in pq.read_schema(tmp_path / "t.parquet"):
@@ -36,10 +40,13 @@ def test_what_cannot_be_read_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("count", "still"), [(50, []), (50, [20]), (50, [49]), (50, [1, 2, 3, 48, 49]), (1, [])]
+    ("count", "still"),
+    [(50, []), (50, [20]), (50, [49]), (50, [1, 2, 3, 48, 49]), (1, [])],
 )
 def test_every_image_comes_back(tmp_path, count, still):
-    frames = np.random.default_rng(0).integers(0, 256, (count, 16, 16, 3), dtype=np.uint8)
+    frames = np.random.default_rng(0).integers(
+        0, 256, (count, 16, 16, 3), dtype=np.uint8
+    )
     for number in still:  # the arm stood still: this image equals the one before
         frames[number] = frames[number - 1]
     write_film(tmp_path / "films" / "0.webp", frames)

@@ -23,7 +23,11 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows cannot 
 
 
 def rows(folder):
-    return folder.metrics_path.read_text().count("\n") if folder.metrics_path.exists() else 0
+    return (
+        folder.metrics_path.read_text().count("\n")
+        if folder.metrics_path.exists()
+        else 0
+    )
 
 
 def interrupted(arguments, folder, tmp_path, number):
@@ -35,7 +39,10 @@ def interrupted(arguments, folder, tmp_path, number):
     output = tmp_path / "output"
     with output.open("w") as file:
         running = subprocess.Popen(
-            [sys.executable, "-m", "knowarm", *arguments], cwd=tmp_path, stdout=file, stderr=file
+            [sys.executable, "-m", "knowarm", *arguments],
+            cwd=tmp_path,
+            stdout=file,
+            stderr=file,
         )
     try:
         deadline = time.monotonic() + WAIT_S
@@ -52,8 +59,17 @@ def interrupted(arguments, folder, tmp_path, number):
 def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
     folder = RunFolder(tmp_path / "runs" / "irb120-bm-ppo" / "0")
     algorithm = [f"--algorithm.{name}={value}" for name, value in ALGORITHM.items()]
-    numbers = ["--total-steps=10000000", "--checkpoint-every-steps=10000000"]  # none on the way
-    command = ["train", "irb120-bm-ppo", *numbers, "--interim.every-steps=10000000", *algorithm]
+    numbers = [
+        "--total-steps=10000000",
+        "--checkpoint-every-steps=10000000",
+    ]  # none on the way
+    command = [
+        "train",
+        "irb120-bm-ppo",
+        *numbers,
+        "--interim.every-steps=10000000",
+        *algorithm,
+    ]
     steps = [0]
     for number in (signal.SIGINT, signal.SIGTERM):
         code, output = interrupted(command, folder, tmp_path, number)
@@ -84,7 +100,8 @@ def content(folder):
     """Return the bytes of the checkpoints, and the curves without times."""
     files = itertools.product(("latest", "best"), ("policy", "optimizer", "state"))
     stored = [
-        (folder.checkpoints / which / f"{part}.safetensors").read_bytes() for which, part in files
+        (folder.checkpoints / which / f"{part}.safetensors").read_bytes()
+        for which, part in files
     ]
     curves = [read_csv(path) for path in (folder.metrics_path, folder.evaluations_path)]
     for row in curves[0]:
@@ -98,7 +115,15 @@ def test_a_run_killed_at_a_random_moment_goes_on_from_a_copy_to_the_same_bytes(
 ):
     folder = RunFolder(tmp_path / "runs" / NAME / "0")
     moment = random.Random(number).uniform(1, 15)
-    command = [sys.executable, "-m", "knowarm", "train", NAME, "--runs", str(tmp_path / "runs")]
+    command = [
+        sys.executable,
+        "-m",
+        "knowarm",
+        "train",
+        NAME,
+        "--runs",
+        str(tmp_path / "runs"),
+    ]
     running = subprocess.Popen([*command, *flags(A3C)], stderr=subprocess.DEVNULL)
     while rows(folder) <= moment and running.poll() is None:
         time.sleep(0.01)

@@ -19,7 +19,10 @@ AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_a_shipped_policy_is_small(name):
-    assert sum(file.stat().st_size for file in (ZOO / name).rglob("*") if file.is_file()) < 8e6
+    assert (
+        sum(file.stat().st_size for file in (ZOO / name).rglob("*") if file.is_file())
+        < 8e6
+    )
 
 
 @pytest.mark.parametrize("name", AGENTS)
@@ -37,5 +40,7 @@ def test_a_checkpoint_of_another_policy_is_refused(tmp_path):
     provenance = read_json(path / "provenance.json")
     provenance["policy"]["shape"]["joints"] += 1
     write_json(path / "provenance.json", provenance)
-    with pytest.raises(UserError, match=r"does not fit the policy.*size mismatch.*restore it"):
+    with pytest.raises(
+        UserError, match=r"does not fit the policy.*size mismatch.*restore it"
+    ):
         load_agent(path)

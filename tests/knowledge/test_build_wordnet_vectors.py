@@ -52,14 +52,20 @@ def test_likely_words_are_near():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not WORDNET.exists(), reason="Debian's wordnet-base is not installed")
+@pytest.mark.skipif(
+    not WORDNET.exists(), reason="Debian's wordnet-base is not installed"
+)
 def test_the_script_builds_what_is_shipped(tmp_path):
     out = tmp_path / "vectors.safetensors"
     script = ROOT / "scripts" / "build_wordnet_vectors.py"
-    subprocess.run([sys.executable, script, "--out", out], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, script, "--out", out], check=True, capture_output=True
+    )
     built, shipped = load_file(out), load_file(SHIPPED["wordnet-gloss-50"])
     assert (built["words"] == shipped["words"]).all()
     # another BLAS may turn last digits, no more
     np.testing.assert_allclose(
-        built["vectors"].astype(np.float32), shipped["vectors"].astype(np.float32), atol=0.02
+        built["vectors"].astype(np.float32),
+        shipped["vectors"].astype(np.float32),
+        atol=0.02,
     )

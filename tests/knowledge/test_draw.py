@@ -19,8 +19,13 @@ def test_every_entity_and_edge_is_drawn_inside_the_image():
     assert len(boxes) == len(graph.nodes)
     assert len(root.findall(f"{SVG}path")) == len(graph)
     width, height = float(root.get("width")), float(root.get("height"))
-    places = [tuple(float(box.get(k)) for k in ("x", "y", "width", "height")) for box in boxes]
-    assert all(x >= 0 and y >= 0 and x + w <= width and y + h <= height for x, y, w, h in places)
+    places = [
+        tuple(float(box.get(k)) for k in ("x", "y", "width", "height")) for box in boxes
+    ]
+    assert all(
+        x >= 0 and y >= 0 and x + w <= width and y + h <= height
+        for x, y, w, h in places
+    )
     for i, (x, y, w, h) in enumerate(places):
         for other_x, other_y, other_w, other_h in places[:i]:
             apart = x >= other_x + other_w or other_x >= x + w or y >= other_y + other_h
@@ -36,7 +41,9 @@ def test_it_is_the_same_every_time_and_escapes_names():
 
 
 def test_cycles_and_parts_that_hang_apart():
-    graph = graph_of([("a", "r", "b"), ("b", "r", "a"), ("x", "r", "y"), ("z", "r", "z")])
+    graph = graph_of(
+        [("a", "r", "b"), ("b", "r", "a"), ("x", "r", "y"), ("z", "r", "z")]
+    )
     root = ET.fromstring(draw_svg(graph, ["a"]))
     assert len(root.findall(f"{SVG}rect")) == 1 + 5
     ET.fromstring(draw_svg(graph))

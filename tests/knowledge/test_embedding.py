@@ -79,7 +79,9 @@ def test_placebos_copy_the_real_shape_and_norm(facets):
     lengths = np.linalg.norm(real.matrix, axis=1)
     for agent in ("random", "onehot", "shuffled", "wrong-object"):
         placebo = scene_embedding(KNOWLEDGE[agent], facets)
-        np.testing.assert_allclose(np.linalg.norm(placebo.matrix, axis=1), lengths, rtol=1e-5)
+        np.testing.assert_allclose(
+            np.linalg.norm(placebo.matrix, axis=1), lengths, rtol=1e-5
+        )
     assert not scene_embedding(KNOWLEDGE["zeros"], facets).vector.any()
     for agent in ("shuffled", "wrong-object"):
         placebo = scene_embedding(KNOWLEDGE[agent], facets)
@@ -99,7 +101,9 @@ def test_the_seed_decides_a_placebo(facets):
 
 
 @pytest.mark.parametrize("kind", [RandomVectors, ShuffledGraph, WrongObject])
-def test_placebos_are_drawn_anew_per_training_seed_and_seed_of_the_knowledge(facets, kind):
+def test_placebos_are_drawn_anew_per_training_seed_and_seed_of_the_knowledge(
+    facets, kind
+):
     def vector(seed, run_seed):
         config = KnowledgeConfig(detail="full", source=kind(), seed=seed)
         return scene_embedding(config, facets, run_seed=run_seed).vector.tobytes()
@@ -135,11 +139,17 @@ def test_errors_name_what_is_known(facets):
     with pytest.raises(UserError, match=r"can be 'pink'.*blue, red"):
         scene_embedding(KNOWLEDGE["full"], [("mug", "pink")])
     with pytest.raises(UserError, match="shipped word vectors 'wordnet'"):
-        scene_embedding(KnowledgeConfig(detail="full", source=WordVectors(name="wordnet")), facets)
+        scene_embedding(
+            KnowledgeConfig(detail="full", source=WordVectors(name="wordnet")), facets
+        )
     with pytest.raises(UserError, match=r"expects 60.*set dim to 50"):
         scene_embedding(KnowledgeConfig(detail="full", dim=60), facets)
-    with pytest.raises(UserError, match=r"colour relation 'paintedIn'.*colour_relation"):
-        scene_embedding(KnowledgeConfig(detail="full", colour_relation="paintedIn"), facets)
+    with pytest.raises(
+        UserError, match=r"colour relation 'paintedIn'.*colour_relation"
+    ):
+        scene_embedding(
+            KnowledgeConfig(detail="full", colour_relation="paintedIn"), facets
+        )
     with pytest.raises(UserError, match="between 0 and 1"):
         scene_embedding(KnowledgeConfig(detail="full", colour_share=2.0), facets)
     with pytest.raises(UserError, match="subgraph of mug is empty"):
@@ -156,8 +166,14 @@ def test_the_same_bytes_in_any_process(facets):
         "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"
     )
 
-    env = {**os.environ, "PYTHONHASHSEED": "12345", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    env = {
+        **os.environ,
+        "PYTHONHASHSEED": "12345",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     with redirect_stdout(StringIO()) as here:
         exec(code, {})
@@ -169,7 +185,9 @@ PLUS = KNOWLEDGE["full+"]
 
 def test_one_colour_alone_can_be_described():
     graph = graph_of([("mug", "hasColor", "red"), ("bottle", "hasColor", "red")])
-    found = scene_embedding(PLUS, [("mug", "red"), ("bottle", "red")], graph=graph).matrix
+    found = scene_embedding(
+        PLUS, [("mug", "red"), ("bottle", "red")], graph=graph
+    ).matrix
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-6)
     assert found[0] @ found[1] < 0.99
 
@@ -194,7 +212,8 @@ def test_what_is_shown_is_what_a_run_was_given(facets, kind):
 
 
 @pytest.mark.parametrize(
-    "values", [{"seed": -1}, {"dim": 0}, {"hops": -1}, {"max_degree": -1}, {"colour_share": 1.5}]
+    "values",
+    [{"seed": -1}, {"dim": 0}, {"hops": -1}, {"max_degree": -1}, {"colour_share": 1.5}],
 )
 def test_numbers_of_the_config_are_checked(values):
     with pytest.raises(UserError, match=f"{next(iter(values))} must"):

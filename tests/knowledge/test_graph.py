@@ -20,7 +20,14 @@ def test_the_shipped_graph_holds_what_the_task_needs():
     assert len(graph) >= 400
     assert graph.own_labels()["cereal_box"] == "cereal box"
     used = {relation for _, relation, _ in graph}
-    assert {"hasShape", "isMadeOf", "isConnectedTo", "usedFor", "graspedAt", "isLocatedIn"} <= used
+    assert {
+        "hasShape",
+        "isMadeOf",
+        "isConnectedTo",
+        "usedFor",
+        "graspedAt",
+        "isLocatedIn",
+    } <= used
     assert HOUSEHOLD.exists()
 
 
@@ -48,7 +55,9 @@ def test_entities_by_iri_last_part_and_label():
 
 def test_duplicate_labels_are_ambiguous():
     graph = graph_of([("a:1", "r", "a:2")], labels={"a:1": "mug", "a:2": "mug"})
-    with pytest.raises(UserError, match="'mug' names 2 entities of the graph: a:1, a:2"):
+    with pytest.raises(
+        UserError, match="'mug' names 2 entities of the graph: a:1, a:2"
+    ):
         graph.entity_id("mug")
     assert graph_statistics(graph).same_labels == {"mug": ("1", "2")}
     same_end = graph_of([("http://a/x", "r", "http://b/x")])
@@ -75,7 +84,9 @@ def test_statistics():
     assert found.components == 3
     assert found.hubs[0] == ("y", 4)
     assert found.by_relation == {"isNextTo": 4, "isA": 3}
-    assert found.cycles == (("isA", ("a", "b", "c")),)  # isNextTo is symmetric, not a cycle
+    assert found.cycles == (
+        ("isA", ("a", "b", "c")),
+    )  # isNextTo is symmetric, not a cycle
 
 
 def test_labels():
@@ -90,14 +101,28 @@ def test_labels():
 
 def test_short_names_are_those_that_are_shown():
     base = "http://a.org/"
-    names = [f"{base}wine%20tasting", f"{base}light/", f"{base}k#Mug#", "coffee/tea", '"a/50%"']
+    names = [
+        f"{base}wine%20tasting",
+        f"{base}light/",
+        f"{base}k#Mug#",
+        "coffee/tea",
+        '"a/50%"',
+    ]
     graph = graph_of([("mug", "isA", name) for name in names])
-    for short, name in (("wine tasting", names[0]), ("light", names[1]), ("Mug", names[2])):
+    for short, name in (
+        ("wine tasting", names[0]),
+        ("light", names[1]),
+        ("Mug", names[2]),
+    ):
         assert graph.names[graph.entity_id(short)] == name
         assert local_name(name) == short
     for short in ("tea", "wine%20tasting", "a/50%"):
         assert graph.find_entity(short) is None
-    several = graph_of([("http://a/x/", "http://a/r", "y"), ("http://b/x", "http://b/r", "y")])
+    several = graph_of(
+        [("http://a/x/", "http://a/r", "y"), ("http://b/x", "http://b/r", "y")]
+    )
     for find in (several.find_entity, several.entity_id, several.find_relation):
-        with pytest.raises(UserError, match=r"names 2 (entities|relations).*Give the full name"):
+        with pytest.raises(
+            UserError, match=r"names 2 (entities|relations).*Give the full name"
+        ):
             find("x" if find != several.find_relation else "r")

@@ -16,10 +16,14 @@ WORD = st.text(
     min_size=1,
     max_size=6,
 )  # fmt: skip
-PLAIN = st.sampled_from(["mug", "cup", "red", "kitchen", "light_blue", "isA", "a b", "hasColor"])
+PLAIN = st.sampled_from(
+    ["mug", "cup", "red", "kitchen", "light_blue", "isA", "a b", "hasColor"]
+)
 IRI = WORD.map(lambda text: "http://a.org/" + "".join(c for c in text if c.isalnum()))
 NAME = st.one_of(PLAIN, IRI, WORD.map(lambda text: "x" + text))
-TAIL = st.one_of(NAME, WORD.map(literal), WORD.map(lambda text: literal(text, language="en")))
+TAIL = st.one_of(
+    NAME, WORD.map(literal), WORD.map(lambda text: literal(text, language="en"))
+)
 TRIPLES = st.lists(st.tuples(NAME, NAME, TAIL), min_size=1, max_size=25)
 DIRECTION = st.sampled_from(["out", "in", "both"])
 MANY = settings(max_examples=60, deadline=None)
@@ -30,18 +34,34 @@ def facts(graph: KnowledgeGraph) -> set[tuple[str, str, str]]:
 
 
 @MANY
-@given(TRIPLES, st.data(), st.integers(0, 3), DIRECTION, st.one_of(st.none(), st.integers(0, 3)))
-def test_gamma_is_a_subset_that_holds_what_was_asked(triples, data, hops, direction, most):
+@given(
+    TRIPLES,
+    st.data(),
+    st.integers(0, 3),
+    DIRECTION,
+    st.one_of(st.none(), st.integers(0, 3)),
+)
+def test_gamma_is_a_subset_that_holds_what_was_asked(
+    triples, data, hops, direction, most
+):
     graph = graph_of(triples)
     asked = data.draw(st.lists(st.sampled_from(graph.entities), min_size=1, max_size=3))
     part = gamma(graph, asked, hops=hops, direction=direction, max_degree=most)
     assert facts(part) <= facts(graph)
     assert set(asked) <= set(part.entities)
-    assert {name for head, _, tail in part for name in (head, tail)} <= set(part.entities)
+    assert {name for head, _, tail in part for name in (head, tail)} <= set(
+        part.entities
+    )
 
 
 @MANY
-@given(TRIPLES, st.data(), st.integers(0, 3), DIRECTION, st.one_of(st.none(), st.integers(0, 3)))
+@given(
+    TRIPLES,
+    st.data(),
+    st.integers(0, 3),
+    DIRECTION,
+    st.one_of(st.none(), st.integers(0, 3)),
+)
 def test_gamma_grows_with_hops(triples, data, hops, direction, most):
     graph = graph_of(triples)
     asked = [data.draw(st.sampled_from(graph.entities))]
@@ -72,7 +92,9 @@ LABELS = st.dictionaries(NAME, WORD, max_size=3)
 @pytest.mark.parametrize("suffix", [".ttl", ".nt", ".jsonld", ".csv", ".tsv"])
 @MANY
 @given(triples=TRIPLES, labels=LABELS)
-def test_reading_what_was_written_gives_the_same_graph(tmp_path_factory, suffix, triples, labels):
+def test_reading_what_was_written_gives_the_same_graph(
+    tmp_path_factory, suffix, triples, labels
+):
     graph = graph_of(triples, labels=labels)
     path = tmp_path_factory.mktemp("graph") / f"graph{suffix}"
     write_graph(graph, path)

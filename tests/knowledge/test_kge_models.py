@@ -27,10 +27,14 @@ def test_scores_by_hand():
     h, t = [1.0, 2.0, 3.0, 4.0], [2.0, 0.0, 1.0, -1.0]
     # complex numbers 1+3i, 2+4i; relation i, 1; tail 2+1i, 0-1i
     value = ((1 + 3j) * 1j * (2 - 1j) + (2 + 4j) * 1 * (0 + 1j)).real
-    assert score(model_with("complex", [h, t], [0.0, 1.0, 1.0, 0.0])) == pytest.approx(value)
+    assert score(model_with("complex", [h, t], [0.0, 1.0, 1.0, 0.0])) == pytest.approx(
+        value
+    )
     # two scalars, then one complex pair 3+4i, relation 2+1i, tail 1-1i
     value = 1 * 3 * 2 + 2 * 1 * 0 + ((3 + 4j) * (2 + 1j) * (1 + 1j)).real
-    assert score(model_with("analogy", [h, t], [3.0, 1.0, 2.0, 1.0])) == pytest.approx(value)
+    assert score(model_with("analogy", [h, t], [3.0, 1.0, 2.0, 1.0])) == pytest.approx(
+        value
+    )
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -63,7 +67,9 @@ def test_the_names_are_known_to_the_embedding():
 def test_bad_configs():
     with pytest.raises(UserError, match=r"model 'analog'.*'analogy'"):
         new_model(KgeConfig(model="analog"), 3, 1)
-    with pytest.raises(UserError, match="complex got dim=5; it must be at least 4 and even"):
+    with pytest.raises(
+        UserError, match="complex got dim=5; it must be at least 4 and even"
+    ):
         new_model(KgeConfig(model="complex", dim=5), 3, 1)
     with pytest.raises(UserError, match="dim=2; it must be at least 4"):
         new_model(KgeConfig(model="analogy", dim=2), 3, 1)

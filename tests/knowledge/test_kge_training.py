@@ -52,9 +52,14 @@ def test_ranks_by_hand():
     ranks = filtered_ranks(model, triple, triple)
     assert ranks.tolist() == [3.5, 5.0]  # two above and one equal; the head 4 is last
     known = np.array([[4, 0, 2], [4, 0, 0], [4, 0, 3], [1, 0, 0]])
-    assert filtered_ranks(model, triple, known)[0] == 2.0  # 0 and 3 are true too, so only 1 counts
+    assert (
+        filtered_ranks(model, triple, known)[0] == 2.0
+    )  # 0 and 3 are true too, so only 1 counts
     flat = Fixed([0.0] * 5, 1)
-    assert filtered_ranks(flat, triple, triple).tolist() == [3.0, 3.0]  # the middle, not the first
+    assert filtered_ranks(flat, triple, triple).tolist() == [
+        3.0,
+        3.0,
+    ]  # the middle, not the first
 
 
 def test_reciprocal():
@@ -70,7 +75,9 @@ def test_held_out_triples_leave_every_name_in_training():
     assert set(triples[:, 1]) == set(range(len(household().relation_names)))
     again, _ = hold_out(household(), 0.3, seed=1)
     assert (again == triples).all()
-    with pytest.raises(UserError, match="No triple of 1 can be held out so that every entity"):
+    with pytest.raises(
+        UserError, match="No triple of 1 can be held out so that every entity"
+    ):
         hold_out(graph_of([("a", "r", "b")]), 0.9, 0)
     with pytest.raises(UserError, match=r"must lie between 0 and 1, got 1\.2"):
         hold_out(household(), 1.2, 0)
@@ -89,7 +96,12 @@ def family_graph(size=24):
     triples = []
     for i in range(size):
         a, b = f"p{i}", f"p{(i + 1) % size}"
-        triples += [(a, "next", b), (b, "previous", a), (a, "beside", b), (b, "beside", a)]
+        triples += [
+            (a, "next", b),
+            (b, "previous", a),
+            (a, "beside", b),
+            (b, "beside", a),
+        ]
         triples += [(a, "in", f"room{i % 3}"), (f"room{i % 3}", "holds", a)]
     return graph_of(triples)
 
@@ -112,7 +124,9 @@ def test_drawn_entities_that_are_all_change_nothing():
 def test_every_model_learns(name, negatives):
     graph = family_graph()
     triples, held = hold_out(graph, 0.2, 0)
-    config = KgeConfig(model=name, dim=20, epochs=150, learning_rate=0.02, negatives=negatives)
+    config = KgeConfig(
+        model=name, dim=20, epochs=150, learning_rate=0.02, negatives=negatives
+    )
     untrained = mean_reciprocal_rank(new_model(config, *sizes(graph)), held, graph)
     done = train(config, triples, *sizes(graph), valid=held)
     trained = mean_reciprocal_rank(done.model, held, graph)
@@ -128,7 +142,9 @@ def test_one_step_on_all_queries_has_the_gradient_of_all_triples():
     config = KgeConfig(model="complex", dim=8, epochs=1, batch_size=100, n3=0.2)
     done = train(config, triples, 4, 2)
     model = new_model(config, 4, 2)
-    head, relation, tail = torch.from_numpy(np.concatenate([triples, reciprocal(triples, 2)])).T
+    head, relation, tail = torch.from_numpy(
+        np.concatenate([triples, reciprocal(triples, 2)])
+    ).T
     loss = torch.nn.functional.cross_entropy(model(head, relation), tail)
     (loss + 0.2 * model.penalty(head, relation, tail)).backward()
     torch.optim.Adam(model.parameters(), lr=model.learning_rate).step()
@@ -143,7 +159,9 @@ def test_early_stopping_keeps_the_best():
     done = train(config, triples, *sizes(graph), valid=held)
     assert done.epochs < 400
     assert done.epochs == done.best_epoch + 10
-    assert dict(done.valid_mrr)[done.best_epoch] == max(mrr for _, mrr in done.valid_mrr)
+    assert dict(done.valid_mrr)[done.best_epoch] == max(
+        mrr for _, mrr in done.valid_mrr
+    )
 
 
 def test_the_seed_gives_the_bytes():
@@ -177,7 +195,9 @@ def test_a_stored_model_is_the_same_and_serves_as_vectors(tmp_path, facets):
     assert stored.config == config
     assert stored.entities == tuple(graph.names)
     assert torch.equal(stored.model.relation, done.model.relation)
-    knowledge = KnowledgeConfig(detail="full", source=GraphEmbedding(file=str(path)), dim=12)
+    knowledge = KnowledgeConfig(
+        detail="full", source=GraphEmbedding(file=str(path)), dim=12
+    )
     embedding = scene_embedding(knowledge, facets)
     assert embedding.dim == 72
     assert embedding.coverage.describe()["by_kind"] == {"entity": 50}
@@ -200,7 +220,8 @@ def test_what_is_no_stored_model(tmp_path, facets):
     save_model(new_model(config, len(graph.names), 5), config, graph, other)
     with pytest.raises(UserError, match=r"has no vector for 169 of the graph's names"):
         scene_embedding(
-            KnowledgeConfig(detail="full", source=GraphEmbedding(file=str(other))), facets
+            KnowledgeConfig(detail="full", source=GraphEmbedding(file=str(other))),
+            facets,
         )
 
 
@@ -236,5 +257,7 @@ def test_numbers_of_the_config_are_checked(field, value):
 
 
 def test_shares_below_one_triple_are_named():
-    with pytest.raises(UserError, match=r"No triple of 4 can be held out by a share below one"):
+    with pytest.raises(
+        UserError, match=r"No triple of 4 can be held out by a share below one"
+    ):
         hold_out(graph_of([(h, "r", t) for h in "ab" for t in "cd"]), 0.01, 0)

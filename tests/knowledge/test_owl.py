@@ -51,7 +51,9 @@ def read(tmp_path, text):
     with pytest.warns(DataWarning, match="class axioms of OWL") as caught:
         graph = read_graph(path)
     (warning,) = caught
-    local = {tuple(name.removeprefix("http://e.org/") for name in triple) for triple in graph}
+    local = {
+        tuple(name.removeprefix("http://e.org/") for name in triple) for triple in graph
+    }
     return graph, local, str(warning.message)
 
 
@@ -62,7 +64,9 @@ def test_what_axioms_say_is_stated(tmp_path):
     assert ("Vessel", "holds", "Liquid") in local
     assert not any(h in ("Vessel", "Container") and r == "usedFor" for h, r, _ in local)
     assert {("Spoon", "hasPart", "Bowl"), ("Spoon", "hasPart", "Rigid")} <= local
-    facts = {(h, r) for h, r, _ in local if r in ("usedFor", "holds", "hasPart", "price")}
+    facts = {
+        (h, r) for h, r, _ in local if r in ("usedFor", "holds", "hasPart", "price")
+    }
     assert len(facts) == 10
     assert warning.endswith("11 facts follow from class axioms of OWL and were added.")
 
@@ -70,17 +74,18 @@ def test_what_axioms_say_is_stated(tmp_path):
 def test_axioms_that_state_no_fact_are_counted_by_kind(tmp_path):
     _, local, warning = read(tmp_path, NO_FACTS)
     assert not any(relation in ("holds", "has", "in") for _, relation, _ in local)
-    kinds = (
-        "1 allValuesFrom, 1 circle, 1 complementOf, 1 minCardinality, 2 someValuesFrom, 2 unionOf"
-    )
-    assert f"0 facts follow from class axioms of OWL and were added; {kinds}" in warning.replace(
-        "class axioms that state none: ", ""
+    kinds = "1 allValuesFrom, 1 circle, 1 complementOf, 1 minCardinality, 2 someValuesFrom, 2 unionOf"
+    assert (
+        f"0 facts follow from class axioms of OWL and were added; {kinds}"
+        in warning.replace("class axioms that state none: ", "")
     )
 
 
 def test_cardinalities_from_one_on_state_facts(tmp_path):
     _, local, warning = read(tmp_path, CARDINALITIES)
-    assert {(r, t) for h, r, t in local if h == "Mug" and r in ("hasPart", "holds", "price")} == {
+    assert {
+        (r, t) for h, r, t in local if h == "Mug" and r in ("hasPart", "holds", "price")
+    } == {
         ("hasPart", "Handle"),
         ("holds", "Hot"),
         ("holds", "Liquid"),

@@ -27,14 +27,18 @@ def path(tmp_path):
 
 def test_names_of_the_task_find_their_iris(path):
     config = KnowledgeConfig(detail="full", graph=str(path), colour_relation="paint")
-    embedding = scene_embedding(config, [("mug", "red"), ("mug", "blue"), ("Fork", "Silver")])
+    embedding = scene_embedding(
+        config, [("mug", "red"), ("mug", "blue"), ("Fork", "Silver")]
+    )
     assert embedding.dim == 150
     assert embedding.sentences[0] == "mug made of ceramic mug paint red"
     named = KnowledgeConfig(
         detail="full", graph=str(path), colour_relation="paint",
         entity_names={"cup": "Mug01", "crimson": "Red"},
     )  # fmt: skip
-    assert (scene_embedding(named, [("cup", "crimson")]).vector == embedding.matrix[0]).all()
+    assert (
+        scene_embedding(named, [("cup", "crimson")]).vector == embedding.matrix[0]
+    ).all()
     assert scene_embedding(named, [("cup", "crimson")]).slots[0].name == "crimson cup"
 
 
@@ -45,7 +49,9 @@ def test_facets_of_any_object_come_from_the_graph(path):
     assert facets == [("Fork", "Blue"), ("Fork", "Silver"), ("Bowl", "Red")]
     shelf = graph_facets(["Shelf"], graph, "paint")
     config = KnowledgeConfig(detail="full", graph=str(path), colour_relation="paint")
-    with pytest.raises(UserError, match="'Shelf' has no colour in the graph, or none that hops"):
+    with pytest.raises(
+        UserError, match="'Shelf' has no colour in the graph, or none that hops"
+    ):
         scene_embedding(config, shelf)
 
 
@@ -54,10 +60,14 @@ def test_a_small_graph_can_be_probed(path):
     found = probe(config, [("mug", "red"), ("mug", "blue")])
     assert set(found.recovered["colour"]) == {"task", "all", "guess"}
     with pytest.raises(UserError, match=r"colour relation 'hasColor'.*colour_relation"):
-        scene_embedding(KnowledgeConfig(detail="full", graph=str(path)), [("mug", "red")])
+        scene_embedding(
+            KnowledgeConfig(detail="full", graph=str(path)), [("mug", "red")]
+        )
 
 
 def test_an_unknown_entity_of_a_large_graph():
     graph = graph_of((f"thing{i}", "r", "hub") for i in range(25_000))
-    with pytest.raises(UserError, match=r"Unknown entity 'thing2500x'.*Did you mean 'thing2500"):
+    with pytest.raises(
+        UserError, match=r"Unknown entity 'thing2500x'.*Did you mean 'thing2500"
+    ):
         graph.entity_id("thing2500x")

@@ -63,7 +63,10 @@ def test_queries_of_two_conditions_need_both(asked):
     """All that is used for drinking and blue is also what is blue, so that is no new question."""
     assert names(asked.queries("none")) == [each.name for each in asked.conditions]
     pairs = names(asked.queries("colour"))[5:]
-    assert pairs == ["hasPart handle and hasColor blue", "usedFor drinking and hasColor red"]
+    assert pairs == [
+        "hasPart handle and hasColor blue",
+        "usedFor drinking and hasColor red",
+    ]
     every = names(asked.queries("all"))[5:]
     assert set(every) - set(pairs) == {"hasPart handle and usedFor drinking"}
 
@@ -110,7 +113,9 @@ def test_answers_of_the_shipped_graph_are_those_of_sparql(shipped):
             continue
         text = f"SELECT ?x WHERE {{ ?x :{condition.relation} :{condition.value} }}"
         holders = {name for (name,) in sparql(shipped.graph, text).rows} & set(OBJECTS)
-        assert found == {(name, colour) for name in holders for colour in COLOURS}, condition
+        assert found == {(name, colour) for name in holders for colour in COLOURS}, (
+            condition
+        )
 
 
 def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
@@ -119,12 +124,16 @@ def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
     facts = shipped.answers([q for q in single if not q.conditions[0].is_seen])
     assert facts.any(1).all()
     assert (facts.sum(0) >= 2).all()
-    assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])
+    assert all(
+        shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40]
+    )
     assert all(parse_query(query.name) == query for query in shipped.queries("all"))
 
 
 def test_relations_of_two_namespaces_are_told_apart():
-    graph = graph_of([("mug", "http://a/usedFor", "tea"), ("pan", "http://b/usedFor", "soup")])
+    graph = graph_of(
+        [("mug", "http://a/usedFor", "tea"), ("pan", "http://b/usedFor", "soup")]
+    )
     asked = QueryGraph(graph, [("mug", "red"), ("pan", "red")])
     names = [query.name for query in asked.queries()]
     assert names == ["http://a/usedFor tea", "http://b/usedFor soup"]
@@ -133,7 +142,11 @@ def test_relations_of_two_namespaces_are_told_apart():
 
 def test_doubtful_facts_answer_as_probably_as_one_of_them_holds():
     facts = {("mug", "usedFor", "drinking"): 0.9, ("mug", "holds", "tea"): 0.5}
-    other = [("can", "usedFor", "drinking"), ("jar", "holds", "tea"), ("can", "holds", '"tea"')]
+    other = [
+        ("can", "usedFor", "drinking"),
+        ("jar", "holds", "tea"),
+        ("can", "holds", '"tea"'),
+    ]
     graph = graph_of([*facts, ("mug", "holds", '"tea"'), *other], confidence=facts)
     graph = graph_of(graph, confidence=facts | {("mug", "holds", '"tea"'): 0.2})
     asked = QueryGraph(graph, [("mug", "red"), ("can", "red"), ("jar", "blue")])
@@ -142,4 +155,6 @@ def test_doubtful_facts_answer_as_probably_as_one_of_them_holds():
     degrees = asked.degrees([parse_query(name) for name in names])
     expected = [[0.9, 1, 0], [0.6, 1, 1], [0.6, 1, 0], [0.54, 1, 0]]
     np.testing.assert_allclose(degrees, expected, rtol=1e-6)
-    np.testing.assert_array_equal(asked.answers([parse_query(name) for name in names]), degrees > 0)
+    np.testing.assert_array_equal(
+        asked.answers([parse_query(name) for name in names]), degrees > 0
+    )

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.knowledge import QUERY, KnowledgeConfig, graph_of, query_embedding, write_graph
+from knowarm.knowledge import (
+    QUERY,
+    KnowledgeConfig,
+    graph_of,
+    query_embedding,
+    write_graph,
+)
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.knowledge.queries.splits import query_splits
@@ -44,14 +50,20 @@ def test_a_row_holds_facts_first_and_colours_last():
 
 
 def test_a_query_that_was_not_embedded_is_named():
-    with pytest.raises(UserError, match="No slot describes contains tea: embed the queries first"):
+    with pytest.raises(
+        UserError, match="No slot describes contains tea: embed the queries first"
+    ):
         query_embedding(QUERY, ASKED[:3]).table(ASKED)
 
 
 def test_a_slot_says_what_the_graph_links_to_the_value():
     embedding = query_embedding(PAPER, ASKED)
-    drinking = embedding.sentences[embedding.slots.index(Condition("usedFor", "drinking"))]
-    assert drinking.startswith("used for drinking bottle used for drinking can used for drinking")
+    drinking = embedding.sentences[
+        embedding.slots.index(Condition("usedFor", "drinking"))
+    ]
+    assert drinking.startswith(
+        "used for drinking bottle used for drinking can used for drinking"
+    )
     assert "drinking related to tea" in drinking
     assert "rim related to drinking" in drinking
     assert embedding.coverage.share == 1.0
@@ -84,7 +96,9 @@ def test_placebos_have_the_length_of_the_real_slots(source):
 @pytest.mark.parametrize("source", [RandomVectors(), ShuffledGraph()])
 def test_what_is_drawn_is_drawn_per_training_seed(source):
     config = replace(QUERY, source=source)
-    one, same, other = (query_embedding(config, ASKED, run_seed=seed) for seed in (1, 1, 2))
+    one, same, other = (
+        query_embedding(config, ASKED, run_seed=seed) for seed in (1, 1, 2)
+    )
     assert (one.matrix == same.matrix).all()
     assert not np.allclose(one.matrix, other.matrix, atol=1e-3)
 
@@ -93,7 +107,9 @@ def test_other_sources():
     assert not query_embedding(replace(QUERY, source=Zeros()), ASKED).matrix.any()
     learned = query_embedding(replace(QUERY, source=Learned()), ASKED)
     assert (learned.matrix[:, :3] == np.eye(3)).all()
-    trained = query_embedding(replace(QUERY, hops=0, source=GraphEmbedding(model="complex")), ASKED)
+    trained = query_embedding(
+        replace(QUERY, hops=0, source=GraphEmbedding(model="complex")), ASKED
+    )
     assert trained.coverage.how["drinking"] == "entity"
     with pytest.raises(UserError, match=r"'wrong-object' describes other objects"):
         query_embedding(replace(QUERY, source=WrongObject()), ASKED)
@@ -126,13 +142,20 @@ def test_codes_keep_their_numbers_when_an_edited_graph_adds_queries():
 
 
 def test_a_graph_of_the_user(tmp_path):
-    graph = graph_of([("mug", "used for", "drinking"), ("screwdriver", "used for", "repairs")])
+    graph = graph_of(
+        [("mug", "used for", "drinking"), ("screwdriver", "used for", "repairs")]
+    )
     write_graph(graph, tmp_path / "mine.csv")
     config = replace(PAPER, graph=str(tmp_path / "mine.csv"))
     asked = [Query.of(("used for", "drinking")), Query.of(("hasColor", "blue"))]
     embedding = query_embedding(config, asked)
-    assert embedding.sentences == ("used for drinking mug used for drinking", "has color blue")
-    with pytest.raises(UserError, match=r"describes none of the 2 conditions.*'contains tea'"):
+    assert embedding.sentences == (
+        "used for drinking mug used for drinking",
+        "has color blue",
+    )
+    with pytest.raises(
+        UserError, match=r"describes none of the 2 conditions.*'contains tea'"
+    ):
         query_embedding(config, [Query.of(("contains", "tea")), asked[1]])
 
 

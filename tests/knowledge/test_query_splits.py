@@ -20,7 +20,10 @@ def splits(request):
 
 def questions(table):
     """Return every (query, object) that a table asks."""
-    return {(table.queries[q], table.facets[f][0]) for q, f in np.argwhere(table.askable).tolist()}
+    return {
+        (table.queries[q], table.facets[f][0])
+        for q, f in np.argwhere(table.askable).tolist()
+    }
 
 
 def conditions_of(pairs):
@@ -72,7 +75,9 @@ def test_s4_values_are_new_and_linked_to_values_of_training(splits):
     held = splits.held_out.values
     assert held
     assert not held & train
-    assert all(any(frozenset((value, known)) in links for known in train) for value in held)
+    assert all(
+        any(frozenset((value, known)) in links for known in train) for value in held
+    )
     for query, _ in questions(splits.test("S4")):
         assert {c.value for c in query.conditions} & held
 
@@ -82,7 +87,9 @@ def test_s5_asks_queries_of_training_whose_answer_changed(splits):
     test = splits.test("S5")
     assert {c for c, _ in conditions_of(questions(test))} <= asked
     single = [
-        q for q in np.flatnonzero(test.askable.any(1)) if len(test.queries[q].conditions) == 1
+        q
+        for q in np.flatnonzero(test.askable.any(1))
+        if len(test.queries[q].conditions) == 1
     ]
     assert len(single) >= 4
     before = dict(zip(splits.train.queries, splits.train.satisfies, strict=True))
@@ -90,7 +97,9 @@ def test_s5_asks_queries_of_training_whose_answer_changed(splits):
         old = before[test.queries[query]] & test.shown
         new = np.flatnonzero(test.askable[query])
         assert not (test.satisfies[query] & old).any()
-        assert test.related[new][:, old].any(1).all(), "the old answer may stand beside the new"
+        assert test.related[new][:, old].any(1).all(), (
+            "the old answer may stand beside the new"
+        )
 
 
 def test_what_is_shown_is_asked_for(splits):
@@ -117,7 +126,9 @@ def test_guessing_without_the_query_is_chance(splits):
             if (table.askable[:, scene] & alone[:, None]).any(0).all():
                 scenes.append(scene)
         scenes, target = np.array(scenes), rng.integers(4, size=len(scenes))
-        chosen = np.bincount(owner[scenes[np.arange(200), target[:200]]], minlength=len(OBJECTS))
+        chosen = np.bincount(
+            owner[scenes[np.arange(200), target[:200]]], minlength=len(OBJECTS)
+        )
         seen = np.bincount(owner[scenes[:200]].ravel(), minlength=len(OBJECTS))
         liking = chosen / np.maximum(seen, 1)
         guess = liking[owner[scenes[200:]]].argmax(1)
@@ -135,8 +146,14 @@ def test_the_same_seed_gives_the_same_tables_and_another_one_others():
 
 
 def test_what_is_held_out_does_not_depend_on_the_order_of_the_facets():
-    one, other = (query_splits(GRAPH, facets).held_out for facets in (CHOICE, CHOICE[::-1]))
-    assert (one.objects, one.values, one.pairs) == (other.objects, other.values, other.pairs)
+    one, other = (
+        query_splits(GRAPH, facets).held_out for facets in (CHOICE, CHOICE[::-1])
+    )
+    assert (one.objects, one.values, one.pairs) == (
+        other.objects,
+        other.values,
+        other.pairs,
+    )
 
 
 def test_splits_draw_from_streams_of_their_own():
@@ -150,16 +167,26 @@ def test_splits_draw_from_streams_of_their_own():
 
 
 def test_an_edited_graph_of_the_user_is_a_test():
-    old = graph_of([("toolbox", "usedFor", "repairing"), ("mallet", "usedFor", "repairing")])
-    new = graph_of([("mug", "usedFor", "repairing"), ("mug", "usedFor", "sorting screws")])
-    splits = query_splits(GRAPH, CHOICE, hold_out=[], edited=union(difference(GRAPH, old), new))
+    old = graph_of(
+        [("toolbox", "usedFor", "repairing"), ("mallet", "usedFor", "repairing")]
+    )
+    new = graph_of(
+        [("mug", "usedFor", "repairing"), ("mug", "usedFor", "sorting screws")]
+    )
+    splits = query_splits(
+        GRAPH, CHOICE, hold_out=[], edited=union(difference(GRAPH, old), new)
+    )
     asked = questions(splits.test("S5"))
     assert (Query.of(("usedFor", "repairing")), "mug") in asked
     assert {name for _, name in asked} == {"mug"}
     assert Query.of(("usedFor", "sorting screws")) in splits.test("S5").queries
-    assert splits.test("S5").queries[: len(splits.train.queries)] == splits.train.queries
+    assert (
+        splits.test("S5").queries[: len(splits.train.queries)] == splits.train.queries
+    )
     unchanged = query_splits(GRAPH, CHOICE, edited=GRAPH)
-    with pytest.raises(UserError, match=r"S5 .* is empty: the edited graph gives no query"):
+    with pytest.raises(
+        UserError, match=r"S5 .* is empty: the edited graph gives no query"
+    ):
         unchanged.test("S5")
 
 
@@ -178,14 +205,19 @@ def test_edits_keep_the_labels_of_what_loses_its_last_triple():
 
 
 def test_splits_that_a_graph_does_not_allow_say_why():
-    graph = graph_of([(name, "usedFor", use) for name, use in zip("abcdef", "uuvvww", strict=True)])
-    facets = [(name, colour) for name in "abcdef" for colour in ("red", "blue", "green")]
+    graph = graph_of(
+        [(name, "usedFor", use) for name, use in zip("abcdef", "uuvvww", strict=True)]
+    )
+    facets = [
+        (name, colour) for name in "abcdef" for colour in ("red", "blue", "green")
+    ]
     splits = query_splits(graph, facets)
     assert set(splits.tests) >= {"S1", "S5"}
     with pytest.raises(UserError, match=r"S3 .* is empty: 5 of the 6 objects"):
         splits.test("S3")
     with pytest.raises(
-        UserError, match=r"S4 .* is empty: of the objects whose values can be held out, 0"
+        UserError,
+        match=r"S4 .* is empty: of the objects whose values can be held out, 0",
     ):
         splits.test("S4")
     with pytest.raises(UserError, match="Unknown split 's3'"):

@@ -38,7 +38,8 @@ GRAPHML = """<?xml version="1.0"?><!-- yEd --><graphml xmlns="http://graphml.gra
 <edge source="n0" target="n1"><data key="d0">usedFor</data></edge></graph></graphml>"""
 NODES = [{"id": "mug"}, {"id": "bottle"}, {"id": "drinking"}]
 LINKS = [
-    {"source": each, "target": "drinking", "relation": "usedFor"} for each in ("mug", "bottle")
+    {"source": each, "target": "drinking", "relation": "usedFor"}
+    for each in ("mug", "bottle")
 ]
 
 READ = [
@@ -125,7 +126,9 @@ def test_what_is_left_out_or_doubtful_is_said_in_one_line(
     assert [str(each.message).count("\n") for each in caught] == [0]
 
 
-def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(tmp_path, monkeypatch):
+def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(
+    tmp_path, monkeypatch
+):
     pandas = pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
     write(Path("a.csv"), "thing,a,b,c,d,e,f\nmug,1,,tea,0,x,y\ncan,0,oil,,1,x,z\n")
@@ -134,8 +137,14 @@ def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(tmp_path, m
     code = re.search(r"(pandas.*\))\.$", str(refused.value))[1]
     eval(code, {"pandas": pandas})
     assert set(read_graph(Path("triples.csv"))) == {
-        *(("mug", r, t) for r, t in zip("acdef", ["1", "tea", "0", "x", "y"], strict=True)),
-        *(("can", r, t) for r, t in zip("abdef", ["0", "oil", "1", "x", "z"], strict=True)),
+        *(
+            ("mug", r, t)
+            for r, t in zip("acdef", ["1", "tea", "0", "x", "y"], strict=True)
+        ),
+        *(
+            ("can", r, t)
+            for r, t in zip("abdef", ["0", "oil", "1", "x", "z"], strict=True)
+        ),
     }
 
 
@@ -152,12 +161,16 @@ def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(tmp_path, m
          "relation, predicate", "Art", "relation"),
     ],
 )  # fmt: skip
-def test_the_remedy_for_columns_works_when_it_is_typed(tmp_path, text, said, mistaken, typed):
+def test_the_remedy_for_columns_works_when_it_is_typed(
+    tmp_path, text, said, mistaken, typed
+):
     path = write(tmp_path / "a.csv", text)
     with pytest.raises((UserError, DataWarning), match=said):
         read_graph(path)
     write(path, text.replace(mistaken, typed, 1))
-    with warnings.catch_warnings(action="ignore", category=DataWarning):  # "weight" is not read
+    with warnings.catch_warnings(
+        action="ignore", category=DataWarning
+    ):  # "weight" is not read
         assert {MUG, ("mug", "holds", "tea")} <= set(read_graph(path))
 
 
@@ -176,7 +189,9 @@ def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
     for kept in (edited(graph, ["+ bottle holds tea", "- mug usedFor drinking"]),
                  union(graph_of([BOTTLE]), graph), graph.with_triples(graph.triples)):  # fmt: skip
         assert kept.own_confidence() == DOUBTED
-    assert union(graph_of(DOUBTED), graph).own_confidence() == {}  # the other graph is certain
+    assert (
+        union(graph_of(DOUBTED), graph).own_confidence() == {}
+    )  # the other graph is certain
     write_graph(graph, tmp_path / "b.tsv")
     assert read_graph(tmp_path / "b.tsv") == graph
     assert read_graph(tmp_path / "b.tsv") != graph_of(graph)
@@ -187,9 +202,12 @@ def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
 @pytest.mark.parametrize("value", ["1.5", "-1", "sure", "nan"])
 def test_a_confidence_that_is_no_probability_is_refused(tmp_path, value):
     path = write(
-        tmp_path / "a.csv", f"head,relation,tail,confidence\nmug,usedFor,drinking,{value}\n"
+        tmp_path / "a.csv",
+        f"head,relation,tail,confidence\nmug,usedFor,drinking,{value}\n",
     )
-    with pytest.raises(UserError, match=f"line 2: the confidence is '{value}'; .* from 0 to 1"):
+    with pytest.raises(
+        UserError, match=f"line 2: the confidence is '{value}'; .* from 0 to 1"
+    ):
         read_graph(path)
 
 
@@ -240,7 +258,9 @@ def test_an_ontology_states_the_same_in_every_syntax(tmp_path, syntax, suffix):
     with pytest.warns(DataWarning, match="2 facts follow from class axioms"):
         graph = read_graph(write(tmp_path / f"a.{name}", ONTOLOGY[syntax]))
     named = {
-        t for t in graph if not any(each.startswith("_:") for each in t) and "w3.org" not in t[1]
+        t
+        for t in graph
+        if not any(each.startswith("_:") for each in t) and "w3.org" not in t[1]
     }
     assert named == {
         E_MUG,
@@ -290,7 +310,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "content", "message"), REFUSED)
-def test_what_is_no_graph_or_a_cut_one_is_refused_in_one_line(tmp_path, name, content, message):
+def test_what_is_no_graph_or_a_cut_one_is_refused_in_one_line(
+    tmp_path, name, content, message
+):
     with pytest.raises(UserError, match=message) as error:
         read_graph(write(tmp_path / name, content))
     assert "\n" not in str(error.value)
@@ -306,13 +328,13 @@ def test_xml_with_entities_and_another_encoding(tmp_path):
 
 
 def test_labels_of_nodes_and_columns(tmp_path):
-    with warnings.catch_warnings(action="error"):  # also none of networkx, of a key without a type
+    with warnings.catch_warnings(
+        action="error"
+    ):  # also none of networkx, of a key without a type
         graph = read_graph(write(tmp_path / "a.graphml", GRAPHML))
     assert list(graph) == [("n0", "usedFor", "n1")]
     assert graph.labels == {"n0": "Mug"}
-    kgtk = (
-        "node1\tlabel\tnode2\tnode1;label\tlabel;label\tnode2;label\nQ1\tP1\tQ2\tmug\tused for\t\n"
-    )
+    kgtk = "node1\tlabel\tnode2\tnode1;label\tlabel;label\tnode2;label\nQ1\tP1\tQ2\tmug\tused for\t\n"
     graph = read_graph(write(tmp_path / "a.tsv", kgtk))
     assert list(graph) == [("Q1", "P1", "Q2")]
     assert graph.labels == {"Q1": "mug", "P1": "used for"}
@@ -322,10 +344,13 @@ def test_a_malformed_iri_costs_its_triple_only(tmp_path):
     text = TURTLE + "".join(
         f":mug :holds <http://e.org/{i} x>, :tea{i}, :milk{i} .\n" for i in "01"
     )
-    with pytest.warns(DataWarning, match=r"2 triples with a malformed IRI.*in line 3, 4: Invalid"):
+    with pytest.warns(
+        DataWarning, match=r"2 triples with a malformed IRI.*in line 3, 4: Invalid"
+    ):
         graph = read_graph(
             write(
-                tmp_path / "a.ttl", text + ":a :b " + ", ".join(f":c{i}" for i in range(20)) + " ."
+                tmp_path / "a.ttl",
+                text + ":a :b " + ", ".join(f":c{i}" for i in range(20)) + " .",
             )
         )
     held = {tail for _, relation, tail in graph if relation == "holds"}
@@ -351,12 +376,18 @@ def test_a_triple_in_two_parts_is_read(tmp_path, separator):
 
 
 def test_a_folder_of_train_valid_and_test(tmp_path):
-    (tmp_path / "train.txt").write_text("mug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n")
+    (tmp_path / "train.txt").write_text(
+        "mug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n"
+    )
     (tmp_path / "valid.txt").write_text("pot\tusedFor\tcooking\n")
     graph = read_graph(tmp_path)
     assert set(graph) == {MUG, BOTTLE, ("pot", "usedFor", "cooking")}
     _, parts = read_parts(tmp_path)
-    assert {name: len(part) for name, part in parts.items()} == {"train": 2, "valid": 1, "test": 0}
+    assert {name: len(part) for name, part in parts.items()} == {
+        "train": 2,
+        "valid": 1,
+        "test": 0,
+    }
     (row,) = parts["valid"].tolist()
     names = graph.names[row[0]], graph.relation_names[row[1]], graph.names[row[2]]
     assert names == ("pot", "usedFor", "cooking")
@@ -365,20 +396,40 @@ def test_a_folder_of_train_valid_and_test(tmp_path):
 LETTERS = st.characters(
     categories=["Lu", "Ll", "Nd"], exclude_characters="ªµº", max_codepoint=0x24F
 )
-WORD = st.text(LETTERS | st.sampled_from(" ,;|%()'-_/&<"), min_size=1, max_size=5).map(str.strip)
+WORD = st.text(LETTERS | st.sampled_from(" ,;|%()'-_/&<"), min_size=1, max_size=5).map(
+    str.strip
+)
 NAME = st.one_of(
     st.sampled_from(
-        ["mug", "light_blue", "cereal box", "a, b", "x;y", 'the "cup"', "50%", "wine|glass"]
+        [
+            "mug",
+            "light_blue",
+            "cereal box",
+            "a, b",
+            "x;y",
+            'the "cup"',
+            "50%",
+            "wine|glass",
+        ]
     ),
     WORD.map(lambda text: "x" + text),
     WORD.map(lambda text: E + "".join(filter(str.isalnum, text))),
 )
 CELL = NAME.map(lambda text: " ".join(text.split()))  # tables have single blanks
 RELATION = st.sampled_from(["usedFor", "isA", E + "hasPart", E + "P1"])
-LITERAL = WORD.map(literal) | WORD.map(lambda text: literal(text + " \n", language="en"))
+LITERAL = WORD.map(literal) | WORD.map(
+    lambda text: literal(text + " \n", language="en")
+)
 MANY = settings(max_examples=40, deadline=None)
 RDF = {"ttl": "turtle", "nt": "nt", "rdf": "xml", "jsonld": "json-ld"}
-MORE = {"nq": "nquads", "trig": "trig", "n3": "n3", "owl": "turtle", "txt": "nt", "json": "json-ld"}
+MORE = {
+    "nq": "nquads",
+    "trig": "trig",
+    "n3": "n3",
+    "owl": "turtle",
+    "txt": "nt",
+    "json": "json-ld",
+}
 
 
 def rdflib_triples(triples):
@@ -394,16 +445,22 @@ def rdflib_triples(triples):
 
 @pytest.mark.parametrize("suffix", RDF)
 @MANY
-@given(triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12))
+@given(
+    triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12)
+)
 def test_rdflib_reads_what_is_written(tmp_path_factory, suffix, triples):
     path = tmp_path_factory.mktemp("graph") / f"a.{suffix}"
     write_graph(graph_of(triples), path)
-    assert set(rdflib.Graph().parse(path, format=RDF[suffix])) == rdflib_triples(triples)
+    assert set(rdflib.Graph().parse(path, format=RDF[suffix])) == rdflib_triples(
+        triples
+    )
 
 
 @pytest.mark.parametrize("suffix", RDF | MORE)
 @MANY
-@given(triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12))
+@given(
+    triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12)
+)
 def test_what_rdflib_writes_is_read(tmp_path_factory, suffix, triples):
     path = tmp_path_factory.mktemp("graph") / f"a.{suffix}"
     graph = rdflib.Dataset() if suffix in ("nq", "trig") else rdflib.Graph()
@@ -446,7 +503,9 @@ OTHERS = {
     "comma.csv": lambda triples: as_csv(triples, ","),
     "semicolon.csv": lambda triples: as_csv(triples, ";", "utf-8-sig"),
     "excel.csv": lambda triples: as_csv(triples, "\t", "utf-16"),
-    "bar.txt": lambda triples: as_csv(triples, "|", header=("tail", "head", "relation")),
+    "bar.txt": lambda triples: as_csv(
+        triples, "|", header=("tail", "head", "relation")
+    ),
     "tabs.tsv": lambda triples: as_csv(triples, "\t"),
     "lists.json": lambda triples: json.dumps(triples, indent=1).encode(),
     "links.json": as_node_link,

@@ -17,10 +17,18 @@ OWL = "Prefix(owl:=<http://www.w3.org/2002/07/owl#>)\nOntology(<http://a.org>\n"
             TURTLE + ":mug :isA :cup .\n:mug :hasColor ;;; red\n",
             r"line [34]: not well-formed Turtle.*Correct",
         ),
-        ("a.ttl", TURTLE + ":mug home:isA :cup .\n", "line 2: not well-formed Turtle.*home:"),
+        (
+            "a.ttl",
+            TURTLE + ":mug home:isA :cup .\n",
+            "line 2: not well-formed Turtle.*home:",
+        ),
         ("a.nt", "<http://a> <http://b>\n", "line [12]: not well-formed N-Triples"),
         ("a.nt", '<http://a> <http://b> "caf\xe9" .\n', "line 1: not UTF-8"),
-        ("a.rdf", '<?xml version="1.0"?>\n<a>\n<b>\n', "line [34]: not well-formed RDF/XML"),
+        (
+            "a.rdf",
+            '<?xml version="1.0"?>\n<a>\n<b>\n',
+            "line [34]: not well-formed RDF/XML",
+        ),
         ("a.jsonld", '{"@id": "x",\n "y": }\n', "line 2: not well-formed JSON-LD"),
         ("a.owl", OWL, r"line \d: not well-formed OWL functional syntax"),
         ("a.ttl", OWL, r"line \d: not well-formed OWL functional syntax"),
@@ -29,12 +37,24 @@ OWL = "Prefix(owl:=<http://www.w3.org/2002/07/owl#>)\nOntology(<http://a.org>\n"
             "mug\tisA\tcup\nmug\tcup\n",
             r"line 2: has 2 columns, but a row has 3 \(head, relation, tail\)",
         ),
-        ("a.tsv", "mug isA cup\n", "line 1: has 1 column,.*name all columns in the first line"),
+        (
+            "a.tsv",
+            "mug isA cup\n",
+            "line 1: has 1 column,.*name all columns in the first line",
+        ),
         ("a.tsv", "mug\0\tisA\tcup\n", "line 1: contains a zero byte"),
         ("a.csv", "head,relation,tail\nmug,,cup\n", "line 2: the relation is empty"),
         ("a.csv", 'mug,isA,cup\nmug,isA,"cup\n', "line 2: not well-formed CSV"),
-        (CONCEPTNET, ASSERTION + "/a/x\t/r/IsA\t/c/en/mug\n", "line 2: has 3 columns.*has 5"),
-        (CONCEPTNET, ASSERTION.replace("2.0", '"big"'), "line 1: the fifth column must be JSON"),
+        (
+            CONCEPTNET,
+            ASSERTION + "/a/x\t/r/IsA\t/c/en/mug\n",
+            "line 2: has 3 columns.*has 5",
+        ),
+        (
+            CONCEPTNET,
+            ASSERTION.replace("2.0", '"big"'),
+            "line 1: the fifth column must be JSON",
+        ),
     ],
 )
 def test_a_malformed_line_is_named(tmp_path, name, text, message):
@@ -51,7 +71,9 @@ def test_a_five_gigabyte_file_of_one_line(tmp_path):
         path = tmp_path / name
         with path.open("wb") as file:
             file.truncate(5_000_000_000)  # sparse: takes no room on disk
-        with pytest.raises(UserError, match=rf"{name}, line 1: the line is longer than"):
+        with pytest.raises(
+            UserError, match=rf"{name}, line 1: the line is longer than"
+        ):
             read_graph(path)
         path.unlink()
 
@@ -72,7 +94,9 @@ def test_files_that_are_none(tmp_path):
         read_graph(tmp_path)
     odd = tmp_path / "graph.xyz"
     odd.touch()
-    with pytest.raises(UserError, match=r"the suffix '\.xyz' and the content belong to no"):
+    with pytest.raises(
+        UserError, match=r"the suffix '\.xyz' and the content belong to no"
+    ):
         read_graph(odd)
     with pytest.raises(UserError, match=r"graph format 'turtel'.*'turtle'"):
         read_graph(odd, "turtel")
@@ -92,13 +116,21 @@ OPENKE = {
     [
         ("entity2id.txt", "mug\t0\n", "line 1: the first line must be the number"),
         ("entity2id.txt", "2\nmug\t0\nmug\t1\n", "not as many different names"),
-        ("entity2id.txt", "3\nmug\t0\ncup\t1\n", "number of lines that follow, 2, got '3'"),
+        (
+            "entity2id.txt",
+            "3\nmug\t0\ncup\t1\n",
+            "number of lines that follow, 2, got '3'",
+        ),
         ("entity2id.txt", "2\nmug\t0\ncup one\n", "line 3: expected `name<tab>id`"),
         ("entity2id.txt", "2\nmug\t0\ncup\t²\n", "line 3: expected `name<tab>id`"),
         ("train2id.txt", "1\n0 1\n", "line 2: expected three ids"),
         ("train2id.txt", f"1\n0 1 {'9' * 12}\n", "line 2: expected three ids"),
         ("train2id.txt", "1\n0 1 ٣\n", "line 2: expected three ids"),
-        ("train2id.txt", "1\n0 7 0\n", "line 2: '0 7 0' holds an id that is not among the 2"),
+        (
+            "train2id.txt",
+            "1\n0 7 0\n",
+            "line 2: '0 7 0' holds an id that is not among the 2",
+        ),
         ("train2id.txt", "2\n0 1 0\n", "number of lines that follow, 1, got '2'"),
     ],
 )

@@ -61,7 +61,11 @@ def test_compressed_n_triples_with_windows_line_ends(tmp_path):
     p = "http://a.org/p"
     assert set(read_graph(path)) == {
         ("_:b1", p, "cereal box"),
-        ("http://a.org/x", p, literal('tab\t quote" back\\slash é \U0001f600', language="de-AT")),
+        (
+            "http://a.org/x",
+            p,
+            literal('tab\t quote" back\\slash é \U0001f600', language="de-AT"),
+        ),
         ("http://a.org/café", p, "http://a.org/é"),
     }
     path.write_bytes(path.read_bytes()[:20])
@@ -82,8 +86,13 @@ def test_tables_with_and_without_a_header(tmp_path):
 
 def test_spaces_after_the_commas_are_no_part_of_the_names(tmp_path):
     path = tmp_path / "home.csv"
-    path.write_text('head, relation, tail\nmug, usedFor, drinking\nmug, isA, "cup, small"\n')
-    assert set(read_graph(path)) == {("mug", "usedFor", "drinking"), ("mug", "isA", "cup, small")}
+    path.write_text(
+        'head, relation, tail\nmug, usedFor, drinking\nmug, isA, "cup, small"\n'
+    )
+    assert set(read_graph(path)) == {
+        ("mug", "usedFor", "drinking"),
+        ("mug", "isA", "cup, small"),
+    }
 
 
 def test_shipped_graphs_are_read_by_their_names():
@@ -94,7 +103,10 @@ def test_openke_ids_may_come_in_any_order(tmp_path):
     (tmp_path / "entity2id.txt").write_text("3\nred\t1\nmug\t0\nbig cup\t2\n")
     (tmp_path / "relation2id.txt").write_text("2\nisA\t1\nhasColor\t0\n")
     (tmp_path / "train2id.txt").write_text("2\n0 1 0\n0 2 1\n")
-    assert set(read_graph(tmp_path)) == {("mug", "hasColor", "red"), ("mug", "isA", "big cup")}
+    assert set(read_graph(tmp_path)) == {
+        ("mug", "hasColor", "red"),
+        ("mug", "isA", "big cup"),
+    }
 
 
 CONCEPTNET = "\n".join(
@@ -127,14 +139,18 @@ def test_sparql():
     assert answer.columns == ("c",)
     assert answer.rows == (("blue",), ("red",))
     assert sparql(graph, "ASK { :mug :isA :fruit }").rows == (("no",),)
-    built = sparql(graph, "CONSTRUCT { ?x :isA :red_thing } WHERE { ?x :hasColor :red }").graph
+    built = sparql(
+        graph, "CONSTRUCT { ?x :isA :red_thing } WHERE { ?x :hasColor :red }"
+    ).graph
     assert built is not None
     assert ("apple", "isA", "red_thing") in built
     text = 'SELECT ?x WHERE { ?x <http://www.w3.org/2000/01/rdf-schema#label> "cereal box" }'
     assert sparql(graph, text).rows == (("cereal_box",),)
 
 
-@pytest.mark.parametrize("query", ["SELECT ?c WHERE {", "SELECT ?c WHERE { x:a ?b ?c }"])
+@pytest.mark.parametrize(
+    "query", ["SELECT ?c WHERE {", "SELECT ?c WHERE { x:a ?b ?c }"]
+)
 def test_bad_sparql(query):
     with pytest.raises(UserError, match="SPARQL query, line 1, column"):
         sparql(household(), query)
@@ -155,16 +171,22 @@ def test_keywords_in_names_strings_and_comments_are_no_keywords():
 
 
 def test_rdf_xml_is_written_where_it_can_hold_the_relations(tmp_path):
-    graph = graph_of([("mug", "isA", "cup"), ("http://a.org/x", "isA", "a b")], labels={"mug": "M"})
+    graph = graph_of(
+        [("mug", "isA", "cup"), ("http://a.org/x", "isA", "a b")], labels={"mug": "M"}
+    )
     write_graph(graph, tmp_path / "a.rdf")
     assert read_graph(tmp_path / "a.rdf") == graph
-    with pytest.raises(UserError, match=r"cannot hold the relation 'is 1'.*Write Turtle"):
+    with pytest.raises(
+        UserError, match=r"cannot hold the relation 'is 1'.*Write Turtle"
+    ):
         write_graph(graph_of([("a", "is 1", "b")]), tmp_path / "a.rdf")
 
 
 def test_unnamed_blank_nodes_are_numbered_in_the_order_of_the_file(tmp_path):
     path = tmp_path / "a.ttl"
-    path.write_text("@prefix : <urn:knowarm:> .\n:a :p [ :q :b ], [ :q :c ] .\n_:x :p :a .\n")
+    path.write_text(
+        "@prefix : <urn:knowarm:> .\n:a :p [ :q :b ], [ :q :c ] .\n_:x :p :a .\n"
+    )
     first, second = read_graph(path), read_graph(path)
     assert list(first) == list(second)
     assert {name for name in first.entities if name.startswith("_:")} == {
@@ -186,7 +208,9 @@ def test_blank_nodes_keep_apart(tmp_path):
     """Those of two files, those of one file, and those that a query makes."""
     names = ("a.ttl", "b.ttl", "c.ttl")
     paths = [tmp_path / name for name in names]
-    for path, text in zip(paths, ("[ :q :b ]", "[ :q :c ]", "[ :q :b ], _:unnamed0"), strict=True):
+    for path, text in zip(
+        paths, ("[ :q :b ]", "[ :q :c ]", "[ :q :b ], _:unnamed0"), strict=True
+    ):
         path.write_text(f"@prefix : <urn:knowarm:> .\n:{path.stem} :p {text} .\n")
     one, other, mixed = map(read_graph, paths)
     assert ("c", "p", "_:unnamed0") in mixed
@@ -199,7 +223,9 @@ def test_blank_nodes_keep_apart(tmp_path):
     assert list(made) == [("_:unnamed1", "of", "_:unnamed0")]
 
 
-@pytest.mark.parametrize("spelling", ["<urn:knowarm:caf%C3%A9>", ":café", "<urn:knowarm:café>"])
+@pytest.mark.parametrize(
+    "spelling", ["<urn:knowarm:caf%C3%A9>", ":café", "<urn:knowarm:café>"]
+)
 def test_letters_beyond_ascii_have_one_name(tmp_path, spelling):
     path = tmp_path / "a.ttl"
     path.write_text(
@@ -235,6 +261,8 @@ def test_a_byte_order_mark_is_skipped(tmp_path, name):
 @pytest.mark.parametrize("name", ["a.csv", "a.tsv"])
 def test_a_header_after_blank_lines_is_no_triple(tmp_path, name):
     (tmp_path / name).write_text(
-        "\n\nhead,relation,tail\nmug,isA,cup\n".replace(",", "," if name == "a.csv" else "\t")
+        "\n\nhead,relation,tail\nmug,isA,cup\n".replace(
+            ",", "," if name == "a.csv" else "\t"
+        )
     )
     assert list(read_graph(tmp_path / name)) == [("mug", "isA", "cup")]

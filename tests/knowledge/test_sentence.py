@@ -6,13 +6,23 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, scene_sentences, sentence
+from knowarm.knowledge import (
+    KnowledgeConfig,
+    graph_of,
+    scene_embedding,
+    scene_sentences,
+    sentence,
+)
 from knowarm.knowledge.slots import sentence_parts
 from knowarm.knowledge.vectors.source import SentenceEncoder
 from tests.knowledge.helpers import KNOWLEDGE
 
 MUG = graph_of(
-    [("mug", "hasColor", "light_blue"), ("mug", "isMadeOf", "ceramic"), ("mug", "isA", "cup")],
+    [
+        ("mug", "hasColor", "light_blue"),
+        ("mug", "isMadeOf", "ceramic"),
+        ("mug", "isA", "cup"),
+    ],
     labels={"cup": "Drinking Cup"},
 )
 
@@ -34,11 +44,16 @@ def test_options():
     short = KnowledgeConfig(detail="full", relation_words=False)
     assert sentence(MUG, short) == "mug light blue mug drinking cup mug ceramic"
     other = KnowledgeConfig(detail="full", templates={"isMadeOf": "of", "isA": ""})
-    assert sentence(MUG, other) == "mug has color light blue mug drinking cup mug of ceramic"
+    assert (
+        sentence(MUG, other)
+        == "mug has color light blue mug drinking cup mug of ceramic"
+    )
 
 
 def test_options_reach_the_scene(facets):
-    config = KnowledgeConfig(detail="full", relation_words=True, templates={"hasColor": "painted"})
+    config = KnowledgeConfig(
+        detail="full", relation_words=True, templates={"hasColor": "painted"}
+    )
     said = scene_sentences(config, facets)["red mug"]
     assert "mug painted red" in said
     assert scene_embedding(config, facets).sentences[0] == said
@@ -65,9 +80,13 @@ def test_a_sentence_encoder_goes_through_the_same_door(monkeypatch, facets):
     module = types.ModuleType("sentence_transformers")
     module.SentenceTransformer = SentenceTransformer
     monkeypatch.setitem(sys.modules, "sentence_transformers", module)
-    config = KnowledgeConfig(detail="partial", source=SentenceEncoder(model="local"), dim=4)
+    config = KnowledgeConfig(
+        detail="partial", source=SentenceEncoder(model="local"), dim=4
+    )
     assert scene_embedding(config, facets).dim == 12
-    absent = KnowledgeConfig(detail="partial", source=SentenceEncoder(model="absent"), dim=4)
+    absent = KnowledgeConfig(
+        detail="partial", source=SentenceEncoder(model="absent"), dim=4
+    )
     with pytest.raises(UserError, match="'absent' cannot be loaded"):
         scene_embedding(absent, facets)
     monkeypatch.setitem(sys.modules, "sentence_transformers", None)

@@ -44,7 +44,9 @@ def test_wrong_values_are_refused():
         from_dict(KnowledgeConfig, {**stored, "source": {"kind": "word"}})
     with pytest.raises(UserError, match=r"field of source 'nam'.*'name'"):
         from_dict(KnowledgeConfig, {**stored, "source": {"kind": "words", "nam": "x"}})
-    with pytest.raises(UserError, match="source must hold the fields of one of WordVectors"):
+    with pytest.raises(
+        UserError, match="source must hold the fields of one of WordVectors"
+    ):
         from_dict(KnowledgeConfig, {**stored, "source": "zeros"})
     with pytest.raises(UserError, match="matches must be a real source"):
         OneHot(matches=RandomVectors())

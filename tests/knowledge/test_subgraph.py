@@ -19,7 +19,10 @@ CHAIN = graph_of(
 
 
 def test_one_hop_is_the_papers():
-    assert set(gamma(CHAIN, ["mug"])) == {("mug", "hasColor", "red"), ("mug", "isA", "cup")}
+    assert set(gamma(CHAIN, ["mug"])) == {
+        ("mug", "hasColor", "red"),
+        ("mug", "isA", "cup"),
+    }
     assert gamma(CHAIN, ["mug"]).entities == ["cup", "mug", "red"]
 
 
@@ -51,11 +54,15 @@ def test_relations_and_degree_guard():
     hub = graph_of([("a", "r", "hub")] + [("hub", "r", f"x{i}") for i in range(5)])
     assert len(gamma(hub, ["a"], hops=2)) == 6
     assert len(gamma(hub, ["a"], hops=2, max_degree=4)) == 1
-    assert len(gamma(hub, ["hub"], max_degree=4)) == 5  # what was asked for is always expanded
+    assert (
+        len(gamma(hub, ["hub"], max_degree=4)) == 5
+    )  # what was asked for is always expanded
 
 
 def test_cycles_end():
-    ring = graph_of([("a", "isA", "b"), ("b", "isA", "c"), ("c", "isA", "a"), ("a", "isA", "a")])
+    ring = graph_of(
+        [("a", "isA", "b"), ("b", "isA", "c"), ("c", "isA", "a"), ("a", "isA", "a")]
+    )
     assert set(gamma(ring, ["a"], hops=50, direction="both")) == set(ring)
 
 

@@ -66,10 +66,16 @@ def test_the_text_format(vectors, tmp_path):
     ("text", "message"),
     [
         ("a 1 2 3\nb 1 2\nc 1 2 3\n", "line 2: has 2 numbers, the lines before 3"),
-        ("a 1.5 2.5\nb 1.5 2.5\nc 1.5 2.5 3.5\n", "line 3: has 3 numbers, the lines before 2"),
+        (
+            "a 1.5 2.5\nb 1.5 2.5\nc 1.5 2.5 3.5\n",
+            "line 3: has 3 numbers, the lines before 2",
+        ),
         ("a 1 2\nb 1 nan\n", "line 2: the vector of 'b' contains a non-finite value"),
         ("a 1 2\nb inf 2\n", "line 2: the vector of 'b' contains a non-finite value"),
-        ("a 1 2\nb 1 two\n", "line 2: the vector of 'b' contains a non-finite value or text"),
+        (
+            "a 1 2\nb 1 two\n",
+            "line 2: the vector of 'b' contains a non-finite value or text",
+        ),
         ("hello\nworld\n", "line 1: expected a word and its numbers"),
     ],
 )
@@ -85,7 +91,9 @@ def test_other_files(tmp_path):
     with pytest.raises(UserError, match=r"no word-vector file.*glove\.6B\.50d\.txt"):
         read_word_vectors(tmp_path / "none.txt")
     binary = tmp_path / "v.bin"
-    binary.write_bytes(b"1 2\nmug " + np.array([0.1, -0.3], np.float32).tobytes() + b"\n")
+    binary.write_bytes(
+        b"1 2\nmug " + np.array([0.1, -0.3], np.float32).tobytes() + b"\n"
+    )
     with pytest.raises(UserError, match="binary vectors are not read"):
         read_word_vectors(binary)
     huge = tmp_path / "huge.txt"
@@ -100,7 +108,9 @@ def test_other_files(tmp_path):
 
 
 def test_how_a_label_is_found(vectors):
-    source = WordLookup(read_word_vectors(vectors), aliases={"irb120": "box", "teacup": "mug"})
+    source = WordLookup(
+        read_word_vectors(vectors), aliases={"irb120": "box", "teacup": "mug"}
+    )
     for label, kind, vector in [
         ("mug", "word", [[0, 1, 0]]),
         ("light blue", "joined", [[0, 0, 1]]),
@@ -137,9 +147,13 @@ def test_a_label_of_which_no_word_is_known(vectors):
 def test_every_form_that_is_tried_is_read_from_the_file(vectors):
     for label in ("light blue", "boxes", "colour", "pouring", "irb120"):
         forms = all_forms(label, {"irb120": "box"})
-        source = WordLookup(read_word_vectors(vectors, forms), aliases={"irb120": "box"})
+        source = WordLookup(
+            read_word_vectors(vectors, forms), aliases={"irb120": "box"}
+        )
         assert len(find(source, label)[0].vectors)
-    assert word_forms("knives")[:2] == ["knif", "knife"] or "knife" in word_forms("knives")
+    assert word_forms("knives")[:2] == ["knif", "knife"] or "knife" in word_forms(
+        "knives"
+    )
     assert "berry" in word_forms("berries")
     assert "cut" in word_forms("cutting")
     assert word_forms("glass") == []
@@ -165,7 +179,9 @@ def test_a_random_vector_depends_on_the_word_and_the_file_only(vectors):
         return find(lookup, "zyx")[0].vectors
 
     alone = found("zyx")
-    assert np.linalg.norm(alone) == pytest.approx(np.sqrt(3))  # of 1, 1, 1, sqrt 3, 2, 2, 2
+    assert np.linalg.norm(alone) == pytest.approx(
+        np.sqrt(3)
+    )  # of 1, 1, 1, sqrt 3, 2, 2, 2
     assert (found("zyx", "mug") == alone).all()
     assert (found("zyx", "color", "box") == alone).all()
 
@@ -173,7 +189,9 @@ def test_a_random_vector_depends_on_the_word_and_the_file_only(vectors):
 def test_aliases_are_read_from_the_file_as_they_are_looked_up(vectors):
     aliases = {"IRB120": "Boxes", "teacup": "crate", "crate": "mug"}
     for label, row in (("irb120", [0, 2, 0]), ("teacup", [0, 1, 0])):
-        lookup = WordLookup(read_word_vectors(vectors, all_forms(label, aliases)), aliases=aliases)
+        lookup = WordLookup(
+            read_word_vectors(vectors, all_forms(label, aliases)), aliases=aliases
+        )
         assert find(lookup, label)[0].vectors.tolist() == [row]
 
 
@@ -186,7 +204,9 @@ def test_short_names_of_files_and_values_that_are_not_taken():
 
 @pytest.mark.parametrize("header", ["", "2 3\n"])
 @pytest.mark.parametrize("name", ["v.txt", "v.bin"])
-def test_text_is_read_behind_a_byte_order_mark_and_under_any_suffix(tmp_path, name, header):
+def test_text_is_read_behind_a_byte_order_mark_and_under_any_suffix(
+    tmp_path, name, header
+):
     path = tmp_path / name
     path.write_text(f"\ufeff{header}mug 1 2 3\nbox 4 5 6\n", "utf-8")
     table = read_word_vectors(path, {"mug"})

@@ -17,7 +17,10 @@ def made(step):
     return Checkpoint(
         policy={"weight": np.full((3, 2), step, np.float32)},
         optimizer={"weight/step": np.array(7.0, np.float32)},
-        state={"counter": np.array([2**63 + 1], np.uint64), "flag": np.array([True, False])},
+        state={
+            "counter": np.array([2**63 + 1], np.uint64),
+            "flag": np.array([True, False]),
+        },
         facts={"step": step},
     )
 
@@ -59,7 +62,9 @@ def test_the_best_is_replaced_and_stands_alone(store):
     assert [p.name for p in store.folder.iterdir()] == ["best"]
 
 
-@pytest.mark.parametrize("file", ["policy.safetensors", "state.safetensors", "meta.json"])
+@pytest.mark.parametrize(
+    "file", ["policy.safetensors", "state.safetensors", "meta.json"]
+)
 @pytest.mark.parametrize("harm", ["truncate", "delete", "overwrite"])
 def test_a_damaged_latest_falls_back_to_the_previous(store, file, harm, caplog):
     store.save(made(1))

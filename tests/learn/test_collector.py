@@ -22,7 +22,9 @@ def collect(rollouts, *, recall, length, **options):
     collected = []
     for _ in range(rollouts):
         collector.collect(rollout)
-        collected.append({name: tensor.clone() for name, tensor in rollout.tensors().items()})
+        collected.append(
+            {name: tensor.clone() for name, tensor in rollout.tensors().items()}
+        )
     return collector, collected
 
 
@@ -60,7 +62,9 @@ def test_a_rollout_holds_what_the_policy_computed():
         rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
     )
     torch.testing.assert_close(rollout.value, values, rtol=0, atol=1e-6)
-    chosen = torch.distributions.Categorical(logits=logits).log_prob(rollout.action).sum(-1)
+    chosen = (
+        torch.distributions.Categorical(logits=logits).log_prob(rollout.action).sum(-1)
+    )
     torch.testing.assert_close(rollout.log_probability, chosen, rtol=0, atol=1e-5)
     assert torch.equal(rollout.episode_start[1:], rollout.done[:-1])
 
@@ -69,7 +73,9 @@ def test_a_restored_collector_continues_identically():
     first, _ = collect(2, recall=False, length=5)
     first.statistics.take()
     second, _ = collect(0, recall=False, length=5)
-    second.set_state({name: np.array(value) for name, value in first.get_state().items()})
+    second.set_state(
+        {name: np.array(value) for name, value in first.get_state().items()}
+    )
     rollouts = [Rollout.zeros(STEPS, COUNT, first.policy) for _ in range(2)]
     for collector, rollout in zip((first, second), rollouts, strict=True):
         collector.collect(rollout)
@@ -83,10 +89,16 @@ def test_a_facet_without_knowledge_is_rejected():
     env = toy_env(COUNT, np.ones((2, 4), np.float32), recall=False, length=5)
     Collector(env, informed_toy_policy(4), seed=0)
     env.env.knowledge_input[3] = 2
-    with pytest.raises(UserError, match="2 rows and the environment has episodes of row 2"):
+    with pytest.raises(
+        UserError, match="2 rows and the environment has episodes of row 2"
+    ):
         Collector(env, informed_toy_policy(4), seed=0)
-    with pytest.raises(UserError, match="the policy expects vectors of 4 float32 numbers"):
-        Collector(toy_env(COUNT, recall=False, length=5), informed_toy_policy(4), seed=0)
+    with pytest.raises(
+        UserError, match="the policy expects vectors of 4 float32 numbers"
+    ):
+        Collector(
+            toy_env(COUNT, recall=False, length=5), informed_toy_policy(4), seed=0
+        )
 
 
 class Recorder:
@@ -128,7 +140,9 @@ def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall)
         recorder.steps.clear()
         collector.collect(rollout)
         following = torch.zeros(STEPS, COUNT)
-        for t, (image, knowledge, action, reward, ended, cut, final) in enumerate(recorder.steps):
+        for t, (image, knowledge, action, reward, ended, cut, final) in enumerate(
+            recorder.steps
+        ):
             _, value, state = policy.step(image, knowledge, state, start)
             torch.testing.assert_close(rollout.value[t], value)
             if expected_value is not None:  # of the rollout before
@@ -141,7 +155,9 @@ def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall)
             assert torch.equal(rollout.terminated[t], ended)
             assert torch.equal(rollout.truncated[t], cut)
             if t:
-                following[t - 1] = torch.where(rollout.done[t - 1], following[t - 1], value)
+                following[t - 1] = torch.where(
+                    rollout.done[t - 1], following[t - 1], value
+                )
             none = torch.zeros_like(start)
             final_value = policy.step(final, knowledge, state, none)[1]
             following[t] = torch.where(cut, final_value, 0.0)

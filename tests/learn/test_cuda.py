@@ -11,7 +11,9 @@ from knowarm.learn import PPOConfig
 from tests.learn.toys import noisy_learner
 from tests.tiny import CHOOSE, CHOOSE_NAME, SHORT
 
-pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU with CUDA")
+pytestmark = pytest.mark.skipif(
+    not torch.cuda.is_available(), reason="needs a GPU with CUDA"
+)
 
 ON_GPU = {"device": "cuda", "processes": None}
 
@@ -46,7 +48,9 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one_and_plays_on_the_cpu(tmp_path, name):
+def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one_and_plays_on_the_cpu(
+    tmp_path, name
+):
     whole = train(RUNS[name], tmp_path / "whole")
     updates = iter((False, True))
     stopped = train(RUNS[name], tmp_path / "cut", should_stop=lambda: next(updates))

@@ -24,7 +24,9 @@ CONFIG = DistilConfig(
 
 
 def trainer(config=CONFIG, seed=5):
-    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=9, image_size=20), 8, num_threads=1)
+    env = TorchArmVectorEnv(
+        EnvConfig(max_episode_steps=9, image_size=20), 8, num_threads=1
+    )
     shape = PolicyShape(joints=6, image_size=20)
     policy = Policy(PolicyConfig(features=16, fusion="none"), shape, seed=seed)
     rows = []
@@ -67,15 +69,23 @@ def test_glimpses_are_first_images_of_new_episodes_with_the_teachers_actions():
     env.teach = watched
     built.train(48)
     rollout, targets = built._learner.rollout, built._learner.targets
-    assert len(np.unique(np.concatenate(places), axis=0)) == 48, "no place is shown twice"
-    assert torch.equal(targets["actions"], torch.stack([actions for actions, _ in lessons]))
-    assert torch.equal(rollout.patches[-1], built.policy.patches(built._collector._image))
+    assert len(np.unique(np.concatenate(places), axis=0)) == 48, (
+        "no place is shown twice"
+    )
+    assert torch.equal(
+        targets["actions"], torch.stack([actions for actions, _ in lessons])
+    )
+    assert torch.equal(
+        rollout.patches[-1], built.policy.patches(built._collector._image)
+    )
     assert bool(rollout.episode_start.all())
     assert rows[0]["episodes"] == 0
 
 
 def test_the_policy_acts_after_the_glimpses():
-    built, rows = trainer(dataclasses.replace(CONFIG, glimpse_until=0.5, practice_until=0.0))
+    built, rows = trainer(
+        dataclasses.replace(CONFIG, glimpse_until=0.5, practice_until=0.0)
+    )
     built.train(4 * 48)
     assert [row["environment_s"] > 0 for row in rows] == [False, False, True, True]
     assert not bool(built._learner.rollout.episode_start.all())
@@ -85,9 +95,18 @@ def test_glimpses_leave_the_recurrent_weights_alone():
     built, _ = trainer(dataclasses.replace(CONFIG, glimpse_until=1.0))
     before = {name: value.clone() for name, value in built.policy.state_dict().items()}
     built.train(48)
-    changed = {n for n, value in built.policy.state_dict().items() if not value.equal(before[n])}
+    changed = {
+        n
+        for n, value in built.policy.state_dict().items()
+        if not value.equal(before[n])
+    }
     assert "memory.weight_hh" not in changed
-    assert {"encoder.conv1.weight", "fc.weight", "memory.weight_ih", "actor.weight"} <= changed
+    assert {
+        "encoder.conv1.weight",
+        "fc.weight",
+        "memory.weight_ih",
+        "actor.weight",
+    } <= changed
 
 
 def test_imitation_leaves_the_critic_alone():
@@ -99,7 +118,11 @@ def test_imitation_leaves_the_critic_alone():
 
 def test_imitation_raises_the_agreement_with_the_teacher():
     """Episodes of the same states: without learning the loss would stay at log 7."""
-    options = {"practice_until": 0.0, "glimpse_until": 0.0, "learning_rate_schedule": "constant"}
+    options = {
+        "practice_until": 0.0,
+        "glimpse_until": 0.0,
+        "learning_rate_schedule": "constant",
+    }
     config = dataclasses.replace(CONFIG, **options)
     built, rows = trainer(config)
     built.train(48 * 30)
@@ -118,7 +141,9 @@ def test_several_processes_compute_the_gradient_of_one():
         network.zero_grad(set_to_none=False)
         for part in parts:
             add_gradient(network, loss, rollout, targets, part, len(part) / 8)
-        gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]).clone())
+        gradients.append(
+            torch.cat([p.grad.flatten() for p in network.parameters()]).clone()
+        )
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-6)
 
 
@@ -139,7 +164,10 @@ def test_evaluations_receive_the_parameters_averaged_over_updates():
     built, _ = trainer()
     expected, after_updates, received = flatten_parameters(built.policy), [], []
     learn = built._learn
-    built._learn = lambda: (learn(), after_updates.append(flatten_parameters(built.policy)))[0]
+    built._learn = lambda: (
+        learn(),
+        after_updates.append(flatten_parameters(built.policy)),
+    )[0]
     built.train(48 * 3)
     built._evaluations.submit = lambda step, values: received.append(values)
     built._submit_evaluation()

@@ -46,7 +46,9 @@ def test_an_ordinary_gymnasium_vector_environment_is_adapted():
     assert env.knowledge.shape == (8, 0)
     assert NumpyToTorch(vector(), np.ones((1, 3))).knowledge.tolist() == [[1.0] * 3] * 8
     for step in (1, 2, 3):
-        image, reward, terminated, truncated, infos = env.step(torch.zeros(8, JOINTS, dtype=int))
+        image, reward, terminated, truncated, infos = env.step(
+            torch.zeros(8, JOINTS, dtype=int)
+        )
         assert reward.tolist() == [1.0] * 8
         assert not terminated.any()
         assert truncated.all() == (step == 3)
@@ -57,7 +59,9 @@ def test_an_ordinary_gymnasium_vector_environment_is_adapted():
 
 def test_ppo_trains_on_it_without_checkpoints():
     config = PPOConfig(num_envs=8, rollout_steps=4, minibatches=2, processes=1)
-    trainer = PPOTrainer(config, toy_policy(features=16), NumpyToTorch(vector()), seed=0)
+    trainer = PPOTrainer(
+        config, toy_policy(features=16), NumpyToTorch(vector()), seed=0
+    )
     assert trainer.train(64).step == 64
     with pytest.raises(UserError, match="SyncVectorEnv has no get_state and set_state"):
         trainer._collector.env.get_state()

@@ -14,7 +14,11 @@ CONFIG = PPOConfig(
 
 
 def squared_norm(policy):
-    return {"return_mean": float(sum(p.detach().square().sum() for p in policy.parameters()))}
+    return {
+        "return_mean": float(
+            sum(p.detach().square().sum() for p in policy.parameters())
+        )
+    }
 
 
 def make_squared_norm():
@@ -48,7 +52,9 @@ def take_all(evaluations):
 def test_background_evaluations_equal_inline_ones():
     results = []
     for in_background in (False, True):
-        evaluations = Evaluations(toy_policy(), make_squared_norm, in_background=in_background)
+        evaluations = Evaluations(
+            toy_policy(), make_squared_norm, in_background=in_background
+        )
         for step in range(MAX_PENDING + 3):
             evaluations.submit(step, flatten_parameters(toy_policy(seed=step)))
         results.append(take_all(evaluations))
@@ -62,17 +68,26 @@ def test_background_evaluations_equal_inline_ones():
 
 
 @pytest.mark.slow
-def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_path, monkeypatch):
+def test_training_with_background_evaluations_keeps_the_same_best_policy(
+    tmp_path, monkeypatch
+):
     best = []
     for in_background in (False, True):
         store = CheckpointStore(tmp_path / str(in_background), {})
         env = toy_env(8, recall=False, length=5, staggered=True)
-        options = {"make_evaluate": make_squared_norm, "evaluate_every": 96, "checkpoints": store}
+        options = {
+            "make_evaluate": make_squared_norm,
+            "evaluate_every": 96,
+            "checkpoints": store,
+        }
         trainer = PPOTrainer(CONFIG, toy_policy(), env, seed=3, **options)
         monkeypatch.setattr(trainer, "evaluates_in_background", in_background)
         trainer.train(96 * 4)
         best.append(
-            (trainer._best.step, read_checkpoint(store.folder / "best").facts["return_mean"])
+            (
+                trainer._best.step,
+                read_checkpoint(store.folder / "best").facts["return_mean"],
+            )
         )
     assert best[0] == pytest.approx(best[1])
 

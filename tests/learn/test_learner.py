@@ -20,7 +20,9 @@ CONFIG = PPOConfig(
 
 
 def noisy_learner(processes, **options):
-    return toys.noisy_learner(dataclasses.replace(CONFIG, processes=processes), **options)
+    return toys.noisy_learner(
+        dataclasses.replace(CONFIG, processes=processes), **options
+    )
 
 
 def values(terms):
@@ -41,12 +43,17 @@ def test_gradients_depend_on_the_minibatch_alone():
 
 @pytest.mark.parametrize("auxiliary", [0, 5])
 def test_loss_and_gradient_of_two_processes_are_those_of_one(auxiliary):
-    env_ids, results = torch.tensor([5, 3, 31, 8, 0, 12, 9, 30, 2, 4, 6, 7, 1, 11, 10]), []
+    env_ids, results = (
+        torch.tensor([5, 3, 31, 8, 0, 12, 9, 30, 2, 4, 6, 7, 1, 11, 10]),
+        [],
+    )
     for processes in (1, 2):
         learner = noisy_learner(processes, auxiliary=auxiliary)
         with learner.running():
             terms = learner.compute_gradient(env_ids)
-            learner.compute_gradient(env_ids)  # a second call does not add to the first one's
+            learner.compute_gradient(
+                env_ids
+            )  # a second call does not add to the first one's
         results.append((values(terms), learner.gradient.clone()))
         assert ("auxiliary_loss" in terms) == bool(auxiliary)
     assert results[0][1].abs().max() > 0
@@ -63,7 +70,10 @@ def test_a_step_of_two_processes_is_that_of_one():
         with learner.running():
             logits, state = learner.infer(learner.rollout, 0, image, state)
             again, state = learner.infer(learner.rollout, 1, image, state)
-        patches, values = learner.rollout.patches[:2].clone(), learner.rollout.value[:2].clone()
+        patches, values = (
+            learner.rollout.patches[:2].clone(),
+            learner.rollout.value[:2].clone(),
+        )
         results.append((patches, values, logits, again, *(s.clone() for s in state)))
     assert not torch.equal(results[0][2], results[0][3])
     for one, two in zip(*results, strict=True):
@@ -86,7 +96,8 @@ def test_a_failing_worker_stops_training_with_its_traceback():
     with learner.running():
         learner._send([beyond])
         with pytest.raises(
-            RuntimeError, match=r"(?s)learner worker 1 failed.*Traceback.*index.*3 times"
+            RuntimeError,
+            match=r"(?s)learner worker 1 failed.*Traceback.*index.*3 times",
         ):
             learner._wait([beyond])
 

@@ -27,7 +27,9 @@ def test_a3c_terms_by_hand():
     assert terms["policy_loss"].item() == pytest.approx(policy, rel=1e-6)
     assert terms["value_loss"].item() == pytest.approx(value)
     assert terms["entropy"].item() == pytest.approx(ENTROPY, rel=1e-6)
-    assert terms["total"].item() == pytest.approx(policy + 0.5 * value - 0.01 * ENTROPY, rel=1e-6)
+    assert terms["total"].item() == pytest.approx(
+        policy + 0.5 * value - 0.01 * ENTROPY, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("loss", ["a3c", "ppo"])
@@ -35,10 +37,14 @@ def test_descending_the_loss_of_a_worthless_step_raises_the_entropy(loss):
     logits = LOGITS.clone().requires_grad_()
     zeros = torch.zeros(2)
     if loss == "a3c":
-        terms = a3c_loss(logits, zeros, ACTIONS, zeros, zeros, vf_coef=0.5, ent_coef=0.01)
+        terms = a3c_loss(
+            logits, zeros, ACTIONS, zeros, zeros, vf_coef=0.5, ent_coef=0.01
+        )
     else:
         old = torch.log(torch.tensor([0.75, 0.25]))
-        terms = ppo_loss(logits, zeros, ACTIONS, old, zeros, zeros, PPOConfig(ent_coef=0.01))
+        terms = ppo_loss(
+            logits, zeros, ACTIONS, old, zeros, zeros, PPOConfig(ent_coef=0.01)
+        )
     terms["total"].backward()
     # Gradient descent lowers the likelier level's logit and lifts the other's.
     assert (logits.grad[:, 0, 0] > 0).all()
@@ -66,7 +72,11 @@ def test_the_probability_of_an_action_is_the_product_over_joints():
         (0.72, 2.0, 0.75 / 0.72),  # inside the range: ratio times advantage
         (0.5, 2.0, 1.2),  # nothing is gained beyond it, at ratio 1.5,
         (0.99, -2.0, 0.8),  # nor below it, at ratio .758
-        (0.99, 2.0, 0.75 / 0.99),  # a good step below it and a bad one beyond are corrected
+        (
+            0.99,
+            2.0,
+            0.75 / 0.99,
+        ),  # a good step below it and a bad one beyond are corrected
         (0.5, -2.0, 1.5),
     ],
 )
@@ -85,13 +95,17 @@ def test_ppo_by_hand(old_probability, advantage, factor):
     assert terms["policy_loss"].item() == pytest.approx(-factor * advantage, rel=1e-6)
     assert terms["value_loss"].item() == pytest.approx(2.0)
     assert terms["clip_fraction"].item() == (abs(ratio - 1) > 0.2)
-    assert terms["approx_kl"].item() == pytest.approx(ratio - 1 - math.log(ratio), abs=1e-6)
+    assert terms["approx_kl"].item() == pytest.approx(
+        ratio - 1 - math.log(ratio), abs=1e-6
+    )
     assert (logits.grad.abs().sum() > 0) == (factor == pytest.approx(ratio))
 
 
 def test_the_loss_of_imitation_is_the_weighted_mean_cross_entropy_per_joint():
     logits = torch.tensor([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
-    loss = distil_loss(logits, torch.tensor([[1, 1]]), torch.tensor([[1.5, 0.5]]), stay_share=0.25)
+    loss = distil_loss(
+        logits, torch.tensor([[1, 1]]), torch.tensor([[1.5, 0.5]]), stay_share=0.25
+    )
     # Of the second joint's label a quarter is action 0, whose logit is 2.
     expected = (1.5 * math.log(3) + 0.5 * (math.log(math.exp(2) + 2) - 0.25 * 2)) / 2
     assert loss.item() == pytest.approx(expected, rel=1e-6)

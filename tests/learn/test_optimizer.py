@@ -6,7 +6,12 @@ import torch
 from knowarm.learn import PPOConfig
 from knowarm.learn import optimizer as optimizer_module
 from knowarm.learn.learner import TrainingNetwork
-from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer, orthogonalized
+from knowarm.learn.optimizer import (
+    MUON_PARAMETERS,
+    Float32Muon,
+    PolicyOptimizer,
+    orthogonalized,
+)
 from tests.learn.toys import toy_policy
 
 
@@ -32,14 +37,18 @@ def test_muon_multiplies_in_float32_where_the_processor_has_no_bfloat16(monkeypa
     """The same update up to the rounding of bfloat16, by the products that are fast there."""
     weights = {}
     for has_bfloat16 in (True, False):
-        monkeypatch.setattr(optimizer_module, "cpu_has_bfloat16", lambda has=has_bfloat16: has)
+        monkeypatch.setattr(
+            optimizer_module, "cpu_has_bfloat16", lambda has=has_bfloat16: has
+        )
         parameters = TrainingNetwork(toy_policy()).parameters_by_name()
         optimizer = PolicyOptimizer(parameters, PPOConfig(optimizer="muon"))
         for _ in range(2):
             for parameter in parameters.values():
                 parameter.grad = parameter.detach().sin()
             optimizer.step()
-        is_float32 = any(isinstance(each, Float32Muon) for each in optimizer._optimizers)
+        is_float32 = any(
+            isinstance(each, Float32Muon) for each in optimizer._optimizers
+        )
         assert is_float32 is not has_bfloat16
         weights[has_bfloat16] = parameters["fc.weight"].detach().clone()
     start = TrainingNetwork(toy_policy()).parameters_by_name()["fc.weight"].detach()
@@ -82,5 +91,7 @@ def test_an_update_of_float32_muon_is_as_large_as_one_of_adam():
     parameter = torch.nn.Parameter(torch.zeros(32, 16, 5, 5))
     parameter.grad = torch.randn(parameter.shape, generator=generator)
     Float32Muon([parameter], lr=0.1, iterations=3).step()
-    assert float(parameter.detach().square().mean().sqrt()) == pytest.approx(0.02, rel=0.3)
+    assert float(parameter.detach().square().mean().sqrt()) == pytest.approx(
+        0.02, rel=0.3
+    )
     assert float((parameter.detach() * parameter.grad).sum()) < 0

@@ -34,7 +34,9 @@ SMALL = PPOConfig(
 def test_identity_task_is_solved():
     policy = toy_policy()
     config = dataclasses.replace(SMALL, gamma=0.5)  # images do not depend on actions
-    PPOTrainer(config, policy, toy_env(32, recall=False, length=5), seed=0).train(10_000)
+    PPOTrainer(config, policy, toy_env(32, recall=False, length=5), seed=0).train(
+        10_000
+    )
     assert success_rate(policy, recall=False, length=5) > 0.95
 
 
@@ -69,7 +71,9 @@ def play(policy):
     return {"return_mean": float(success_rate(policy, recall=True, length=7))}
 
 
-def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(tmp_path):
+def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
+    tmp_path,
+):
     expected = recorder()
     whole, expected_policy = build(tmp_path / "whole", expected.hooks, play)
     whole.train(3200)
@@ -85,18 +89,23 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
     assert result.step == 3200
     assert result.best_step == whole._best.step
     for name, value in expected_policy.state_dict().items():
-        assert value.numpy().tobytes() == policy.state_dict()[name].numpy().tobytes(), name
+        assert value.numpy().tobytes() == policy.state_dict()[name].numpy().tobytes(), (
+            name
+        )
     assert first.evaluations + second.evaluations == expected.evaluations
     timing = {"wall_time_s", "steps_per_s", "environment_s", "inference_s", "learn_s"}
     assert [
-        {k: v for k, v in row.items() if k not in timing} for row in first.rows + second.rows
+        {k: v for k, v in row.items() if k not in timing}
+        for row in first.rows + second.rows
     ] == [{k: v for k, v in row.items() if k not in timing} for row in expected.rows]
     whole_files = sorted((tmp_path / "whole/latest").glob("*.safetensors"))
     assert [f.name for f in whole_files] == [
         "optimizer.safetensors", "policy.safetensors", "state.safetensors",
     ]  # fmt: skip
     for file in whole_files:
-        assert file.read_bytes() == (tmp_path / "cut/latest" / file.name).read_bytes(), file.name
+        assert (
+            file.read_bytes() == (tmp_path / "cut/latest" / file.name).read_bytes()
+        ), file.name
 
 
 def test_the_best_policy_is_kept(tmp_path):
@@ -122,15 +131,21 @@ def test_truncation_bootstraps_from_the_final_observation():
         with torch.no_grad():
             policy.critic.weight.zero_()
             policy.critic.bias.fill_(1.0)
-        trainer = PPOTrainer(SMALL, policy, toy_env(32, recall=recall, length=5), seed=0)
+        trainer = PPOTrainer(
+            SMALL, policy, toy_env(32, recall=recall, length=5), seed=0
+        )
         rollout = trainer._learner.rollout
         trainer._collector.collect(rollout)
         assert rollout.done[4].all()
         assert (rollout.final_value[4] == expected).all()
 
 
-@pytest.mark.parametrize(("term", "number"), [("the value", 0.0), ("the knowledge", np.inf)])
-def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, term, number):
+@pytest.mark.parametrize(
+    ("term", "number"), [("the value", 0.0), ("the knowledge", np.inf)]
+)
+def test_a_nan_stops_training_names_the_term_and_saves_the_batch(
+    tmp_path, term, number
+):
     env = toy_env(32, np.full((1, 4), number, np.float32), recall=True, length=7)
     trainer = PPOTrainer(SMALL, informed_toy_policy(4), env, seed=3)
     trainer._guard._folder = tmp_path
@@ -164,7 +179,9 @@ def test_invalid_configs_are_rejected():
 def test_a_table_with_too_few_rows_is_rejected():
     env = toy_env(32, np.zeros((1, 4), np.float32), recall=True, length=7)
     env.env.knowledge_input += 2
-    with pytest.raises(UserError, match="1 rows and the environment has episodes of row 2"):
+    with pytest.raises(
+        UserError, match="1 rows and the environment has episodes of row 2"
+    ):
         PPOTrainer(SMALL, informed_toy_policy(4), env, seed=0)
 
 
@@ -173,7 +190,9 @@ def test_an_environment_of_another_size_or_device_is_rejected():
     with pytest.raises(UserError, match="num_envs is 32 and the environment has 8"):
         PPOTrainer(SMALL, toy_policy(), env, seed=0)
     config = dataclasses.replace(SMALL, num_envs=8, device="cuda", processes=None)
-    with pytest.raises(UserError, match="device is 'cuda' and the environment is on cpu"):
+    with pytest.raises(
+        UserError, match="device is 'cuda' and the environment is on cpu"
+    ):
         PPOTrainer(config, toy_policy(), env, seed=0)
 
 
@@ -195,6 +214,8 @@ def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):
     [("constant", [2, 2, 2]), ("linear", [2, 1.1, 0.2]), ("cosine", [2, 1.1, 0.2])],
 )
 def test_learning_rates(schedule, expected):
-    config = PPOConfig(learning_rate=2.0, learning_rate_schedule=schedule, learning_rate_final=0.1)
+    config = PPOConfig(
+        learning_rate=2.0, learning_rate_schedule=schedule, learning_rate_final=0.1
+    )
     got = [config.learning_rate_at(progress) for progress in (0.0, 0.5, 1.5)]
     assert got == pytest.approx(expected)

@@ -27,7 +27,9 @@ CONFIG = PPOConfig(
 def build(*, recall=False, hooks=None, **changes):
     env = toy_env(8, TABLE, recall=recall, length=5, staggered=True, facets=4)
     config = dataclasses.replace(CONFIG, **changes)
-    return PPOTrainer(config, informed_toy_policy(TABLE.shape[1]), env, seed=1, hooks=hooks)
+    return PPOTrainer(
+        config, informed_toy_policy(TABLE.shape[1]), env, seed=1, hooks=hooks
+    )
 
 
 def advantages_by_hand(rollout, scale, gamma, gae_lambda):
@@ -60,9 +62,13 @@ def test_targets_are_those_of_a_plain_loop(recall):
     assert bool(rollout.terminated.any()) == recall
     expected = advantages_by_hand(rollout, 0.25, 0.9, 0.8)
     returns = expected + rollout.value.numpy()
-    np.testing.assert_allclose(targets["returns"].numpy(), returns, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(
+        targets["returns"].numpy(), returns, rtol=1e-4, atol=1e-5
+    )
     expected = (expected - expected.mean()) / expected.std(ddof=1)
-    np.testing.assert_allclose(targets["advantage"].numpy(), expected, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(
+        targets["advantage"].numpy(), expected, rtol=1e-3, atol=1e-4
+    )
 
 
 def test_the_scheduled_learning_rate_is_the_optimizers():

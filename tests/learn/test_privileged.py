@@ -32,14 +32,20 @@ OPTIONS = {
 
 
 def config_with(gamma=0.95, **privileged):
-    return dataclasses.replace(CONFIG, gamma=gamma, privileged=PrivilegedConfig(**privileged))
+    return dataclasses.replace(
+        CONFIG, gamma=gamma, privileged=PrivilegedConfig(**privileged)
+    )
 
 
 def build(seed=1, gamma=0.95, **privileged):
     """Create a trainer on the real environment, with episodes of 6 steps."""
-    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=6, image_size=20), 8, num_threads=1)
+    env = TorchArmVectorEnv(
+        EnvConfig(max_episode_steps=6, image_size=20), 8, num_threads=1
+    )
     policy = Policy(
-        PolicyConfig(features=16, fusion="none"), PolicyShape(joints=6, image_size=20), seed=seed
+        PolicyConfig(features=16, fusion="none"),
+        PolicyShape(joints=6, image_size=20),
+        seed=seed,
     )
     return PPOTrainer(config_with(gamma=gamma, **privileged), policy, env, seed=seed)
 
@@ -113,8 +119,12 @@ def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
         carried = 0.0
         for t in reversed(range(rollout.reward.shape[0])):
             ended = bool(rollout.terminated[t, b])
-            delta = reward[t, b] + 0.9 * (0.0 if ended else following[t, b]) - values[t, b]
-            carried = delta + 0.9 * 0.95 * (0.0 if bool(rollout.done[t, b]) else carried)
+            delta = (
+                reward[t, b] + 0.9 * (0.0 if ended else following[t, b]) - values[t, b]
+            )
+            carried = delta + 0.9 * 0.95 * (
+                0.0 if bool(rollout.done[t, b]) else carried
+            )
             expected[t, b] = carried
     returns = trainer._learner.targets["returns"].numpy()
     np.testing.assert_allclose(returns, expected + values, rtol=1e-4, atol=1e-5)
@@ -177,14 +187,18 @@ def test_every_option_changes_the_update(option):
 @pytest.mark.parametrize("option", OPTIONS)
 def test_an_environment_without_privileged_state_is_refused(option):
     env = toy_env(8, recall=False, length=5)
-    with pytest.raises(UserError, match=r"has no threshold_factor|reports no privileged state"):
+    with pytest.raises(
+        UserError, match=r"has no threshold_factor|reports no privileged state"
+    ):
         PPOTrainer(config_with(**OPTIONS[option]), toy_policy(), env, seed=0)
 
 
 def test_the_progress_reward_needs_its_columns():
     env = toy_env(8, recall=False, length=5)
     env.privileged_columns = ("a/0", "b/0")
-    with pytest.raises(UserError, match="progress_coef needs the privileged columns distance/0"):
+    with pytest.raises(
+        UserError, match="progress_coef needs the privileged columns distance/0"
+    ):
         PPOTrainer(config_with(progress_coef=1.0), toy_policy(), env, seed=0)
 
 

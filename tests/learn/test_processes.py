@@ -18,7 +18,9 @@ from tests.learn.toys import noisy_learner
 
 
 def test_fewer_processes_than_asked_for_are_said(caplog):
-    config = PPOConfig(num_envs=8, rollout_steps=4, minibatches=1, processes=2, device="cpu")
+    config = PPOConfig(
+        num_envs=8, rollout_steps=4, minibatches=1, processes=2, device="cpu"
+    )
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
         noisy_learner(config)
     assert "processes=2 is reduced to 1: minibatches have 8 environments" in caplog.text
@@ -48,14 +50,17 @@ def test_a_process_is_started_although_the_fork_server_ended_meanwhile(monkeypat
     assert child.connection.recv() == 1
     child.stop()
     assert len(attempts) == 8
-    monkeypatch.setattr(context.Process, "start", lambda process: start_late(attempts.clear()))
+    monkeypatch.setattr(
+        context.Process, "start", lambda process: start_late(attempts.clear())
+    )
     monkeypatch.setattr("knowarm.learn.parallel.processes.START_S", 0.1)
     with pytest.raises(EOFError):
         ChildProcess.start(context, "helper", send_one)
 
 
 @pytest.mark.skipif(
-    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
+    "forkserver" not in multiprocessing.get_all_start_methods(),
+    reason="no fork server here",
 )
 def test_children_outlive_the_terminal_until_the_trainer_has_asked_for_their_states():
     context = process_context()
@@ -101,10 +106,15 @@ def test_helpers_and_workers_start_by_spawn(monkeypatch, tmp_path):
     learner, alone = noisy_learner(config), noisy_learner(replace(config, processes=1))
     env_ids = torch.arange(16)
     with learner.running(), alone.running():
-        together, expected = learner.compute_gradient(env_ids), alone.compute_gradient(env_ids)
+        together, expected = (
+            learner.compute_gradient(env_ids),
+            alone.compute_gradient(env_ids),
+        )
         torch.testing.assert_close(together, expected)
     gate = tmp_path / "gate"
     gate.touch()
-    trainer, evaluations = build(gate, CheckpointStore(tmp_path / "é", {}), evaluate_every=UPDATE)
+    trainer, evaluations = build(
+        gate, CheckpointStore(tmp_path / "é", {}), evaluate_every=UPDATE
+    )
     assert trainer.train(2 * UPDATE).reason == "finished"
     assert [step for step, *_ in evaluations] == [0, UPDATE, 2 * UPDATE]

@@ -43,7 +43,9 @@ def trainer(folder, config, stop_after=None):
     return kind(config, policy, env, seed=5, hooks=hooks, checkpoints=store), rows
 
 
-@pytest.mark.parametrize("config", [CONFIG, FAST, DISTIL], ids=["plain", "fast", "distil"])
+@pytest.mark.parametrize(
+    "config", [CONFIG, FAST, DISTIL], ids=["plain", "fast", "distil"]
+)
 def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
     tmp_path, config, monkeypatch
 ):
@@ -55,7 +57,11 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
     resumed, second = trainer(tmp_path / "cut", config)
     resumed.resume()
     resumed.train(6 * 24)
-    assert [row["grad_norm"] for row in first + second] == [row["grad_norm"] for row in rows]
+    assert [row["grad_norm"] for row in first + second] == [
+        row["grad_norm"] for row in rows
+    ]
     for part in ("policy", "optimizer", "state"):
         name = f"latest/{part}.safetensors"
-        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()
+        assert (tmp_path / "whole" / name).read_bytes() == (
+            tmp_path / "cut" / name
+        ).read_bytes()

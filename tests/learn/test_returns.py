@@ -14,7 +14,9 @@ def test_next_values_are_the_next_rows_but_zero_or_the_final_ones_at_an_end():
     terminated = torch.tensor([[True, False], [False, False], [False, False]])
     truncated = torch.tensor([[False, False], [False, True], [False, False]])
     final = torch.full((3, 2), 7.0)
-    result = next_values(values, torch.tensor([4.0, 40.0]), final, terminated, truncated)
+    result = next_values(
+        values, torch.tensor([4.0, 40.0]), final, terminated, truncated
+    )
     assert result.tolist() == [[0.0, 20.0], [3.0, 7.0], [4.0, 40.0]]
 
 
@@ -41,7 +43,12 @@ def test_n_step_returns_stop_at_an_episodes_end():
 def test_advantages_by_hand():
     # deltas: 1 + .5 * 2 - 1 = 1; 2 + .5 * 4 - 2 = 2; 3 + .5 * 8 - 4 = 3; decay .5 * .5 = .25
     result = advantages(
-        column(1.0, 2.0, 3.0), column(1.0, 2.0, 4.0), column(2.0, 4.0, 8.0), NONE, 0.5, 0.5
+        column(1.0, 2.0, 3.0),
+        column(1.0, 2.0, 4.0),
+        column(2.0, 4.0, 8.0),
+        NONE,
+        0.5,
+        0.5,
     )
     assert result.flatten().tolist() == [1 + 0.25 * 2.75, 2.75, 3.0]
 
@@ -49,7 +56,12 @@ def test_advantages_by_hand():
 def test_advantages_do_not_leak_from_the_next_episode():
     done = column(True, False, False)
     result = advantages(
-        column(1.0, 2.0, 3.0), column(1.0, 2.0, 4.0), column(0.0, 4.0, 8.0), done, 0.5, 0.5
+        column(1.0, 2.0, 3.0),
+        column(1.0, 2.0, 4.0),
+        column(0.0, 4.0, 8.0),
+        done,
+        0.5,
+        0.5,
     )
     assert result[0].item() == 0.0
     assert result[1].item() == 2.75

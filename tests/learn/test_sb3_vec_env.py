@@ -26,7 +26,9 @@ def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
     observation = env.reset()
     expected, _ = plain.reset(seed=7)
     np.testing.assert_array_equal(observation["image"], expected)
-    np.testing.assert_array_equal(observation["knowledge"], TABLE[plain.knowledge_input])
+    np.testing.assert_array_equal(
+        observation["knowledge"], TABLE[plain.knowledge_input]
+    )
     still = np.zeros((4, 6), np.int64)
     for _ in range(5):
         _, _, done, infos = env.step(still)

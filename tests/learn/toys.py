@@ -115,7 +115,9 @@ def toy_policy(*, features=32, pixel_shift=0.4, actor_gain=0.01, seed=0):
 
 def informed_toy_policy(width, *, seed=1):
     """Create a small policy with knowledge of some width and visible actor outputs."""
-    shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=width)
+    shape = PolicyShape(
+        joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=width
+    )
     return Policy(PolicyConfig(features=16, actor_gain=1.0), shape, seed=seed)
 
 
@@ -145,11 +147,24 @@ def noisy_learner(config, *, auxiliary=0, device="cpu"):
         torch.device(device),
     )
     rollout, targets = learner.rollout, learner.targets
-    rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
-    rollout.knowledge.copy_(torch.from_numpy(known[rng.integers(0, 3, rollout.reward.shape)]))
-    rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.reward.shape) < 0.2))
-    rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
-    floats = (rollout.log_probability, rollout.start_h, rollout.start_c, *targets.values())
+    rollout.patches.copy_(
+        torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8))
+    )
+    rollout.knowledge.copy_(
+        torch.from_numpy(known[rng.integers(0, 3, rollout.reward.shape)])
+    )
+    rollout.episode_start.copy_(
+        torch.from_numpy(rng.random(rollout.reward.shape) < 0.2)
+    )
+    rollout.action.copy_(
+        torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape))
+    )
+    floats = (
+        rollout.log_probability,
+        rollout.start_h,
+        rollout.start_c,
+        *targets.values(),
+    )
     for tensor in floats:
         tensor.copy_(torch.from_numpy(rng.standard_normal(tensor.shape)))
     return learner

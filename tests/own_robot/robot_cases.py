@@ -23,15 +23,15 @@ ARM = """<mujoco model="plain"><compiler angle="radian"/>
       range="0 .03"/><geom type="box" size=".01 .005 .03"/></body>
   </body></body></body></body></body></body></body></worldbody></mujoco>"""
 LEFT = ARM[ARM.index('<body name="left"') : ARM.index('<body name="right"')]
-RIGHT = ARM[ARM.index('<body name="right"') : ARM.index("</body></body></body></body>") - 9]
+RIGHT = ARM[
+    ARM.index('<body name="right"') : ARM.index("</body></body></body></body>") - 9
+]
 BASE = '<body name="base">'
 SECOND = ARM[ARM.index(BASE) : ARM.index("</worldbody>")].replace('name="', 'name="r')
 JAW = """<body name="jaw" pos="0 .03 .04"><joint name="{}" axis="1 0 0" range="-.2 1.2"/>
   <geom type="box" size=".01 .005 .03" pos="0 0 .03"/></body>"""
 FIXED = '<geom type="box" size=".01 .005 .03" pos="0 -.03 .06"/>'
-CUBE = (
-    '<body name="cube{0}" pos=".4 .1 .{0}"><freejoint/><geom type="box" size=".03 .03 .03"/></body>'
-)
+CUBE = '<body name="cube{0}" pos=".4 .1 .{0}"><freejoint/><geom type="box" size=".03 .03 .03"/></body>'
 TORSO = """<body name="waist"><joint name="w1" axis="0 0 1" range="-1 1"/><geom size=".1"/>
   <body name="chest" pos="0 0 .1"><joint name="w2" axis="0 1 0" range="-.5 1"/><geom size=".1"/>
   <body name="head" pos="0 0 .3"><joint name="neck" axis="0 0 1"/><geom size=".1"/></body>"""
@@ -52,7 +52,10 @@ CASES = {
     "gripper hinge named joint7": change((LEFT, JAW.format("joint7")), (RIGHT, FIXED)),
     "finger named drive joint": change(
         (LEFT, JAW.format("drive_joint")),
-        (RIGHT, JAW.format("other").replace("jaw", "other").replace(".03 .04", "-.03 .04")),
+        (
+            RIGHT,
+            JAW.format("other").replace("jaw", "other").replace(".03 .04", "-.03 .04"),
+        ),
     ),
     "one moving jaw": change((RIGHT, FIXED)),
     "two arms": change(
@@ -70,35 +73,60 @@ CASES = {
     "base away from the origin": change((BASE, '<body name="base" pos="-.47 0 0">')),
     "free base": change((BASE, '<body name="base" pos="0 0 1.5"><freejoint/>')),
     "on the wall": change((BASE, '<body name="base" pos="0 0 .8" euler="0 1.5708 0">')),
-    "on the ceiling": change((BASE, '<body name="base" pos="0 0 1.2" euler="3.1416 0 0">')),
+    "on the ceiling": change(
+        (BASE, '<body name="base" pos="0 0 1.2" euler="3.1416 0 0">')
+    ),
     "base plate below the floor": change(('pos="0 0 .05"/>\n', 'pos="0 0 .04"/>\n')),
     "own table and cube": change(
-        (BASE, f'<body name="table" pos=".5 0 .2"><geom size=".2"/></body>{CUBE.format(5)}{BASE}')
+        (
+            BASE,
+            f'<body name="table" pos=".5 0 .2"><geom size=".2"/></body>{CUBE.format(5)}{BASE}',
+        )
     ),
-    "own floor": change((BASE, f'<geom type="plane" pos="0 0 .06" size="2 2 .1"/>{BASE}')),
+    "own floor": change(
+        (BASE, f'<geom type="plane" pos="0 0 .06" size="2 2 .1"/>{BASE}')
+    ),
     "loose cubes": change((BASE, CUBE.format(1) + CUBE.format(3) + BASE)),
     "unnamed joint": change(('name="j3" ', "")),
     "all joints unnamed": change(*((f'name="j{i}" ', "") for i in range(1, 7))),
-    "names with space, slash, umlaut": change(("j1", "Gelenk 1 / &#252;"), ("l6", "&quot;6&quot;")),
-    "zero inertia": change((' armature=".05"', ""), ('<geom type="sphere"', '<geom mass="0"')),
-    "tiny inertia": change((' armature=".05"', ""), ("<geom rgba", '<geom density="1" rgba')),
-    "ball joint": change(('name="j4" axis="0 0 1"', 'name="j4" type="ball" range="0 2"')),
+    "names with space, slash, umlaut": change(
+        ("j1", "Gelenk 1 / &#252;"), ("l6", "&quot;6&quot;")
+    ),
+    "zero inertia": change(
+        (' armature=".05"', ""), ('<geom type="sphere"', '<geom mass="0"')
+    ),
+    "tiny inertia": change(
+        (' armature=".05"', ""), ("<geom rgba", '<geom density="1" rgba')
+    ),
+    "ball joint": change(
+        ('name="j4" axis="0 0 1"', 'name="j4" type="ball" range="0 2"')
+    ),
     "two joints in one body": change(
-        ('range="-1.8 1.8"/>', 'range="-1.8 1.8"/><joint name="j2b" axis="1 0 0" range="-.5 .5"/>')
+        (
+            'range="-1.8 1.8"/>',
+            'range="-1.8 1.8"/><joint name="j2b" axis="1 0 0" range="-.5 .5"/>',
+        )
     ),
     "coupled joints": change(
         ("</mujoco>", '<equality><joint joint1="j3" joint2="j2"/></equality></mujoco>')
     ),
     "no ranges": change(
         (' range="-2.9 2.9"', ""),
-        ("</mujoco>", '<actuator><position joint="j1" ctrlrange="-2 2"/></actuator></mujoco>'),
+        (
+            "</mujoco>",
+            '<actuator><position joint="j1" ctrlrange="-2 2"/></actuator></mujoco>',
+        ),
     ),
     "range excludes zero": change(("-2.6 2.6", ".5 2.6")),
     "mirrored reference": change(('range="-2.6 2.6"', 'range="-1.03 4.17" ref="1.57"')),
-    "one link in group 3": change(('"capsule" size=".05"', '"capsule" group="3" size=".05"')),
+    "one link in group 3": change(
+        ('"capsule" size=".05"', '"capsule" group="3" size=".05"')
+    ),
     "all geoms in group 3": change(("<geom rgba", '<geom group="3" rgba')),
     "strong friction": change(('damping="1"', 'damping="60" frictionloss="40"')),
-    "missing mesh": change(("<default>", '<asset><mesh name="m" file="no.stl"/></asset><default>')),
+    "missing mesh": change(
+        ("<default>", '<asset><mesh name="m" file="no.stl"/></asset><default>')
+    ),
     "springs": change(('damping="1"', 'damping="1" stiffness="200" springref=".5"')),
     "force limits": change(("armature", 'actuatorfrcrange="-12 12" armature')),
     "keyframe of another size": change(
@@ -108,9 +136,14 @@ CASES = {
         (LEFT, f'<site name="tcp" pos="0 0 .08" euler="3.1416 0 0"/>{LEFT}')
     ),
     "cone": change(
-        ("<default>", '<option timestep=".002" impratio="10" cone="elliptic"/><default>')
+        (
+            "<default>",
+            '<option timestep=".002" impratio="10" cone="elliptic"/><default>',
+        )
     ),
-    "fingers drawn closed": change(("0 .03 .06", "0 .005 .06"), ("0 -.03 .06", "0 -.005 .06")),
+    "fingers drawn closed": change(
+        ("0 .03 .06", "0 .005 .06"), ("0 -.03 .06", "0 -.005 .06")
+    ),
     "in centimetres": re.sub(
         r'(pos|size|fromto)="([^"]*)"',
         lambda m: f'{m[1]}="{" ".join(str(100 * float(x)) for x in m[2].split())}"',

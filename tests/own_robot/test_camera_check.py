@@ -38,17 +38,27 @@ def moved(scene, shift, turn_deg, change_deg=0.0):
     rotation = Rotation.from_matrix(scene.camera_matrix) * Rotation.from_rotvec(
         np.radians(turn_deg)
     )
-    return scene.camera_position + shift, rotation, scene.robot.camera_fovy_deg + change_deg
+    return (
+        scene.camera_position + shift,
+        rotation,
+        scene.robot.camera_fovy_deg + change_deg,
+    )
 
 
 @pytest.mark.parametrize(
     ("shift", "turn_deg", "change_deg"),
-    [((0, 0, 0), (0, 0, 0), 0), ((0.1, -0.05, 0.08), (4, -6, 3), 0), ((0, 0.2, 0), (0, 9, 0), 5)],
+    [
+        ((0, 0, 0), (0, 0, 0), 0),
+        ((0.1, -0.05, 0.08), (4, -6, 3), 0),
+        ((0, 0.2, 0), (0, 9, 0), 5),
+    ],
 )
 def test_the_camera_is_recovered(scene, shift, turn_deg, change_deg):
     places = np.array([*points(scene).values()])
     position, rotation, fovy_deg = moved(scene, shift, turn_deg, change_deg)
-    found = fit_camera(scene, seen_by(scene, places, position, rotation, fovy_deg), places)
+    found = fit_camera(
+        scene, seen_by(scene, places, position, rotation, fovy_deg), places
+    )
     np.testing.assert_allclose(found[0], position, atol=2e-3)
     assert (found[1].inv() * rotation).magnitude() < 2e-3
     assert found[2] == pytest.approx(fovy_deg, abs=0.1)
@@ -60,7 +70,9 @@ def write(folder: Path, scene, camera, width=640, height=480):
     known = points(scene)
     seen = seen_by(scene, np.array([*known.values()]), *camera) * [1, -1] * height / 2
     pixels = seen + np.array([width / 2, height / 2])
-    rows = [f"{name},{x:.2f},{y:.2f}" for name, (x, y) in zip(known, pixels, strict=True)]
+    rows = [
+        f"{name},{x:.2f},{y:.2f}" for name, (x, y) in zip(known, pixels, strict=True)
+    ]
     x, y, z = known["gripper"]
     rows[0] = f"{x} {y} {z}{rows[0].removeprefix('gripper')}"
     (folder / "points.csv").write_text("\n".join(["point,x,y", *rows]))
@@ -74,12 +86,17 @@ def test_a_camera_off_by_a_little_passes_and_by_more_is_corrected(scene, tmp_pat
     checks = check_camera(CONFIG, *files, tmp_path / "overlay.png")
     assert [check.ok for check in checks] == [True] * len(checks)
     camera = moved(scene, (0.05, 0, 0), (0, 3, 0))
-    checks = check_camera(CONFIG, *write(tmp_path, scene, camera), tmp_path / "overlay.png")
+    checks = check_camera(
+        CONFIG, *write(tmp_path, scene, camera), tmp_path / "overlay.png"
+    )
     failed = {check.name: check for check in checks if not check.ok}
     assert set(failed) == {"position", "rotation"}
     assert failed["position"].found == "50.0 mm off"
     assert failed["rotation"].found.startswith("3.0 degrees off, ")
-    assert f"camera_position_m = {camera[0].round(3).tolist()}" in failed["position"].remedy
+    assert (
+        f"camera_position_m = {camera[0].round(3).tolist()}"
+        in failed["position"].remedy
+    )
 
 
 def test_points_that_no_camera_sees_suggest_no_pose(scene, tmp_path, capsys):
@@ -89,7 +106,9 @@ def test_points_that_no_camera_sees_suggest_no_pose(scene, tmp_path, capsys):
     command = ["doctor", "--camera", str(photo), "--points", str(points)]
     command += ["--image", str(tmp_path / "overlay.png")]
     assert main(command) == 2
-    assert capsys.readouterr().err.count("camera_position_m") == 1, "for both checks together"
+    assert capsys.readouterr().err.count("camera_position_m") == 1, (
+        "for both checks together"
+    )
     points.write_text("\n".join(lines))
     assert main(command) == 2
     shown = capsys.readouterr().err
@@ -119,7 +138,13 @@ def test_the_overlay_shows_both(scene, tmp_path):
 def test_wrong_points_are_refused_in_one_line(scene, tmp_path, capsys, text, words):
     photo, _ = write(tmp_path, scene, moved(scene, (0, 0, 0), (0, 0, 0)))
     (tmp_path / "points.csv").write_text(text)
-    command = ["doctor", "--camera", str(photo), "--points", str(tmp_path / "points.csv")]
+    command = [
+        "doctor",
+        "--camera",
+        str(photo),
+        "--points",
+        str(tmp_path / "points.csv"),
+    ]
     assert main([*command, "--image", str(tmp_path / "overlay.png")]) == 2
     error = capsys.readouterr().err
     assert words in error

@@ -20,12 +20,18 @@ from tests.world.helpers import EXAMPLES
     [
         ({"set": ("home=[0]",)}, "--set needs --robot"),
         ({"targets": ("bowl.toml",)}, "--targets needs --robot"),
-        ({"robot": str(EXAMPLES / "scara.xml"), "set": ("joints=5",)}, "a list of names, got 5"),
+        (
+            {"robot": str(EXAMPLES / "scara.xml"), "set": ("joints=5",)},
+            "a list of names, got 5",
+        ),
         (
             {"robot": "irb120", "write": Path("a.toml")},
             "--write needs --robot with an MJCF, URDF or",
         ),
-        ({"robot": "arm.xml", "write": Path("a.txt")}, "--write must name a .toml file"),
+        (
+            {"robot": "arm.xml", "write": Path("a.txt")},
+            "--write must name a .toml file",
+        ),
         ({"robot": "missing.xml"}, "no such file"),
         ({"package": ("a=b",)}, "--package needs --robot"),
     ],
@@ -77,27 +83,40 @@ def test_a_model_file_is_drafted_and_checked_for_a_task(
     monkeypatch.setattr("knowarm.own_robot.command.draft_robot", lambda *args: draft)
     monkeypatch.setattr("knowarm.own_robot.command.check_objects", check)
     Doctor(robot="arm.xml", task="lift").run()
-    assert checked == [("drafted", "lift", (), {"success_angle_deg": 30.0, "ignore_roll": True})]
+    assert checked == [
+        ("drafted", "lift", (), {"success_angle_deg": 30.0, "ignore_roll": True})
+    ]
 
 
 @pytest.mark.parametrize("angle", [" --env.success-angle-deg 60", ""])
 def test_the_commands_for_an_eased_orientation_parse(
-    angle: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    angle: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     draft = SimpleNamespace(
         how={},
         toml=lambda file: "",
         task_options=lambda: f"{angle} --env.ignore-roll".strip(),
-        evaluation_options=lambda: f"{'--angle-deg 60' if angle else ''} --distance-m .05".strip(),
+        evaluation_options=lambda: (
+            f"{'--angle-deg 60' if angle else ''} --distance-m .05".strip()
+        ),
         success_angle_deg=60.0 if angle else 15.0,
         ignore_roll=True,
         distance_m=0.05,
     )
     monkeypatch.setattr("knowarm.own_robot.command.draft_robot", lambda *args: draft)
-    monkeypatch.setattr("knowarm.own_robot.command.shrink_distance", lambda draft, targets: draft)
-    monkeypatch.setattr("knowarm.own_robot.command.check_robot", lambda *args, **options: [])
+    monkeypatch.setattr(
+        "knowarm.own_robot.command.shrink_distance", lambda draft, targets: draft
+    )
+    monkeypatch.setattr(
+        "knowarm.own_robot.command.check_robot", lambda *args, **options: []
+    )
     Doctor(robot="arm.xml", write=tmp_path / "arm.toml").run()
-    printed = [line for line in capsys.readouterr().out.splitlines() if "  knowarm" in line]
+    printed = [
+        line for line in capsys.readouterr().out.splitlines() if "  knowarm" in line
+    ]
     found = {}
     for words in (shlex.split(line)[1:] for line in printed):
         if words[0] != "train":  # the run's config would read the description
@@ -119,5 +138,12 @@ def test_an_installation_that_works_passes_every_check(
     Doctor(runs=tmp_path).run()
     out = capsys.readouterr().out
     assert "FAILED" not in out
-    for check in ("versions", "knowledge", "world", "policy", "memory", "output folder"):
+    for check in (
+        "versions",
+        "knowledge",
+        "world",
+        "policy",
+        "memory",
+        "output folder",
+    ):
         assert check in out

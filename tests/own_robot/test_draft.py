@@ -10,7 +10,13 @@ import pytest
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.own_robot.draft import Draft, _toml, draft_robot, read_overrides, shrink_distance
+from knowarm.own_robot.draft import (
+    Draft,
+    _toml,
+    draft_robot,
+    read_overrides,
+    shrink_distance,
+)
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import Home
 from knowarm.own_robot.draft_reach import find_layout
@@ -83,13 +89,22 @@ COUPLED = '<equality><joint joint1="f" joint2="e"/></equality>'
     ("inside", "fingers", "more", "why"),
     [
         (FIXED_JAW, JAW, "", "a jaw moves beside a fixed part"),
-        ('<site name="end_effector_site" pos="0 0 .1"/>', JAW, "", "site 'end_effector_site' lies"),
+        (
+            '<site name="end_effector_site" pos="0 0 .1"/>',
+            JAW,
+            "",
+            "site 'end_effector_site' lies",
+        ),
         ("", FINGERS.format("jaw", 0.02) + JAW, "", "2 moving parts begin"),
         ("", PARTNER, COUPLED, "joints of several parts are coupled ('f')"),
     ],
 )
-def test_fingers_are_known_by_structure(inside: str, fingers: str, more: str, why: str) -> None:
-    text = HAND.format(inside=inside, fingers=fingers).replace("</mujoco>", f"{more}</mujoco>")
+def test_fingers_are_known_by_structure(
+    inside: str, fingers: str, more: str, why: str
+) -> None:
+    text = HAND.format(inside=inside, fingers=fingers).replace(
+        "</mujoco>", f"{more}</mujoco>"
+    )
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert gripper.joints == ("a", "b", "c", "d")
     assert f"where {why}" in gripper.how
@@ -98,7 +113,9 @@ def test_fingers_are_known_by_structure(inside: str, fingers: str, more: str, wh
 
 def test_last_joint_without_these_signs_is_the_arms() -> None:
     roll = '<body><joint name="roll" axis="0 0 1"/><geom size=".03" pos=".01 0 .1"/></body>'
-    pitch = '<body><joint name="pitch" axis="0 1 0"/><geom size=".03" pos="0 0 .1"/></body>'
+    pitch = (
+        '<body><joint name="pitch" axis="0 1 0"/><geom size=".03" pos="0 0 .1"/></body>'
+    )
     assert find_gripper(hand(FIXED_JAW, roll)).joints[-1] == "roll"
     assert find_gripper(hand(fingers=pitch)).joints[-1] == "pitch"
 
@@ -108,7 +125,9 @@ def test_of_two_equal_arms_the_one_not_taken_is_offered(before: int) -> None:
     link = '<body pos="0 0 .3"><joint name="{}{}"/><geom size=".03" pos="0 0 .15"/>{}</body>'
     arms = ["", ""]
     for number in reversed(range(6)):
-        arms = [link.format(side, number, arm) for side, arm in zip("rl", arms, strict=True)]
+        arms = [
+            link.format(side, number, arm) for side, arm in zip("rl", arms, strict=True)
+        ]
     text = f"<mujoco><worldbody>{'<body/>' * before}{arms[0]}{arms[1]}</worldbody></mujoco>"
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert gripper.joints == ("r0", "r1", "r2", "r3", "r4", "r5")
@@ -124,7 +143,12 @@ def test_tcp_lies_between_a_jaw_and_the_fixed_one() -> None:
 
 
 def test_single_jaw_is_no_joint_of_the_arm() -> None:
-    assert find_gripper(hand(fingers=FINGERS.format("jaw", 0.02))).joints == ("a", "b", "c", "d")
+    assert find_gripper(hand(fingers=FINGERS.format("jaw", 0.02))).joints == (
+        "a",
+        "b",
+        "c",
+        "d",
+    )
 
 
 def test_site_that_points_elsewhere_is_turned() -> None:
@@ -137,13 +161,17 @@ def test_site_that_points_elsewhere_is_turned() -> None:
 
 def test_arm_without_gripper_gets_a_tcp_in_front_of_its_end() -> None:
     gripper = find_gripper(hand())
-    np.testing.assert_allclose(gripper.fields["tcp_position_m"], [0, 0, 0.08], atol=1e-6)
+    np.testing.assert_allclose(
+        gripper.fields["tcp_position_m"], [0, 0, 0.08], atol=1e-6
+    )
 
 
 def test_flange_whose_mesh_extends_backward() -> None:
     back = '<geom type="box" size=".02 .02 .05" pos="0 0 -.06"/><body name="flange" pos="0 0 .02"/>'
     gripper = find_gripper(hand(inside=back))
-    assert gripper.fields["tcp_position_m"][2] > 0.05  # in front, where the wrist goes on
+    assert (
+        gripper.fields["tcp_position_m"][2] > 0.05
+    )  # in front, where the wrist goes on
 
 
 def test_file_without_an_arm_is_refused() -> None:
@@ -157,7 +185,9 @@ def test_file_without_an_arm_is_refused() -> None:
 def test_layout_keeps_what_is_given_and_names_what_is_not_reached() -> None:
     scene = load_scene("irb120", ("bottle", "mug"))
     given = {"rectangle_centre_m": (0.45, 0.05), "rectangle_half_size_m": (0.05, 0.1)}
-    layout = find_layout(lambda height: scene, (0.0,), given | {"target_yaw_deg": 180.0})
+    layout = find_layout(
+        lambda height: scene, (0.0,), given | {"target_yaw_deg": 180.0}
+    )
     assert tuple(layout.centre_m) == given["rectangle_centre_m"]
     assert [branch.yaw_deg for branch in layout.branches] == [180.0, 180.0]
     simulation = MujocoSimulator(scene, 9)
@@ -165,7 +195,9 @@ def test_layout_keeps_what_is_given_and_names_what_is_not_reached() -> None:
     reached = simulation.tcp_position[:, :2]
     np.testing.assert_allclose(np.ptp(reached, axis=0), [0.1, 0.2], atol=0.03)
     far = {**given, "rectangle_centre_m": (3.0, 0.0)}
-    with pytest.raises(UserError, match=r"bottle at 0\.50 m 0, mug at 0\.50 m 0\. Give"):
+    with pytest.raises(
+        UserError, match=r"bottle at 0\.50 m 0, mug at 0\.50 m 0\. Give"
+    ):
         find_layout(lambda height: scene, (0.5,), far)
 
 
@@ -185,7 +217,9 @@ def test_given_yaws_turn_the_grasps_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path, short_search: None) -> None:
+def test_draft_of_a_six_joint_arm_passes_all_checks(
+    tmp_path: Path, short_search: None
+) -> None:
     draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
     assert (draft.success_angle_deg, draft.ignore_roll) == (15.0, False)
     assert draft.task_options() == ""
@@ -307,12 +341,17 @@ def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
     assert body in text
     (tmp_path / "arm.xml").write_text(text.replace(body, body + WALL))
     for mjcf, side in ((SHIPPED.mjcf, "right"), (tmp_path / "arm.xml", "left")):
-        scene = build_scene(dataclasses.replace(SHIPPED, mjcf=mjcf), find_targets(["mug"]))
+        scene = build_scene(
+            dataclasses.replace(SHIPPED, mjcf=mjcf), find_targets(["mug"])
+        )
         home = Home(scene.home, 1.0, "")
         _, view, text = choose_view(scene, [home], {"camera_fovy_deg": 40.0})
         assert side in text.partition(": at its start the arm fills")[0]
         assert (view["camera_position_m"][1] < 0) is (side == "right")
-        given = {"camera_position_m": [2.0, -1.0, 1.0], "camera_look_at_m": [0.4, 0.0, 0.3]}
+        given = {
+            "camera_position_m": [2.0, -1.0, 1.0],
+            "camera_look_at_m": [0.4, 0.0, 0.3],
+        }
         fields = choose_view(scene, [home], {**given, "camera_fovy_deg": 40.0})[1]
         assert fields == {**given, "camera_fovy_deg": 40.0}
 
@@ -320,7 +359,9 @@ def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
 def test_the_image_has_the_colours_that_the_policy_sees(tmp_path: Path) -> None:
     robot, bowl = str(EXAMPLES / "scara.toml"), str(EXAMPLES / "bowl.toml")
     scene = load_scene(robot, (bowl,))
-    write_scene_image(scene, EnvConfig(robot=robot, targets=(bowl,)), tmp_path / "a.png")
+    write_scene_image(
+        scene, EnvConfig(robot=robot, targets=(bowl,)), tmp_path / "a.png"
+    )
     drawn = np.asarray(Image.open(tmp_path / "a.png"), dtype=int)
     wanted = 255 * scene.target_colours[0, 0]
     hue = drawn / np.maximum(drawn.max(axis=-1, keepdims=True), 1)

@@ -27,13 +27,16 @@ def test_two_objects_of_one_shape_are_named(tmp_path: Path) -> None:
     for name in ("one", "other"):
         text = (EXAMPLES / "bowl.toml").read_text()
         mjcf = (EXAMPLES / "bowl.toml").parent / "bowl.xml"
-        lines = [line for line in text.splitlines() if not line.startswith(("mjcf", "name"))]
+        lines = [
+            line for line in text.splitlines() if not line.startswith(("mjcf", "name"))
+        ]
         (tmp_path / f"{name}.toml").write_text(
             "\n".join([f'name = "{name}"', f'mjcf = "{mjcf}"', *lines])
         )
     files = [str(tmp_path / f"{name}.toml") for name in ("one", "other")]
     checks = {
-        check.name: check for check in check_objects("irb120", "choose", [*files, "can", "bell"])
+        check.name: check
+        for check in check_objects("irb120", "choose", [*files, "can", "bell"])
     }
     assert not checks["any two objects differ"].ok
     assert "one and other" in checks["any two objects differ"].found
@@ -52,5 +55,7 @@ def test_objects_to_lift_are_checked_without_fingers() -> None:
 
 def test_an_easier_orientation_is_that_of_the_check() -> None:
     options = {"success_angle_deg": 1e-12}
-    checks = {c.name: c for c in check_objects("irb120", "lift", ["mug", "bottle"], **options)}
+    checks = {
+        c.name: c for c in check_objects("irb120", "lift", ["mug", "bottle"], **options)
+    }
     assert not checks["reach of mug"].ok

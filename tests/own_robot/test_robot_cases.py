@@ -47,7 +47,9 @@ FOUND = {
 """What the draft says of a case; of others what it says of the plain arm."""
 
 
-def lay_out(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **given) -> tuple:
+def lay_out(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **given
+) -> tuple:
     """Draft a case up to the search of a layout; return the error, and the scene it starts at."""
     scenes = []
 
@@ -64,7 +66,9 @@ def lay_out(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **given)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_the_draft_finds(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_draft_finds(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     error = lay_out(name, tmp_path, monkeypatch)[0]
     assert FOUND.get(name, SIX.format("left, right")) in error
     placed = FOUND.get(name) == BASE or name.startswith("waist")
@@ -80,14 +84,20 @@ def test_what_the_draft_finds(name: str, tmp_path: Path, monkeypatch: pytest.Mon
     ],
 )
 def test_the_arm_is_turned_to_x_and_put_at_the_origin(
-    name: str, yaw_deg: float, position: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    yaw_deg: float,
+    position: list,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     robot = lay_out(name, tmp_path, monkeypatch)[1].robot
     assert abs(robot.base_yaw_deg) == yaw_deg
     np.testing.assert_allclose(robot.base_position_m, position, atol=0.06)
 
 
-def test_only_what_hangs_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_hangs_is_lowered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def heights(name: str) -> list[float]:
         tried: list[float] = []
 
@@ -144,7 +154,12 @@ def test_coupled_joints_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     ],
 )
 def test_servos_hold_the_joints_or_the_remedy_was_tried(
-    name: str, hertz: float, ok: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    hertz: float,
+    ok: bool,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     robot = lay_out(name, tmp_path, monkeypatch)[1].robot
     home = (0.0, 0.3, 0.9, 0.0, 0.9, 0.0)
@@ -158,7 +173,10 @@ def test_fingers_are_drafted_open_and_closed_ones_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = lay_out("fingers drawn closed", tmp_path, monkeypatch)[1].robot
-    assert (robot.fingers, robot.held_joints) == (("left", "right"), {"left": 0.03, "right": 0.03})
+    assert (robot.fingers, robot.held_joints) == (
+        ("left", "right"),
+        {"left": 0.03, "right": 0.03},
+    )
     targets = find_targets(["mug"])
     model = build_lift_scene(robot, targets, 0).model
     for finger in ("left", "right"):
@@ -168,7 +186,9 @@ def test_fingers_are_drafted_open_and_closed_ones_are_refused(
         assert model.geom_size[pad] == pytest.approx([0.01, 0.005, 0.019], abs=1e-3)
         assert model.geom_rgba[pad, 3] == 0
     assert model.jnt_range[model.joint("left").id, 1] == pytest.approx(0.03, abs=1e-3)
-    with pytest.raises(UserError, match="touch where they are drawn; open them with held_joints"):
+    with pytest.raises(
+        UserError, match="touch where they are drawn; open them with held_joints"
+    ):
         build_lift_scene(replace(robot, held_joints={}), targets, 0)
 
 
@@ -176,8 +196,13 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = replace(lay_out("plain", tmp_path, monkeypatch)[1].robot, mpi_rad=0.08)
-    robot = replace(robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2))
-    trials = (([0.4, 0.7, 0.95], -135.0), ([0.4, 0.7, 0.6, 0.5], 180.0))  # enough; the best of all
+    robot = replace(
+        robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2)
+    )
+    trials = (
+        ([0.4, 0.7, 0.95], -135.0),
+        ([0.4, 0.7, 0.6, 0.5], 180.0),
+    )  # enough; the best of all
     for shares, yaw in trials:
         monkeypatch.setattr(draft_area, "oracle_success", Mock(side_effect=shares))
         area, text = draft_area.find_area(robot, lambda file, areas: "", Lift())
@@ -216,7 +241,9 @@ def test_drafts_pass_all_checks(
     name: str, tmp_path: Path, short_search: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name != "two arms":  # the search takes most of the time
-        monkeypatch.setattr(draft, "find_area", lambda *arguments: ({}, "not looked for"))
+        monkeypatch.setattr(
+            draft, "find_area", lambda *arguments: ({}, "not looked for")
+        )
     (tmp_path / "arm.xml").write_text(CASES[name])
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
     found = shrink_distance(found, ["mug", "bottle"])

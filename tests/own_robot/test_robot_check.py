@@ -15,7 +15,9 @@ from tests.world.helpers import EXAMPLES, write_robot
 
 def result_of(name: str, robot: Path | str, targets: list, **options: object) -> Check:
     """Run the checks of a robot up to a name."""
-    return next(each for each in check_robot(robot, targets, **options) if each.name == name)
+    return next(
+        each for each in check_robot(robot, targets, **options) if each.name == name
+    )
 
 
 def test_example_robot_passes_all_checks() -> None:
@@ -34,12 +36,20 @@ def test_example_robot_passes_all_checks() -> None:
 @pytest.mark.parametrize(
     ("changes", "name", "words"),
     [
-        ({"rectangle_centre_m": "[0.75, 0.0]"}, "reach of bottle", "move or shrink the rectangle"),
+        (
+            {"rectangle_centre_m": "[0.75, 0.0]"},
+            "reach of bottle",
+            "move or shrink the rectangle",
+        ),
         ({"camera_fovy_deg": "150.0"}, "yellow bottle in the image", "camera_fovy_deg"),
         ({"tcp_quaternion": "[1.0, 0.0, 0.0, 0.0]"}, "gripper", "tcp_quaternion"),
         ({"servo_frequency_hz": "0.5"}, "servos", "servo_frequency_hz = 5.0 gives 0.0"),
         ({"servo_frequency_hz": "50"}, "servos", "servo_frequency_hz = 5.0 gives 0.0"),
-        ({"rectangle_half_size_m": "[0.001, 0.001]"}, "without looking", "enlarge the rectangle"),
+        (
+            {"rectangle_half_size_m": "[0.001, 0.001]"},
+            "without looking",
+            "enlarge the rectangle",
+        ),
         ({"joints": '["shoulder", "knee"]'}, "scene", "home has"),
     ],
 )
@@ -88,7 +98,9 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
     config = EnvConfig(
         robot=str(file), targets=("bottle",), success_angle_deg=90.0, ignore_roll=True
     )
-    GoalTable(ArmVectorEnv(config, 1).running)  # The teacher of imitation takes such poses too.
+    GoalTable(
+        ArmVectorEnv(config, 1).running
+    )  # The teacher of imitation takes such poses too.
     assert "teacher reaches" not in caplog.text
 
 
@@ -98,7 +110,9 @@ SURROUNDINGS = """<worldbody><geom type="plane" size="2 2 .1" pos="0 0 .06" rgba
   <body name="cube" pos=".3 0 .5"><freejoint/><geom type="box" size=".03 .03 .03"/></body>"""
 
 
-def test_surroundings_in_the_robots_file_are_left_out_and_listed(tmp_path: Path) -> None:
+def test_surroundings_in_the_robots_file_are_left_out_and_listed(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
     bare = load_scene(str(file), ("bottle",)).model
@@ -121,7 +135,12 @@ MILLIMETRES = """<asset><mesh name="m" vertex="-60 -60 0 60 -60 0 0 60 0 0 0 160
     ("old", "new", "name", "words"),
     [
         ("<geom ", '<geom group="3" ', "robot in the image", "group 0, 1 or 2"),
-        ("<geom ", '<geom rgba=".6 .6 .63 0" ', "robot in the image", "group 0, 1 or 2"),
+        (
+            "<geom ",
+            '<geom rgba=".6 .6 .63 0" ',
+            "robot in the image",
+            "group 0, 1 or 2",
+        ),
         ("<worldbody>", MILLIMETRES, "size of the robot", 'scale="0.001'),
     ],
 )
@@ -139,14 +158,24 @@ def test_invisible_and_huge_robots_fail(
 @pytest.mark.parametrize(
     ("old", "new", "ok", "words"),
     [
-        (' range="-3 3"', "", True, "yaw [-6.28, 6.28] (no range in the file), shoulder [-2.00, 2"),
+        (
+            ' range="-3 3"',
+            "",
+            True,
+            "yaw [-6.28, 6.28] (no range in the file), shoulder [-2.00, 2",
+        ),
         (
             "<site",
             '<joint type="ball" armature=".1"/><site',
             True,
             "unnamed ball joint of body 'fore'",
         ),
-        ("<compiler", COUPLING, False, "in the file, not in the scene: elbow and shoulder"),
+        (
+            "<compiler",
+            COUPLING,
+            False,
+            "in the file, not in the scene: elbow and shoulder",
+        ),
         ("", "", True, "elbow [-2.60, 2.60]"),
     ],
 )
@@ -168,7 +197,9 @@ def test_a_way_that_takes_most_of_an_episode_is_named() -> None:
     assert "home or mpi_rad" in way.remedy
 
 
-@pytest.mark.parametrize(("name", "yaw"), [("can", "75 degrees (target_yaws_deg)"), ("block", "")])
+@pytest.mark.parametrize(
+    ("name", "yaw"), [("can", "75 degrees (target_yaws_deg)"), ("block", "")]
+)
 def test_an_object_named_as_a_shipped_one_has_the_robots_yaw_for_it(
     name: str, yaw: str, tmp_path: Path
 ) -> None:

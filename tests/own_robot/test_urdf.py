@@ -21,26 +21,36 @@ TOOL = """<link name="tool0"/><joint name="fixed" type="fixed"><parent link="l4"
   <child link="tool0"/><origin xyz="0 0 .15"/></joint></robot>"""
 
 
-def urdf(shape: str = '<sphere radius=".05"/>', ixx: float = 0.01, mimic: str = "") -> str:
+def urdf(
+    shape: str = '<sphere radius=".05"/>', ixx: float = 0.01, mimic: str = ""
+) -> str:
     links = "".join(
-        LINK.format(i, ixx, shape, f"l{i - 1}" if i else "base", i % 2, mimic if i == 4 else "")
+        LINK.format(
+            i, ixx, shape, f"l{i - 1}" if i else "base", i % 2, mimic if i == 4 else ""
+        )
         for i in range(5)
     )
     return f'<robot name="r"><link name="base"/>{links}{TOOL}'
 
 
-def convert(folder: Path, text: str, name: str = "arm.urdf", **options) -> mujoco.MjModel:
+def convert(
+    folder: Path, text: str, name: str = "arm.urdf", **options
+) -> mujoco.MjModel:
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(text)
     file, note = as_mjcf(folder / name, folder / "out", **options)
     assert f"converted from {Path(name).name}" in note
     model = mujoco.MjModel.from_xml_path(str(file))
     (folder / "out.toml").write_text(f"mjcf = '{file}'")
-    assert {"out.toml", f"model/{file.name}"} <= set(description_files(folder / "out.toml"))
+    assert {"out.toml", f"model/{file.name}"} <= set(
+        description_files(folder / "out.toml")
+    )
     return model
 
 
-def test_collision_shapes_are_drawn_only_where_a_file_has_no_visuals(tmp_path: Path) -> None:
+def test_collision_shapes_are_drawn_only_where_a_file_has_no_visuals(
+    tmp_path: Path,
+) -> None:
     """A link of collisions alone may be a safety box, which no viewer of URDF draws."""
     both = '</visual><collision><geometry><sphere radius=".1"/></geometry></collision>'
     text = urdf().replace("</visual>", both, 2)
@@ -75,12 +85,16 @@ def test_inertias_are_repaired_and_named(tmp_path: Path) -> None:
         re.sub("<inertial>.*?</inertial>", "", urdf(ixx=0.05), count=1, flags=re.DOTALL)
     )
     file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
-    assert "as the file has none: l0; impossible inertia repaired: l1, l2, l3, l4" in note
+    assert (
+        "as the file has none: l0; impossible inertia repaired: l1, l2, l3, l4" in note
+    )
     model = mujoco.MjModel.from_xml_path(str(file))
     assert model.njnt == 5
     np.testing.assert_allclose(model.body("l1").inertia, 0.07 / 3, rtol=1e-4)
     negative = (
-        urdf().replace('ixx="0.01"', 'ixx="-1"').replace('<mass value="1"/>', '<mass value="0"/>')
+        urdf()
+        .replace('ixx="0.01"', 'ixx="-1"')
+        .replace('<mass value="1"/>', '<mass value="0"/>')
     )
     (tmp_path / "arm.urdf").write_text(negative)
     file, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "negative")
@@ -101,7 +115,10 @@ def test_collada_keeps_its_colours_and_packages_are_found(tmp_path: Path) -> Non
     text = text.replace("<up_axis>", '<unit name="centimetre" meter="0.01"/><up_axis>')
     for colour in ("1 0 0 1", "0 0 1 1"):
         text = re.sub(
-            r"<diffuse>\s*<color>.*</color>", f"<diffuse ><color>{colour}</color>", text, count=1
+            r"<diffuse>\s*<color>.*</color>",
+            f"<diffuse ><color>{colour}</color>",
+            text,
+            count=1,
         )
     mesh = tmp_path / "arm_description" / "meshes" / "link 1.dae"
     mesh.parent.mkdir(parents=True)
@@ -128,7 +145,9 @@ XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
 def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> None:
     pytest.importorskip("xacro")
     (tmp_path / "arm.urdf.xacro").write_text(XACRO)
-    body = urdf('<sphere radius="${radius}"/>').partition(">")[2].removesuffix("</robot>")
+    body = (
+        urdf('<sphere radius="${radius}"/>').partition(">")[2].removesuffix("</robot>")
+    )
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "macro.xacro").write_text(
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
@@ -142,7 +161,9 @@ def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> No
         as_mjcf(file, tmp_path / "out", **packages)
     model, _ = as_mjcf(file, tmp_path / "out", **given, **packages)
     assert model == tmp_path / "out" / "arm.xml"
-    np.testing.assert_allclose(mujoco.MjModel.from_xml_path(str(model)).geom_size[:, 0], 0.03)
+    np.testing.assert_allclose(
+        mujoco.MjModel.from_xml_path(str(model)).geom_size[:, 0], 0.03
+    )
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,14 @@ from knowarm.world.tasks.asked.query.query_source import NameQueries
 @pytest.fixture(scope="module")
 def parted():
     """Return a task with two parts per object, and an untrained network for it."""
-    names = tuple(name for name in PARTS if object_of(name) in ("bell", "globe", "brush"))
+    names = tuple(
+        name for name in PARTS if object_of(name) in ("bell", "globe", "brush")
+    )
     task = AskPart(queries=NameQueries())
     env = EnvConfig(task=task, targets=names, dynamics="kinematic")
-    knowledge = np.random.default_rng(0).normal(size=(len(questions_of(env).queries), 6))
+    knowledge = np.random.default_rng(0).normal(
+        size=(len(questions_of(env).queries), 6)
+    )
     spec = GroundingSpec.of(env, GroundingConfig())
     return env, GroundingNetwork(spec, knowledge.astype(np.float32), 1)
 
@@ -60,7 +64,9 @@ def test_the_place_is_the_one_whose_names_answer_best(trained, labels):
         for facet in answers[query].nonzero().flatten().tolist():
             o, c = network.encoder.facet_parts[:, facet].tolist()
             total += (objects[row, o] + colours[row, c]).double().exp()
-        torch.testing.assert_close(seen.scores[row].double(), total.log(), rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(
+            seen.scores[row].double(), total.log(), rtol=1e-4, atol=1e-4
+        )
         place = total.argmax().view(1, 1)
         expected = network.frames(features[row, None], place)[0, 0]
         torch.testing.assert_close(seen.frames[row], expected)
@@ -73,8 +79,14 @@ def test_the_number_of_visible_answers_is_that_of_the_image(trained, labels):
     none, every = torch.zeros(1, answers.shape[1]), torch.ones(1, answers.shape[1])
     module = AnswerGrounding(trained.network, torch.cat((answers, none, every)))
     first = torch.zeros_like(labels.queries)
-    for queries, count in ((labels.queries, 1), (first + len(answers), 0), (first - 1, 4)):
-        seen = module.see(labels.images, module.knowledge[queries % len(module.knowledge)])
+    for queries, count in (
+        (labels.queries, 1),
+        (first + len(answers), 0),
+        (first - 1, 4),
+    ):
+        seen = module.see(
+            labels.images, module.knowledge[queries % len(module.knowledge)]
+        )
         assert (seen.visible == count).float().mean() > 0.85
         assert seen.frames.isfinite().all()
     named = (seen.named[:, :, None] == labels.facets[:, None]).any(1)
@@ -88,7 +100,10 @@ def test_an_answer_is_a_part_at_a_place(parted):
     network = parted[1]
     facets = network.spec.facets
     images = sample_images(parted[0], network.spec, 3, seed=2).images
-    knob, handle = facets.index(("bell.knob", "red")), facets.index(("bell.handle", "red"))
+    knob, handle = (
+        facets.index(("bell.knob", "red")),
+        facets.index(("bell.handle", "red")),
+    )
     answers = torch.zeros(2, len(facets))
     answers[0, knob] = answers[1, handle] = 1
     module = AnswerGrounding(network, answers)
@@ -101,7 +116,10 @@ def test_an_answer_is_a_part_at_a_place(parted):
         other = network.frames(features, cell[:, None] ^ 1)[:, 0]
         assert ((seen.frames - other).abs().amax(1) > 1e-4).all()
     for named, places in zip(seen.named.tolist(), seen.places.tolist(), strict=True):
-        shown = [(object_of(name), colour) for name, colour in (facets[each] for each in named)]
+        shown = [
+            (object_of(name), colour)
+            for name, colour in (facets[each] for each in named)
+        ]
         assert len(set(named)) == 4
         assert (shown[0], shown[2]) == (shown[1], shown[3])
         assert shown[0][0] != shown[2][0]
@@ -119,7 +137,9 @@ def test_a_query_selects_a_part_at_a_place(parted):
     assert keys.shape == (8, 2 * 256, 64)
     assert {0, 1} == set((cell % 2).tolist())
     frames = network.frames(features, cell[:, None])[:, 0]
-    torch.testing.assert_close(FrameRecognition(network)(labels.images, labels.queries), frames)
+    torch.testing.assert_close(
+        FrameRecognition(network)(labels.images, labels.queries), frames
+    )
     place = place_of(labels.pixels[:, 0], 64)
     part = network.part_of[labels.facets[:, 0]]
     asked = query_answers(env, network.spec.facets)
@@ -185,12 +205,19 @@ def test_of_two_visible_answers_the_surer_one_is_found(trained, labels):
 
     def nearest(first, second):
         known = both.clone()
-        known[rows, labels.facets[:, 0]], known[rows, labels.facets[:, 1]] = first, second
+        known[rows, labels.facets[:, 0]], known[rows, labels.facets[:, 1]] = (
+            first,
+            second,
+        )
         seen = AnswerGrounding(network, known).see(labels.images, known)
         position = seen.frames[:, :3] * network.position_std + network.position_mean
         return (labels.grasp_position - position[:, None]).norm(dim=2).argmin(1), seen
 
-    (first, seen), (second, _), (either, _) = nearest(1, 1e-4), nearest(1e-4, 1), nearest(1, 1)
+    (first, seen), (second, _), (either, _) = (
+        nearest(1, 1e-4),
+        nearest(1e-4, 1),
+        nearest(1, 1),
+    )
     assert (first == 0).float().mean() > 0.9
     assert (second == 1).float().mean() > 0.9
     assert (either == 0).float().mean() < 0.8

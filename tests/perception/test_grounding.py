@@ -40,7 +40,9 @@ def empty_cache(tmp_path, monkeypatch):
     """An empty cache of networks; other caches stay."""
     folder = tmp_path / "cache"
     monkeypatch.setattr(
-        grounding_training, "cache_file", lambda *parts: folder / Path(cache_file(*parts)).name
+        grounding_training,
+        "cache_file",
+        lambda *parts: folder / Path(cache_file(*parts)).name,
     )
     return folder
 
@@ -80,7 +82,9 @@ def test_the_labels_are_where_the_objects_are_seen():
     spec = GroundingSpec.of(config.env, GroundingConfig())
     found = sample_images(config.env, spec, 64, seed=0)
     image = found.images.float()
-    magenta = (image[..., 0] - image[..., 1]).clamp(min=0) * (image[..., 2] - image[..., 1] > 40)
+    magenta = (image[..., 0] - image[..., 1]).clamp(min=0) * (
+        image[..., 2] - image[..., 1] > 40
+    )
     line = torch.arange(64) + 0.5
     total = magenta.sum((1, 2)).clamp(min=1)
     column = (magenta * line).sum((1, 2)) / total
@@ -95,8 +99,14 @@ def test_labels_are_the_grasp_frames_of_the_simulator(config, network, labels):
     world = ArmVectorEnv(config.env, 96)
     images, infos = world.reset(seed=3)
     assert (labels.images.numpy() == images).all()
-    np.testing.assert_allclose(labels.grasp_position[:, 0], world.running.goal_position, atol=1e-6)
-    axes = world.running.goal_matrix.reshape(-1, 3, 3)[:, :, [0, 2]].swapaxes(1, 2).reshape(-1, 6)
+    np.testing.assert_allclose(
+        labels.grasp_position[:, 0], world.running.goal_position, atol=1e-6
+    )
+    axes = (
+        world.running.goal_matrix.reshape(-1, 3, 3)[:, :, [0, 2]]
+        .swapaxes(1, 2)
+        .reshape(-1, 6)
+    )
     np.testing.assert_allclose(labels.grasp_axes[:, 0], axes, atol=1e-6)
     places = infos["object_positions"]
     np.testing.assert_allclose(
@@ -153,19 +163,33 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
             features = network.encoder.features(labels.images[row][None])
             shown = [column[facet] for facet in labels.facets[row].tolist()]
             for query in queries.tolist():
-                shown_answers = [i for i, f in enumerate(shown) if table.satisfies[query, f]]
-                if len(shown_answers) != 1 or not table.askable[query, shown[shown_answers[0]]]:
+                shown_answers = [
+                    i for i, f in enumerate(shown) if table.satisfies[query, f]
+                ]
+                if (
+                    len(shown_answers) != 1
+                    or not table.askable[query, shown[shown_answers[0]]]
+                ):
                     continue
                 wanted = network.project_queries(network.knowledge[query][None])[0]
                 scores = (network.keys(features)[0] @ wanted).log_softmax(0)
-                errors.append(-scores[place_of(labels.pixels[row, shown_answers[0]], 64)])
+                errors.append(
+                    -scores[place_of(labels.pixels[row, shown_answers[0]], 64)]
+                )
             objects, colours = network.encoder.logits(features)
             of, hue = network.encoder.facet_parts
-            names = (objects[0, of] + colours[0, hue]).flatten().log_softmax(0).view(len(of), -1)
+            names = (
+                (objects[0, of] + colours[0, hue])
+                .flatten()
+                .log_softmax(0)
+                .view(len(of), -1)
+            )
             where = place_of(labels.pixels[row], 64)
             named.append(-names[labels.facets[row], where].mean())
             for i, pixel in enumerate(labels.pixels[row]):
-                truth = torch.cat((labels.grasp_position[row, i], labels.grasp_axes[row, i]))
+                truth = torch.cat(
+                    (labels.grasp_position[row, i], labels.grasp_axes[row, i])
+                )
                 found = network.frames(features, place_of(pixel, 64).view(1, 1))[0, 0]
                 frames.append((found - truth).square().mean())
     assert len(errors) > 20
@@ -188,10 +212,16 @@ def test_names_are_sums_over_places(network, labels):
     assert found.isfinite().all()
 
 
-def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empty_cache):
+def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(
+    config, empty_cache
+):
     parts = build(config)
     lines = []
-    arguments = (config.env, parts.knowledge.table, parts.knowledge.embedding.slots_per_row)
+    arguments = (
+        config.env,
+        parts.knowledge.table,
+        parts.knowledge.embedding.slots_per_row,
+    )
     settings = GroundingConfig(images=128, rounds=8, batch=32)
     trained = train_grounding(*arguments, settings, seed=1, report=lines.append)
     assert not any(each.requires_grad for each in trained.parameters())
@@ -199,7 +229,9 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
         losses = [float(line.rsplit(" ", 1)[1]) for line in lines if name in line]
         assert losses[-1] < share * losses[0]
     hasty = dataclasses.replace(settings, images=64, rounds=2)
-    first, other = (train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 2))
+    first, other = (
+        train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 2)
+    )
     for file in empty_cache.iterdir():
         file.unlink()
     assert train_grounding(*arguments, hasty, seed=1).to_bytes() == first != other
@@ -230,7 +262,10 @@ def test_a_stopped_training_continues_with_its_round_as_if_it_had_not_been_stopp
         return sum("grounding, round" in line for line in lines) == rounds - 1
 
     options = {"seed": 0, "report": lines.append}
-    assert train_grounding(*arguments, **options, should_stop=stop_in_the_last_round) is None
+    assert (
+        train_grounding(*arguments, **options, should_stop=stop_in_the_last_round)
+        is None
+    )
     lines.clear()
     assert train_grounding(*arguments, **options).to_bytes() == whole
     seen = [line for line in lines if line.startswith("grounding, round")]
@@ -239,28 +274,51 @@ def test_a_stopped_training_continues_with_its_round_as_if_it_had_not_been_stopp
     assert not list(empty_cache.rglob("*.part.npz"))
 
 
-def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):
+def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(
+    config, empty_cache
+):
     parts, lines = build(config), []
     table, slots = parts.knowledge.table, parts.knowledge.embedding.slots_per_row
     settings = GroundingConfig(images=64, rounds=1, batch=32, shared_rounds=1)
 
     def train(knowledge, **options):
         found = train_grounding(
-            config.env, knowledge, slots, settings, seed=0, report=lines.append, **options
+            config.env,
+            knowledge,
+            slots,
+            settings,
+            seed=0,
+            report=lines.append,
+            **options,
         )
         return None if found is None else found.state_dict()
 
     def differing(one, other):
-        return {n.split(".")[0] for n in one if n != "knowledge" and (one[n] != other[n]).any()}
+        return {
+            n.split(".")[0]
+            for n in one
+            if n != "knowledge" and (one[n] != other[n]).any()
+        }
 
     first, other = train(table), train(table[::-1].copy())
     assert differing(first, other) == {"key", "query"}
-    assert [line.startswith("training") for line in lines if "(" in line] == [1, 1, 1, 0, 1, 0]
-    untrained = GroundingNetwork(GroundingSpec.of(config.env, settings), table, slots).state_dict()
+    assert [line.startswith("training") for line in lines if "(" in line] == [
+        1,
+        1,
+        1,
+        0,
+        1,
+        0,
+    ]
+    untrained = GroundingNetwork(
+        GroundingSpec.of(config.env, settings), table, slots
+    ).state_dict()
     assert {"encoder", "frame", "key", "query"} <= differing(first, untrained)
     assert differing(train(table), first) == set()
     assert all("read from" in line for line in lines[-3:])
-    assert train(table, should_stop=lambda: True) is not None  # nothing is left to train
+    assert (
+        train(table, should_stop=lambda: True) is not None
+    )  # nothing is left to train
     for file in empty_cache.iterdir():
         file.write_bytes(b"damaged")
     assert differing(train(table), first) == set()
@@ -289,7 +347,9 @@ def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
     given = dataclasses.replace(settings, seed=3)
 
     def train(how, seed):
-        return train_grounding(config.env, parts.knowledge.table, 1, how, seed=seed).state_dict()
+        return train_grounding(
+            config.env, parts.knowledge.table, 1, how, seed=seed
+        ).state_dict()
 
     first, again, own = train(given, 0), train(given, 1), train(settings, 3)
     assert len([*empty_cache.iterdir()]) == 2  # network and frame head
@@ -301,7 +361,9 @@ def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
 @torch.no_grad()
 def test_a_frame_is_predicted_from_the_places_around_it(network):
     wide = network
-    narrow = GroundingNetwork(network.spec, network.knowledge, network.slots, first_stage=True)
+    narrow = GroundingNetwork(
+        network.spec, network.knowledge, network.slots, first_stage=True
+    )
     generator = torch.Generator().manual_seed(0)
     features = torch.rand(2, 64, 16, 16, generator=generator)
     places = torch.tensor([[0, 17], [255, 100]])
@@ -349,7 +411,9 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
     other.set_state(state)
     assert torch.equal(other.knowledge, first)
     with pytest.raises(UserError, match="what was recognized"):
-        other.set_state({name: value for name, value in state.items() if name != "perceived"})
+        other.set_state(
+            {name: value for name, value in state.items() if name != "perceived"}
+        )
     parts = build(config)
     assert parts.knowledge.table.shape[0] == 49
     policy = parts.new_policy(0)
@@ -373,15 +437,23 @@ def test_a_teacher_goes_with_the_true_frame(config, network):
 
 def test_an_arm_is_trained_with_a_network_that_exists(tmp_path, choose_run):
     network = choose_run.folder.path / PERCEPTION_FILE
-    changes = {**CHOOSE, "total_steps": 8, "algorithm": {"num_envs": 4, "minibatches": 2}}
+    changes = {
+        **CHOOSE,
+        "total_steps": 8,
+        "algorithm": {"num_envs": 4, "minibatches": 2},
+    }
     run = train("irb120-choose-answers-distil", tmp_path, perception=network, **changes)
     assert (run.folder.path / PERCEPTION_FILE).read_bytes() == network.read_bytes()
     trained = load_agent(run.folder.path)
     assert trained.network.to_bytes() == network.read_bytes()
     assert load_agent(run.folder.path, perception=network).policy is not None
     with pytest.raises(UserError, match="was trained with other knowledge"):
-        train("irb120-choose-query-onehot-distil", tmp_path, perception=network, **changes)
-    with pytest.raises(UserError, match="for the robot irb120, and this task has tiago"):
+        train(
+            "irb120-choose-query-onehot-distil", tmp_path, perception=network, **changes
+        )
+    with pytest.raises(
+        UserError, match="for the robot irb120, and this task has tiago"
+    ):
         train("tiago-choose-answers-distil", tmp_path, perception=network, **changes)
     assert len(list(tmp_path.glob("*-choose-*"))) == 1
 
@@ -389,7 +461,9 @@ def test_an_arm_is_trained_with_a_network_that_exists(tmp_path, choose_run):
 def test_a_network_knows_one_of_the_objects_that_look_alike(tmp_path):
     config = experiment_config("irb120-families-answers-distil")
     spec = GroundingSpec.of(config.env, config.knows.grounding)
-    GroundingNetwork(spec, np.zeros((1, 4), np.float32), 1).write(tmp_path / PERCEPTION_FILE)
+    GroundingNetwork(spec, np.zeros((1, 4), np.float32), 1).write(
+        tmp_path / PERCEPTION_FILE
+    )
     given = network_for_training(config, None, tmp_path / PERCEPTION_FILE)
     assert len(given.spec.facets) < len(facets_of(config.env))
 
@@ -399,7 +473,9 @@ def test_the_file_holds_the_network_and_its_table(network, labels):
     assert isinstance(again, GroundingNetwork)
     assert torch.equal(again.knowledge, network.knowledge)
     known = network.knowledge[labels.queries[:8]]
-    assert torch.equal(again(labels.images[:8], known), network(labels.images[:8], known))
+    assert torch.equal(
+        again(labels.images[:8], known), network(labels.images[:8], known)
+    )
     for sent in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
         assert sent.to_bytes() == network.to_bytes()
         assert not sent.training
@@ -423,20 +499,29 @@ def test_a_damaged_file_is_one_kind_of_error(network, tmp_path, damage, message)
 
 
 def test_a_network_is_given_only_where_it_is_used_and_exists(tmp_path):
-    for name, message in (("irb120-bm-ppo", "leave perception out"), (CHOOSE_NAME, "Cannot read")):
+    for name, message in (
+        ("irb120-bm-ppo", "leave perception out"),
+        (CHOOSE_NAME, "Cannot read"),
+    ):
         with pytest.raises(UserError, match=message):
-            train(name, tmp_path, perception=tmp_path / "none.safetensors", total_steps=8)
+            train(
+                name, tmp_path, perception=tmp_path / "none.safetensors", total_steps=8
+            )
     assert not list(tmp_path.glob("irb120*"))
 
 
-def test_a_run_refuses_a_network_that_is_not_its_own(tmp_path, network, copy_of, choose_run):
+def test_a_run_refuses_a_network_that_is_not_its_own(
+    tmp_path, network, copy_of, choose_run
+):
     run, other = copy_of(choose_run), tmp_path / "other.safetensors"
     network.write(other)
     config = run.experiment()
     with pytest.raises(UserError, match="trained with another grounding network"):
         network_for_training(config, run, other)
     (run.path / PERCEPTION_FILE).write_bytes(other.read_bytes())
-    with pytest.raises(UnreadableFileError, match="not the network that this run was trained with"):
+    with pytest.raises(
+        UnreadableFileError, match="not the network that this run was trained with"
+    ):
         load_agent(run.path)
 
 
@@ -445,7 +530,9 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
     kept = (whole.folder.path / PERCEPTION_FILE).read_bytes()
     # Stopped while the network is trained, then between two updates.
     asked = []
-    stopped = train(config, tmp_path / "cut", should_stop=lambda: asked.append(0) or len(asked) > 1)
+    stopped = train(
+        config, tmp_path / "cut", should_stop=lambda: asked.append(0) or len(asked) > 1
+    )
     assert (stopped.result.reason, stopped.result.step) == ("stopped", 0)
     rows = tmp_path / "cut" / CHOOSE_NAME / "0" / "metrics.csv"
     stopped = train(config, tmp_path / "cut", resume=True, should_stop=rows.exists)

@@ -19,7 +19,10 @@ def lstm():
 def random_case():
     torch.manual_seed(1)
     x = torch.randn(T, B, N, dtype=torch.float64)
-    state = (torch.randn(B, H, dtype=torch.float64), torch.randn(B, H, dtype=torch.float64))
+    state = (
+        torch.randn(B, H, dtype=torch.float64),
+        torch.randn(B, H, dtype=torch.float64),
+    )
     return x, state, torch.rand(T, B) < 0.3
 
 
@@ -88,4 +91,6 @@ def test_the_compiled_loops_and_their_gradients_are_those_of_the_steps(
         # Where every step is a first one, states and recurrent weights have no influence.
         largest = float(other.detach().abs().max())
         assert (largest > 0) == (starts == "some" or i not in (4, 5, 7))
-        torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance * max(1.0, largest))
+        torch.testing.assert_close(
+            one, other, rtol=tolerance, atol=tolerance * max(1.0, largest)
+        )

@@ -12,7 +12,13 @@ from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import Fusion, Similarity
 
 T, B, K, FACETS = 4, 3, 12, 5
-SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}
+SHAPE = {
+    "joints": 2,
+    "levels": 3,
+    "image_size": 28,
+    "knowledge_dim": K,
+    "knowledge_slots": 3,
+}
 TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 
 
@@ -25,7 +31,9 @@ def make_policy(fusion, *, seed=0, **changes):
 
 def inputs(seed=0):
     generator = torch.Generator().manual_seed(seed)
-    image = torch.randint(0, 256, (T, B, 28, 28, 3), dtype=torch.uint8, generator=generator)
+    image = torch.randint(
+        0, 256, (T, B, 28, 28, 3), dtype=torch.uint8, generator=generator
+    )
     facet = torch.randint(0, FACETS, (T, B), generator=generator)
     start = torch.rand(T, B, generator=generator) < 0.3
     return image, torch.from_numpy(TABLE)[facet], start
@@ -127,7 +135,9 @@ def test_similarity_amplifies_positions_that_match_all_slots():
     assert weighted.argmax() == 5
     assert weighted.mean() == pytest.approx(1.0)
     assert weighted.min() >= 0.5
-    first = fusion("fc", maps.flatten(1), both * torch.tensor([1, 1, 1, 0, 0, 0])).view(9, -1)
+    first = fusion("fc", maps.flatten(1), both * torch.tensor([1, 1, 1, 0, 0, 0])).view(
+        9, -1
+    )
     assert (first[3:6, 2] > 1).all()
     assert (first[[0, 1, 2, 6, 7, 8], 2] < 1).all()
     assert torch.equal(fusion("fc", maps.flatten(1), 0 * both), maps.flatten(1))
@@ -154,8 +164,14 @@ def test_patches_and_images_give_the_same_numbers(fusion):
 def test_knowledge_of_another_width_or_dtype_is_rejected():
     policy = make_policy("before_lstm")
     policy.check_knowledge(torch.zeros(2, K))
-    for wrong in (torch.zeros(2, K - 1), torch.zeros(2, K, dtype=torch.int64), torch.zeros(2)):
-        with pytest.raises(UserError, match="the policy expects vectors of 12 float32 numbers"):
+    for wrong in (
+        torch.zeros(2, K - 1),
+        torch.zeros(2, K, dtype=torch.int64),
+        torch.zeros(2),
+    ):
+        with pytest.raises(
+            UserError, match="the policy expects vectors of 12 float32 numbers"
+        ):
             policy.check_knowledge(wrong)
     make_policy("none").check_knowledge(torch.zeros(2, 0))
 
@@ -187,14 +203,20 @@ def test_weights_are_orthogonal_and_come_from_the_seed():
     gram = first.memory.weight_hh.T @ first.memory.weight_hh
     torch.testing.assert_close(gram, torch.eye(len(gram)), atol=1e-5, rtol=0)
     for head in first.actor.weight.split(3):
-        torch.testing.assert_close(head @ head.T, 1e-4 * torch.eye(3), atol=1e-7, rtol=0)
+        torch.testing.assert_close(
+            head @ head.T, 1e-4 * torch.eye(3), atol=1e-7, rtol=0
+        )
 
 
 @pytest.mark.parametrize("joints", [6, 7])
 @pytest.mark.parametrize("knowledge", [50, 150, 300])
-def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(joints, knowledge):
+def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(
+    joints, knowledge
+):
     shape = PolicyShape(joints=joints, knowledge_dim=knowledge)
-    informed, control = (Policy(PolicyConfig(wide=wide), shape) for wide in (False, True))
+    informed, control = (
+        Policy(PolicyConfig(wide=wide), shape) for wide in (False, True)
+    )
     assert control.config.wide
     assert not control.resolved_config.wide
     assert control.resolved_config.fusion == "none"

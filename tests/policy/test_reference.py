@@ -25,13 +25,18 @@ class Reference(nn.Module):
         self.conv1.load_state_dict(policy.encoder.conv1.state_dict())
         self.conv2.load_state_dict(policy.encoder.conv2.state_dict())
         # The policy's features are ordered by position, then channel; Flatten's the other way.
-        weight = policy.fc.weight.data.view(128, 36, 32).transpose(1, 2).reshape(128, 1152)
+        weight = (
+            policy.fc.weight.data.view(128, 36, 32).transpose(1, 2).reshape(128, 1152)
+        )
         self.fc.load_state_dict({"weight": weight, "bias": policy.fc.bias.data})
         self.lstm.load_state_dict(policy.memory.state_dict())
         for i, actor in enumerate(self.actors):
             rows = slice(7 * i, 7 * i + 7)
             actor.load_state_dict(
-                {"weight": policy.actor.weight.data[rows], "bias": policy.actor.bias.data[rows]}
+                {
+                    "weight": policy.actor.weight.data[rows],
+                    "bias": policy.actor.bias.data[rows],
+                }
             )
         self.critic.load_state_dict(policy.critic.state_dict())
 
@@ -83,7 +88,9 @@ def test_steps_and_unrolls_equal_plain_layers(joints, knowledge, pixels):
     hidden = 128 + knowledge
     reference = Reference(joints, knowledge, hidden)
     reference.copy_weights(policy)
-    image = torch.randint(0, 256, (T, B, 64, 64, 3), dtype=torch.uint8, generator=generator)
+    image = torch.randint(
+        0, 256, (T, B, 64, 64, 3), dtype=torch.uint8, generator=generator
+    )
     facet = torch.randint(0, FACETS, (T, B), generator=generator)
     start = torch.rand(T, B, generator=generator) < 0.3
     state = (normal(B, hidden), normal(B, hidden))
@@ -91,7 +98,9 @@ def test_steps_and_unrolls_equal_plain_layers(joints, knowledge, pixels):
     assert expected[0].std() > 0.1
     close = {"rtol": 1e-4, "atol": 1e-4}
     known = table[facet]
-    torch.testing.assert_close(policy.unroll(image, known, state, start), expected, **close)
+    torch.testing.assert_close(
+        policy.unroll(image, known, state, start), expected, **close
+    )
     for t in range(T):
         logits, values, state = policy.step(image[t], known[t], state, start[t])
         torch.testing.assert_close(logits, expected[0][t], **close)

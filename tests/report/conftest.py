@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from knowarm.report import write_report
-from tests.report.synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_study
+from tests.report.synthetic_study import (
+    LABEL,
+    Size,
+    Truth,
+    env_of,
+    write_evaluation,
+    write_study,
+)
 
 
 @dataclass(frozen=True)
@@ -23,7 +30,14 @@ def made(tmp_path_factory) -> Made:
     folder = tmp_path_factory.mktemp("a folder with spaces")
     size = Size(points=20, episodes=60, films=3, steps=True, blind=True)
     truth = Truth(
-        success={"bm": 0.5, "partial": 0.55, "full": 0.8, "wide": 0.5, "zeros": 0.5, "random": 0.5}
+        success={
+            "bm": 0.5,
+            "partial": 0.55,
+            "full": 0.8,
+            "wide": 0.5,
+            "zeros": 0.5,
+            "random": 0.5,
+        }
     )
     runs = write_study(folder / "runs", truth, seeds=3, size=size)
     pair = Truth(success={"bm": 0.4, "full": 0.5})
@@ -40,5 +54,7 @@ def made(tmp_path_factory) -> Made:
             path / "evaluation" / f"{LABEL}-untrained", "x", 0.02, env, generator, size
         )
         many = Size(episodes=300, evaluation={"seeds": 30})
-        write_evaluation(path / "evaluation" / "anova", path.parent.name, 0.5, env, generator, many)
+        write_evaluation(
+            path / "evaluation" / "anova", path.parent.name, 0.5, env, generator, many
+        )
     return Made(write_report(runs, folder / "report.html"), runs)

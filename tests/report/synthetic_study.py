@@ -40,7 +40,10 @@ FACETS = {
         ("cereal_box", "light_blue"),
     ],
 }
-ASKED = [parse_query(text) for text in ("usedFor drinking", "hasPart handle", "hasColor brown")]
+ASKED = [
+    parse_query(text)
+    for text in ("usedFor drinking", "hasPart handle", "hasColor brown")
+]
 """Queries of the choose task."""
 JOINTS = {"irb120": 6, "tiago": 7}
 LABEL = "post-training-greedy"
@@ -84,7 +87,11 @@ def robot_title(name: str) -> str:
 
 def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
     """The task, as ``config.json`` has it."""
-    return {"robot": robot, "targets": ["mug", "bottle", "cereal_box"], "colours": colours}
+    return {
+        "robot": robot,
+        "targets": ["mug", "bottle", "cereal_box"],
+        "colours": colours,
+    }
 
 
 def choice_env(*, marked: bool = False) -> dict[str, Any]:
@@ -140,11 +147,15 @@ def redraw(study: StudyData, truth: Truth, *, seed: int, size: Size) -> StudyDat
         runs = []
         for run in groups[agent].runs:
             level = _level(mean, truth, generator)
-            interim = run.interim | {"success": _interim_success(level, generator, size)}
+            interim = run.interim | {
+                "success": _interim_success(level, generator, size)
+            }
             share = generator.binomial(size.episodes, level) / size.episodes
             (evaluation,) = run.evaluations.values()
             numbers = {**evaluation.summary.numbers, "success": share}
-            evaluation = replace(evaluation, summary=replace(evaluation.summary, numbers=numbers))
+            evaluation = replace(
+                evaluation, summary=replace(evaluation.summary, numbers=numbers)
+            )
             runs.append(replace(run, interim=interim, evaluations={LABEL: evaluation}))
         groups[agent] = Group.of(groups[agent].name, runs, LABEL)
     return replace(study, tasks=(replace(task, groups=tuple(groups.values())),))
@@ -176,7 +187,13 @@ def write_run(
     entry = AGENTS.get(agent, AGENTS["full"])
     role = role or (entry.role if agent in AGENTS else None)
     config = {
-        **{"format": 1, "name": path.parent.name, "agent": agent, "seed": seed, "env": env},
+        **{
+            "format": 1,
+            "name": path.parent.name,
+            "agent": agent,
+            "seed": seed,
+            "env": env,
+        },
         "algorithm_name": algorithm,
         "algorithm": to_dict(ALGORITHMS[algorithm].config),
         "knows": to_dict(entry.knows),
@@ -226,10 +243,14 @@ def _parts(agent: str, robot: str, colours: str) -> tuple[Any, dict[str, int]]:
 
 
 def _interim_steps(size: Size) -> np.ndarray:
-    return np.linspace(size.total_steps / size.points, size.total_steps, size.points).round()
+    return np.linspace(
+        size.total_steps / size.points, size.total_steps, size.points
+    ).round()
 
 
-def _interim_success(success: float, generator: np.random.Generator, size: Size) -> np.ndarray:
+def _interim_success(
+    success: float, generator: np.random.Generator, size: Size
+) -> np.ndarray:
     share = success / (1 + np.exp(-8 * (_interim_steps(size) / size.total_steps - 0.4)))
     return np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
 
@@ -250,7 +271,9 @@ def _curve(success: float, generator: np.random.Generator, size: Size) -> str:
     return "".join(",".join(map(str, row)) + "\n" for row in (columns, *rows))
 
 
-def write_summary(folder: Path, agent: str, env: dict[str, Any], size: Size, **found: Any) -> None:
+def write_summary(
+    folder: Path, agent: str, env: dict[str, Any], size: Size, **found: Any
+) -> None:
     """Write a summary with the numbers, groups and joints that were found."""
     config = EvaluationConfig(episodes=size.episodes, **size.evaluation)
     parts = {"groups": {}} | found
@@ -258,7 +281,9 @@ def write_summary(folder: Path, agent: str, env: dict[str, Any], size: Size, **f
     write_json(folder / "summary.json", to_dict(summary))
 
 
-def edit_summary(folder: Path, *, config: dict[str, Any] | None = None, **numbers: Any) -> None:
+def edit_summary(
+    folder: Path, *, config: dict[str, Any] | None = None, **numbers: Any
+) -> None:
     """Change numbers, and fields of the config, of a stored summary."""
     values = read_json(folder / "summary.json")
     values["config"] |= config or {}
@@ -279,20 +304,28 @@ def write_evaluation(
     if not size.tables:
         share = generator.binomial(size.episodes, success) / size.episodes
         flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}
-        write_summary(folder, agent, env, size, numbers=flat | {"episodes": float(size.episodes)})
+        write_summary(
+            folder, agent, env, size, numbers=flat | {"episodes": float(size.episodes)}
+        )
         return
     columns = _episodes(success, env, generator, size, size.evaluation.get("seeds", 1))
     write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
-    joints = tuple(f"hinge_{i}" for i in range(JOINTS[env["robot"]])) if size.steps else ()
+    joints = (
+        tuple(f"hinge_{i}" for i in range(JOINTS[env["robot"]])) if size.steps else ()
+    )
     if size.steps:
         _write_steps(folder, columns, len(joints), generator, 0.2 * (agent == "full"))
     for number in range(size.films):
-        write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
+        write_film(
+            folder / "films" / f"{number}.webp", _images(int(columns["length"][number]))
+        )
     numbers, groups = summarize(columns)
     if size.blind:
         groups["blind"] = blind = _blind(numbers["success"].estimate)
         numbers["vision_gain"] = blind["open-loop"]["difference"]
-    write_summary(folder, agent, env, size, joints=joints, numbers=numbers, groups=groups)
+    write_summary(
+        folder, agent, env, size, joints=joints, numbers=numbers, groups=groups
+    )
 
 
 def write_choice(
@@ -323,8 +356,16 @@ def write_choice(
     env, share = choice_env(), generator.binomial(size.episodes, choice) / size.episodes
     chance = 1 / env["task"]["asked"]["objects"]
     beyond = (share - chance) / (1 - chance)
-    numbers = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
-    numbers |= {"episodes": float(size.episodes), "choice": share, "success_if_chosen": reach}
+    numbers = {
+        "success": share * reach,
+        "accuracy": share * reach,
+        "return_mean": 140 * share,
+    }
+    numbers |= {
+        "episodes": float(size.episodes),
+        "choice": share,
+        "success_if_chosen": reach,
+    }
     numbers |= {"choice_chance": chance, "choice_corrected": beyond}
     numbers["success_corrected"] = beyond * reach
     numbers["binding"] = share - (1 - share) / 3
@@ -345,12 +386,19 @@ def _blind(success: float) -> dict[str, Any]:
 
 
 def _episodes(
-    success: float, env: dict[str, Any], generator: np.random.Generator, size: Size, seeds: int
+    success: float,
+    env: dict[str, Any],
+    generator: np.random.Generator,
+    size: Size,
+    seeds: int,
 ) -> dict[str, np.ndarray]:
     count, facets = size.episodes, FACETS[env["colours"]]
     which = np.random.default_rng(7).integers(0, len(facets), count)
     reached = generator.random(count) < success
-    near, far = generator.uniform(0.02, 0.1, count), generator.uniform(0.08, 0.45, count)
+    near, far = (
+        generator.uniform(0.02, 0.1, count),
+        generator.uniform(0.08, 0.45, count),
+    )
     length = np.where(reached, generator.integers(6, 40, count), 50)
     distance = np.where(reached, near, far)
     return {

@@ -12,7 +12,8 @@ from tests.report.synthetic_study import Size, Truth, write_study
 pytestmark = pytest.mark.browser
 
 CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+    None,
 )
 FLAGS = [
     "--no-sandbox",
@@ -28,7 +29,9 @@ SIZES = [(1440, 900), (390, 844)]
 
 @pytest.fixture(scope="module")
 def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed"
+    )
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
     with playwright.sync_playwright() as started:
@@ -48,7 +51,10 @@ def open_page(browser):
         )
         contexts.append(context)
         page = context.new_page()
-        page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+        page.on(
+            "console",
+            lambda message: complaints.append(f"{message.type}: {message.text}"),
+        )
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("requestfailed", lambda request: complaints.append(request.url[:80]))
         page.goto(path.as_uri())
@@ -62,7 +68,8 @@ def open_page(browser):
 
 def visible_sections(page) -> list[str]:
     return page.eval_on_selector_all(
-        "main > section", "all => all.filter(s => s.offsetParent !== null).map(s => s.id)"
+        "main > section",
+        "all => all.filter(s => s.offsetParent !== null).map(s => s.id)",
     )
 
 
@@ -72,10 +79,14 @@ def test_every_page_opens_and_fits_the_screen(made, open_page, size, scheme):
     page = open_page(made.page, *size, color_scheme=scheme)
     names = page.eval_on_selector_all("nav a", "all => all.map(a => a.hash.slice(1))")
     assert names[0] == "summary"
-    assert {"inputs", "training", "results", "knowledge", "differences", "paper"} < set(names)
+    assert {"inputs", "training", "results", "knowledge", "differences", "paper"} < set(
+        names
+    )
     for name in names:
         page.click(f"nav a[href='#{name}']")
-        page.wait_for_function("name => !document.getElementById(name).hidden", arg=name)
+        page.wait_for_function(
+            "name => !document.getElementById(name).hidden", arg=name
+        )
         assert visible_sections(page) == [name]
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert page.evaluate("scrollY") == 0
@@ -105,10 +116,13 @@ def test_shown_values_equal_the_csv_files(made, open_page):
         written = list(csv.DictReader(file))
     assert shown == [{key: row[key] for key in shown[0]} for row in written]
     texts = page.eval_on_selector_all(
-        f"table[data-table='{name}'] td[data-k=success]", "all => all.map(c => c.textContent)"
+        f"table[data-table='{name}'] td[data-k=success]",
+        "all => all.map(c => c.textContent)",
     )
     for text, row in zip(texts, written, strict=True):
-        assert text.replace("\u202f", "").startswith(f"{float(row['success']) * 100:.1f}%")
+        assert text.replace("\u202f", "").startswith(
+            f"{float(row['success']) * 100:.1f}%"
+        )
 
 
 def test_pointing_at_a_curve_tells_its_values(made, open_page):
@@ -133,7 +147,9 @@ def test_one_task_at_a_time_or_all(made, open_page):
     parts = "#results [data-part]:not([hidden])"
     assert page.locator(parts).count() == 1
     page.select_option("[data-tasks]", "tiago-randomized-colours-ppo")
-    assert page.locator(parts).get_attribute("data-part") == "tiago-randomized-colours-ppo"
+    assert (
+        page.locator(parts).get_attribute("data-part") == "tiago-randomized-colours-ppo"
+    )
     page.select_option("[data-tasks]", "")
     assert page.locator(parts).count() == 2
 
@@ -146,7 +162,9 @@ def test_a_film_plays_and_stops(made, open_page):
     assert image.get_attribute("src").startswith("data:image/png")
     button.click()
     assert image.get_attribute("src").startswith("data:image/webp")
-    page.wait_for_function("() => document.querySelector('[data-play] img').naturalWidth === 64")
+    page.wait_for_function(
+        "() => document.querySelector('[data-play] img').naturalWidth === 64"
+    )
     button.click()
     assert image.get_attribute("src").startswith("data:image/png")
 
@@ -167,16 +185,22 @@ def test_without_a_script_and_on_paper_everything_is_there(made, open_page):
     assert all(section.is_visible() for section in page.locator("main > section").all())
     printed = open_page(made.page)
     printed.emulate_media(media="print")
-    assert all(section.is_visible() for section in printed.locator("main > section").all())
+    assert all(
+        section.is_visible() for section in printed.locator("main > section").all()
+    )
     assert not printed.locator("header.top").is_visible()
     assert len(printed.pdf()) > 50_000
 
 
 def test_sixty_runs_make_a_page_of_bounded_size(open_page, tmp_path):
-    truth = Truth(success={"bm": 0.5, "partial": 0.55, "full": 0.7, "wide": 0.5, "random": 0.5})
+    truth = Truth(
+        success={"bm": 0.5, "partial": 0.55, "full": 0.7, "wide": 0.5, "random": 0.5}
+    )
     size = Size(points=200, episodes=40, films=1, steps=True)
     runs = write_study(tmp_path / "runs", truth, seeds=6, size=size)
-    runs += write_study(tmp_path / "runs", truth, seeds=6, colours="randomized", size=size)
+    runs += write_study(
+        tmp_path / "runs", truth, seeds=6, colours="randomized", size=size
+    )
     assert len(runs) == 60
     out = write_report(runs, tmp_path / "report.html")
     # Seconds depend on who else uses the machine: what makes a page slow is its size, and that

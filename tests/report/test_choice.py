@@ -20,7 +20,11 @@ from tests.report.synthetic_study import Size, choice_env, write_choice, write_r
 
 LIGHT = Size(points=8, episodes=400, tables=False)
 CONTROLS = ("bm", "query-zeros", "query-onehot", "query-random", "subgraph-shuffled")
-EVERY = dict.fromkeys(CONTROLS, 0.3) | {"bm": 0.25, "query-zeros": 0.25, "subgraph": 0.9}
+EVERY = dict.fromkeys(CONTROLS, 0.3) | {
+    "bm": 0.25,
+    "query-zeros": 0.25,
+    "subgraph": 0.9,
+}
 
 
 def study_of(
@@ -44,7 +48,16 @@ def study_of(
             for split, choice in splits.items():
                 share = float(np.clip(generator.normal(choice, 0.02), 0.02, 0.98))
                 where = path / "evaluation" / f"post-training-greedy-{split.lower()}"
-                write_choice(where, agent, split, share, generator, reach=reach, old=old, size=size)
+                write_choice(
+                    where,
+                    agent,
+                    split,
+                    share,
+                    generator,
+                    reach=reach,
+                    old=old,
+                    size=size,
+                )
             paths.append(path)
     return collect(paths)
 
@@ -71,7 +84,12 @@ def some(*agents: str, **others: float) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("split", "choices", "kind", "words"),
     [
-        ("S2", EVERY, "understood", "S2 (pairs of condition and object that training never asked)"),
+        (
+            "S2",
+            EVERY,
+            "understood",
+            "S2 (pairs of condition and object that training never asked)",
+        ),
         # A code that is as good refutes the meaning.
         (
             "S1",
@@ -89,10 +107,17 @@ def some(*agents: str, **others: float) -> dict[str, float]:
         ),
         ("S1", {"subgraph": 0.9, "mask": 0.99}, "no control", ""),
         # On S5 a code follows the old graph, and so lies below chance.
-        ("S5", dict.fromkeys(CONTROLS, 0.05) | {"subgraph": 0.25}, "not above chance", ""),
+        (
+            "S5",
+            dict.fromkeys(CONTROLS, 0.05) | {"subgraph": 0.25},
+            "not above chance",
+            "",
+        ),
     ],
 )
-def test_a_query_is_understood_if_every_control_is_beaten(tmp_path, split, choices, kind, words):
+def test_a_query_is_understood_if_every_control_is_beaten(
+    tmp_path, split, choices, kind, words
+):
     finding = only(study_of(tmp_path, on(split, choices)))
     verdict = finding.verdict()
     assert finding.kind == kind
@@ -126,14 +151,24 @@ def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
         ("S3", "not above chance"),
     ]
     (summary,) = query_summary(findings)
-    assert summary.sentence.endswith("subgraph: understood on S1; not above chance on S3.")
+    assert summary.sentence.endswith(
+        "subgraph: understood on S1; not above chance on S3."
+    )
 
 
 def test_controls_are_those_of_the_registry(tmp_path):
     """A shuffled graph is no control of an agent that does not read the graph."""
-    choices = {"bm": 0.25, "query-words": 0.6, "subgraph-shuffled": 0.9, "query-onehot": 0.3}
+    choices = {
+        "bm": 0.25,
+        "query-words": 0.6,
+        "subgraph-shuffled": 0.9,
+        "query-onehot": 0.3,
+    }
     finding = only(study_of(tmp_path, on("S4", choices)))
-    assert {claim.against for claim in finding.claims if claim.second} == {"bm", "query-onehot"}
+    assert {claim.against for claim in finding.claims if claim.second} == {
+        "bm",
+        "query-onehot",
+    }
     assert finding.kind == "understood"
 
 
@@ -142,7 +177,9 @@ def test_noise_is_hardly_ever_understood(tmp_path):
     for number in range(8):
         generator = np.random.default_rng(number)
         choices = {
-            agent: {split: 0.5 + generator.normal(0, 0.02) for split in ("S1", "S2", "S3")}
+            agent: {
+                split: 0.5 + generator.normal(0, 0.02) for split in ("S1", "S2", "S3")
+            }
             for agent in ("bm", "query-onehot", "subgraph")
         }
         findings = query_findings(study_of(tmp_path / str(number), choices))
@@ -164,7 +201,9 @@ def test_numbers_are_corrected_for_chance(tmp_path):
 def test_the_rate_of_switching_counts_the_new_among_both_answers(tmp_path):
     study = study_of(tmp_path, on("S5", {"subgraph": 0.6}), seeds=1, old=1.0)
     (asked,) = split_groups(study.tasks[0])["S5"]
-    assert asked.level("switched").estimate == pytest.approx(asked.level("choice").estimate)
+    assert asked.level("switched").estimate == pytest.approx(
+        asked.level("choice").estimate
+    )
     never = study_of(tmp_path / "never", on("S5", {"subgraph": 0.6}), seeds=1, old=0.0)
     (asked,) = split_groups(never.tasks[0])["S5"]
     assert asked.level("switched").estimate == 1

@@ -56,18 +56,27 @@ def test_runs_are_sorted_into_tasks_and_agents(tmp_path):
     paths = study(tmp_path)
     paths += write_study(tmp_path / "runs", TRUTH, seeds=1, robot="tiago", size=LIGHT)
     found = collect(paths)
-    titles = [f"{robot_title(name)} · fixed colours · ppo" for name in ("irb120", "tiago")]
+    titles = [
+        f"{robot_title(name)} · fixed colours · ppo" for name in ("irb120", "tiago")
+    ]
     assert [task.title for task in found.tasks] == sorted(titles)
     assert {task.name for task in found.tasks} == {
         "irb120-fixed-colours-ppo",
         "tiago-fixed-colours-ppo",
     }
-    assert [(g.name, len(g.runs)) for g in found.tasks[0].groups] == [("bm", 2), ("full", 2)]
+    assert [(g.name, len(g.runs)) for g in found.tasks[0].groups] == [
+        ("bm", 2),
+        ("full", 2),
+    ]
 
 
 def test_the_algorithm_is_that_of_the_config_whatever_the_name(tmp_path):
     path = write_run(tmp_path / "kitchen" / "0", "full", 0, 0.5, size=LIGHT)
-    for given, shown in (("fast", "fast"), ("a3c", "ppo"), ("", "ppo")):  # its trainer is PPO
+    for given, shown in (
+        ("fast", "fast"),
+        ("a3c", "ppo"),
+        ("", "ppo"),
+    ):  # its trainer is PPO
         edit(path / "config.json", algorithm_name=given)
         assert collect([path]).tasks[0].title.endswith(f"· {shown}")
 
@@ -80,7 +89,12 @@ def test_a_folder_of_runs_is_searched_and_counts_once(tmp_path):
 @pytest.mark.parametrize(
     ("env", "algorithms", "tasks", "agents"),
     [
-        ([{"mpi_rad": 0.1}, {"mpi_rad": 0.2}], ["ppo"], ["mpi_rad 0.1", "mpi_rad 0.2"], ["full"]),
+        (
+            [{"mpi_rad": 0.1}, {"mpi_rad": 0.2}],
+            ["ppo"],
+            ["mpi_rad 0.1", "mpi_rad 0.2"],
+            ["full"],
+        ),
         # Of one trainer; the name of the run says nothing.
         ([{}], ["ppo", "fast", "a3c-tuned"], ["a3c-tuned", "fast", "ppo"], ["full"]),
         (
@@ -91,7 +105,9 @@ def test_a_folder_of_runs_is_searched_and_counts_once(tmp_path):
         ),
     ],
 )
-def test_tasks_and_agents_of_one_name_are_told_apart(tmp_path, env, algorithms, tasks, agents):
+def test_tasks_and_agents_of_one_name_are_told_apart(
+    tmp_path, env, algorithms, tasks, agents
+):
     for number, (changes, algorithm) in enumerate(product(env, algorithms)):
         path = tmp_path / "kitchen" / str(number)
         options = {"env": env_of() | changes, "algorithm": algorithm, "size": LIGHT}
@@ -154,28 +170,64 @@ def with_row(number: int, *cells: str) -> Callable[[Path], None]:
     [
         *(
             ("config.json", text, "left out")
-            for text in ("", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}', DAMAGED)
+            for text in (
+                "",
+                "{",
+                "[]",
+                '{"format": 1}',
+                '{"format": 1, "seed": 0}',
+                DAMAGED,
+            )
         ),
         ("config.json", {"format": 7}, "format 7"),
         ("config.json", {"seed": "0"}, "seed must be of type int, got '0'"),
-        ("config.json", {"env": {"robot": ["irb120"]}}, "env.robot must be of type str"),
-        ("config.json", {"total_steps": float("nan")}, "total_steps must be of type int, got nan"),
+        (
+            "config.json",
+            {"env": {"robot": ["irb120"]}},
+            "env.robot must be of type str",
+        ),
+        (
+            "config.json",
+            {"total_steps": float("nan")},
+            "total_steps must be of type int, got nan",
+        ),
         ("config.json", {"knows": []}, "knows must hold the fields of one of"),
         ("config.json", {"agent": None}, "agent must be of type str, got None"),
         *(
             (SUMMARY, text, "the evaluation is left out")
             for text in ("", "{}", '{"episodes": 3, "success": "high"}', "[1]")
         ),
-        (SUMMARY, {"numbers": {"success": float("inf")}}, "numbers.success must be a finite"),
-        (SUMMARY, {"numbers": {"success": 1.0}}, "lack episodes, accuracy, return_mean"),
-        (SUMMARY, {"groups": {"target": {"mug": {"success": "x"}}}}, "groups.target.mug.success"),
+        (
+            SUMMARY,
+            {"numbers": {"success": float("inf")}},
+            "numbers.success must be a finite",
+        ),
+        (
+            SUMMARY,
+            {"numbers": {"success": 1.0}},
+            "lack episodes, accuracy, return_mean",
+        ),
+        (
+            SUMMARY,
+            {"groups": {"target": {"mug": {"success": "x"}}}},
+            "groups.target.mug.success",
+        ),
         (SUMMARY, {"format": 1}, "format 1, this version reads 2"),
         (INTERIM, b"\xff\xfe\x00step\n", "cannot be read"),
-        *((INTERIM, with_row(2, step), "1 damaged rows") for step in ("inf", "1e308", "-1")),
-        ("metrics.csv", with_row(2, "\0\0\0"), "1 damaged rows: the rows or cells are left out"),
+        *(
+            (INTERIM, with_row(2, step), "1 damaged rows")
+            for step in ("inf", "1e308", "-1")
+        ),
+        (
+            "metrics.csv",
+            with_row(2, "\0\0\0"),
+            "1 damaged rows: the rows or cells are left out",
+        ),
     ],
 )
-def test_damage_to_one_file_is_named_and_leaves_the_rest(tmp_path, file, damage, reason):
+def test_damage_to_one_file_is_named_and_leaves_the_rest(
+    tmp_path, file, damage, reason
+):
     paths = study(tmp_path)
     path = paths[0] / file
     if callable(damage):
@@ -218,7 +270,9 @@ def test_missing_and_other_evaluations_are_named(tmp_path):
 def test_other_versions_are_merged_and_said_to_be(tmp_path):
     paths = study(tmp_path)
     for path, version in zip(paths, ("1", "1", "1", "2"), strict=True):
-        (path / "provenance.json").write_text(json.dumps({"versions": {"knowarm": version}}))
+        (path / "provenance.json").write_text(
+            json.dumps({"versions": {"knowarm": version}})
+        )
     found = collect(paths)
     assert len(found.runs) == 4
     assert "made with knowarm 2, most runs with 1: merged" in named(found, paths[3])
@@ -239,7 +293,11 @@ def test_of_two_rows_of_one_step_the_later_counts(tmp_path):
 def test_of_two_runs_of_one_seed_the_longer_counts(tmp_path):
     paths = study(tmp_path)
     short = write_run(
-        tmp_path / "again" / "0", "bm", 0, 0.9, size=replace(LIGHT, total_steps=4_000_000)
+        tmp_path / "again" / "0",
+        "bm",
+        0,
+        0.9,
+        size=replace(LIGHT, total_steps=4_000_000),
     )
     path = short / "evaluations.csv"
     path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:4]))
@@ -253,7 +311,9 @@ def test_a_stopped_run_is_kept_and_named(tmp_path):
     paths = study(tmp_path)
     for name in ("evaluations.csv", "metrics.csv"):
         path = paths[0] / name
-        path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:5]))
+        path.write_text(
+            "".join(line + "\n" for line in path.read_text().splitlines()[:5])
+        )
     found = collect(paths)
     assert "stopped after 50% of its steps: kept; censored" in named(found, paths[0])
     edit(paths[0] / "config.json", stop_when={"success": 0.001, "evaluations": 1})
@@ -278,7 +338,9 @@ def test_an_untrained_policy_of_another_task_is_no_reference(tmp_path, other):
     paths = study(tmp_path)
     folder = paths[0] / "evaluation" / f"{LABEL}-untrained"
     env = env_of() | ({"ignore_roll": True} if other == "env" else {})
-    size = replace(LIGHT, evaluation={"test": (SplitTest(split="S4"),)} if other == "split" else {})
+    size = replace(
+        LIGHT, evaluation={"test": (SplitTest(split="S4"),)} if other == "split" else {}
+    )
     write_evaluation(folder, "bm", 0.0, env, np.random.default_rng(0), size)
     assert not collect(paths).tasks[0].references
 
@@ -292,7 +354,9 @@ def test_seeds_trained_with_one_graph_are_one_agent(tmp_path, change):
         for graph in graphs:
             graph.write_text("head,relation,tail\nmug,usedFor,drinking\n")
         graph = str(graphs[seed if change == "elsewhere" else 0])
-        config = experiment_config("irb120-full-fast", seed=seed, knows={"graph": graph})
+        config = experiment_config(
+            "irb120-full-fast", seed=seed, knows={"graph": graph}
+        )
         folder = RunFolder.create(tmp_path / "runs" / str(seed))
         folder.write_experiment(config)
         paths.append(folder.path)
@@ -309,7 +373,9 @@ def test_seeds_trained_with_one_graph_are_one_agent(tmp_path, change):
 
 
 def test_a_report_is_written_whatever_is_missing(tmp_path):
-    paths = write_study(tmp_path / "runs", TRUTH, seeds=2, size=Size(points=6, episodes=20))
+    paths = write_study(
+        tmp_path / "runs", TRUTH, seeds=2, size=Size(points=6, episodes=20)
+    )
     evaluation = paths[0] / "evaluation" / LABEL
     (evaluation / "episodes.parquet").write_bytes(b"PAR1 broken")
     (paths[1] / "provenance.json").unlink()
@@ -334,7 +400,9 @@ def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
     paths = study(tmp_path, seeds=3)
     generator = np.random.default_rng(0)
     for path in paths:
-        if path.name == "0":  # more runs have the held-out evaluation than the usual one
+        if (
+            path.name == "0"
+        ):  # more runs have the held-out evaluation than the usual one
             shutil.rmtree(path / "evaluation" / LABEL)
         folder = path / "evaluation" / f"{LABEL}-held-out"
         write_evaluation(folder, "x", 0.3, env_of(), generator, LIGHT)
@@ -343,11 +411,15 @@ def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
     tables = json.loads((tmp_path / "report.json").read_text())["tables"]
     rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
     assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]
-    assert rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]
+    assert (
+        rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]
+    )
 
 
 def test_a_table_without_a_column_is_refused(tmp_path):
-    paths = write_study(tmp_path / "runs", TRUTH, seeds=1, size=Size(points=5, episodes=9))
+    paths = write_study(
+        tmp_path / "runs", TRUTH, seeds=1, size=Size(points=5, episodes=9)
+    )
     folder = paths[0] / "evaluation" / LABEL
     columns = read_table(folder / "episodes.parquet")
     kept = {name: each for name, each in EPISODE_COLUMNS.items() if name != "facet"}
@@ -359,9 +431,14 @@ def test_a_table_without_a_column_is_refused(tmp_path):
 def test_a_column_without_any_number_is_left_out(tmp_path):
     paths = study(tmp_path)
     for path in paths:
-        rows = [line.split(",") for line in (path / "evaluations.csv").read_text().splitlines()]
+        rows = [
+            line.split(",")
+            for line in (path / "evaluations.csv").read_text().splitlines()
+        ]
         rows = [rows[0], *([*row[:2], "", *row[3:]] for row in rows[1:])]
-        (path / "evaluations.csv").write_text("".join(",".join(row) + "\n" for row in rows))
+        (path / "evaluations.csv").write_text(
+            "".join(",".join(row) + "\n" for row in rows)
+        )
     assert "return_mean" not in collect(paths).runs[0].interim
     assert write_report(paths, tmp_path / "report.html").exists()
 
@@ -376,6 +453,9 @@ def test_only_reaching_learned_from_rewards_is_compared_with_the_paper(tmp_path)
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full") is None
     edit(tmp_path / "reach/0/config.json", **{name: own[name] for name in imitation})
-    edit(tmp_path / "reach/0/config.json", env=env_of() | {"task": {"skill": {"kind": "lift"}}})
+    edit(
+        tmp_path / "reach/0/config.json",
+        env=env_of() | {"task": {"skill": {"kind": "lift"}}},
+    )
     (task,) = collect([tmp_path]).tasks
     assert published_result(task, "full") is None

@@ -63,7 +63,9 @@ def test_tick_labels_are_not_rounded_to_other_values(axis, ticks, labels):
 
 def test_the_last_tick_label_fits_the_drawing():
     line = Series(name="a", colour="c-blue", x=np.array([0, 1.0]), y=np.array([0, 1.0]))
-    root = ElementTree.fromstring(line_chart([line], "name", SUCCESS_AXIS, SUCCESS_AXIS))
+    root = ElementTree.fromstring(
+        line_chart([line], "name", SUCCESS_AXIS, SUCCESS_AXIS)
+    )
     last = max(float(t.get("x")) for t in root.iter("text") if t.text == "100\u202f%")
     assert last + text_width("100 %", 11) / 2 <= float(root.get("width"))
 
@@ -79,7 +81,9 @@ def test_stairs_hold_each_value_until_the_next():
 @pytest.mark.parametrize("step", [0.0, 1e9, -1e15])
 def test_a_curve_of_one_point_has_an_axis(step):
     line = Series(name="a", colour="c-blue", x=np.array([step]), y=np.array([0.5]))
-    root = ElementTree.fromstring(line_chart([line], "name", Axis(title="x"), Axis(title="y")))
+    root = ElementTree.fromstring(
+        line_chart([line], "name", Axis(title="x"), Axis(title="y"))
+    )
     assert root.get("width")
     ticks = [each.text for each in root.iter() if each.get("class") == "tick"]
     assert len(ticks) == len(set(ticks))
@@ -115,7 +119,9 @@ def drawings():
             "name",
             Axis(title="x"),
         ),
-        "confusion": confusion_map(np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"),
+        "confusion": confusion_map(
+            np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"
+        ),
     }
 
 
@@ -126,7 +132,9 @@ def test_long_names_of_rows_fit():
     (text,) = (each for each in root.iter() if each.text == name)
     assert float(text.get("x")) > 6.5 * len(name)
     longer = Dot(name=60 * "n", colour="c-blue", value=Interval(0.5, 0.1, 0.9))
-    root = ElementTree.fromstring(dot_chart([longer], "name", POINTS_AXIS, zero=True, width=390))
+    root = ElementTree.fromstring(
+        dot_chart([longer], "name", POINTS_AXIS, zero=True, width=390)
+    )
     (zero,) = (each for each in root.iter() if each.get("class") == "zero")
     (dot,) = (each for each in root.iter() if each.get("class") == "dot")
     right = float(root.get("viewBox").split()[2])
@@ -182,7 +190,13 @@ def test_numbers_are_formatted_for_people(written, shown):
 
 def test_slugs_are_safe_and_differ():
     found = slugs(["full · fusion=film", "full/fusion film", "full+", "../x", "·"])
-    assert list(found.values()) == ["full-fusion-film", "full-fusion-film-2", "full+", "x", "x-2"]
+    assert list(found.values()) == [
+        "full-fusion-film",
+        "full-fusion-film-2",
+        "full+",
+        "x",
+        "x-2",
+    ]
 
 
 def test_agents_keep_the_paper_s_colours_and_differ():

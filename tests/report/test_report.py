@@ -99,7 +99,9 @@ def test_every_image_has_words(made):
 
 def test_every_table_of_the_page_equals_its_csv(made):
     reader = read(made.page)
-    files = {path.stem: path for path in (made.page.parent / "report-data").glob("*.csv")}
+    files = {
+        path.stem: path for path in (made.page.parent / "report-data").glob("*.csv")
+    }
     assert set(reader.tables) == set(files)
     assert len(files) > 20
     for name, rows in reader.tables.items():
@@ -125,7 +127,9 @@ def test_the_same_folders_give_the_same_bytes(made, tmp_path):
 
 
 def small_study(folder):
-    return write_study(folder, Truth(success={"bm": 0.5}), seeds=2, size=Size(points=5, episodes=9))
+    return write_study(
+        folder, Truth(success={"bm": 0.5}), seeds=2, size=Size(points=5, episodes=9)
+    )
 
 
 def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
@@ -138,7 +142,9 @@ def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
     stored["tables"] |= {"old": {}, "../kept": {}}
     page.with_suffix(".json").write_text(json.dumps(stored))
     write_report(runs, page)
-    assert (data / "own.csv").read_text() == (tmp_path / "kept.csv").read_text() == "mine"
+    assert (
+        (data / "own.csv").read_text() == (tmp_path / "kept.csv").read_text() == "mine"
+    )
     assert not (data / "old.csv").exists()
 
 
@@ -160,7 +166,9 @@ def test_files_of_others_are_not_overwritten(tmp_path):
 def test_a_number_without_an_interval_is_shown_alone():
     column = Column("success", "success", "percent", interval=True)
     several = _cell(column, Interval(0.5, 0.25, 0.75).named("success"), Path())
-    assert several == '50.0 % <span class="ci">25.0 % to 75.0 %</span>'.replace(" %", "\u202f%")
+    assert several == '50.0 % <span class="ci">25.0 % to 75.0 %</span>'.replace(
+        " %", "\u202f%"
+    )
     assert "to" not in _cell(column, Interval(0.5, 0.5, 0.5).named("success"), Path())
 
 
@@ -177,9 +185,13 @@ def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):
 
 def test_curves_are_drawn_from_the_values_of_their_table(made):
     page = made.page.read_text()
-    rows = rows_of(made.page.parent / "report-data" / "training-irb120-fixed-colours-ppo.csv")
+    rows = rows_of(
+        made.page.parent / "report-data" / "training-irb120-fixed-colours-ppo.csv"
+    )
     figure = page[page.index('data-figure="training-irb120-fixed-colours-ppo"') :]
-    chart = re.search(r'<svg[^>]*aria-label="success over.*?</svg>', figure, re.DOTALL).group()
+    chart = re.search(
+        r'<svg[^>]*aria-label="success over.*?</svg>', figure, re.DOTALL
+    ).group()
     left, right, low, high, bottom, top = map(
         float, re.search(r'data-plot="([^"]*)"', chart)[1].split()
     )
@@ -208,17 +220,26 @@ def test_the_paper_stands_beside_ours(made):
 
 def test_how_much_depends_on_vision_is_said_beside_every_agent(made):
     folder = made.page.parent / "report-data"
-    rows = {row["agent"]: row for row in rows_of(folder / "vision-irb120-fixed-colours-ppo.csv")}
+    rows = {
+        row["agent"]: row
+        for row in rows_of(folder / "vision-irb120-fixed-colours-ppo.csv")
+    }
     assert set(rows) == {"bm", "partial", "full", "wide", "zeros", "random"}
     full = rows["full"]
-    assert [float(full[name]) for name in ("open-loop", "blind", "frozen")] == [0.2, 0.1, 0.3]
+    assert [float(full[name]) for name in ("open-loop", "blind", "frozen")] == [
+        0.2,
+        0.1,
+        0.3,
+    ]
     assert float(full["vision_gain"]) == pytest.approx(float(full["success"]) - 0.2)
     assert float(full["minus frozen"]) == pytest.approx(float(full["success"]) - 0.3)
     assert "depends on vision." in made.page.read_text()
 
 
 def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
-    runs = write_study(tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=2, size=Size(points=4))
+    runs = write_study(
+        tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=2, size=Size(points=4)
+    )
     for path, lifted in zip(runs, (0.1, 0.3), strict=True):
         plain = path / "evaluation" / LABEL
         others = (("near-latest", 0.01), ("near-untrained", 0.01))  # of other networks
@@ -230,7 +251,9 @@ def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
     (table,) = (page.parent / "report-data").glob("*lifts*.csv")
     rows = rows_of(table)
     assert [row["seeds"] for row in rows] == ["2", "2"]
-    assert [("within 1 cm" in row["rules"], "within 5 cm" in row["rules"]) for row in rows] == [
+    assert [
+        ("within 1 cm" in row["rules"], "within 5 cm" in row["rules"]) for row in rows
+    ] == [
         (False, True),
         (True, False),
     ]
@@ -242,7 +265,9 @@ def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
 
 def test_other_conditions_compare_evaluations_by_one_rule(tmp_path):
     truth = Truth(success={"bm": 0.5, "full": 0.5})
-    runs = write_study(tmp_path / "runs", truth, seeds=2, size=Size(points=4, tables=False))
+    runs = write_study(
+        tmp_path / "runs", truth, seeds=2, size=Size(points=4, tables=False)
+    )
     for path in runs:
         plain = path / "evaluation" / LABEL
         other = shutil.copytree(plain, plain.with_name("sampled"))
@@ -257,21 +282,31 @@ def test_other_conditions_compare_evaluations_by_one_rule(tmp_path):
 
 def test_a_curve_counts_the_seeds_that_reach_each_step(tmp_path):
     truth = Truth(success={"bm": 0.5})
-    runs = write_study(tmp_path / "runs", truth, seeds=2, size=Size(points=12, tables=False))
+    runs = write_study(
+        tmp_path / "runs", truth, seeds=2, size=Size(points=12, tables=False)
+    )
     for name in ("evaluations.csv", "metrics.csv"):
         lines = (runs[0] / name).read_text().splitlines(keepends=True)
         (runs[0] / name).write_text("".join(lines[:7]))
     task = collect(runs).tasks[0]
     table = curve_figure(task, {"success": SUCCESS_AXIS}, "training", "").table
     assert (table.rows[0]["seeds"], table.rows[-1]["seeds"]) == (2, 1)
-    config, end = json.loads((runs[0] / "config.json").read_text()), task.runs[1].steps_done
+    config, end = (
+        json.loads((runs[0] / "config.json").read_text()),
+        task.runs[1].steps_done,
+    )
     for run in runs:  # which makes them one task again
         config["seed"] = int(run.name)
-        config |= {"stop_when": {"success": 1e-9, "evaluations": 1}, "total_steps": int(end)}
+        config |= {
+            "stop_when": {"success": 1e-9, "evaluations": 1},
+            "total_steps": int(end),
+        }
         (run / "config.json").write_text(json.dumps(config))
     (task,) = collect(runs).tasks
     table = curve_figure(task, {"success": SUCCESS_AXIS}, "training", "").table
-    assert {row["seeds"] for row in table.rows} == {2}, "a run that its rule ended goes on"
+    assert {row["seeds"] for row in table.rows} == {2}, (
+        "a run that its rule ended goes on"
+    )
 
 
 def test_notes_and_verdicts_say_what_follows_and_what_does_not(made):
@@ -314,14 +349,17 @@ def test_names_from_folders_cannot_break_the_page(tmp_path):
     assert "<b>&'" not in page
 
 
-def test_colours_stand_beside_agents_tasks_once_and_single_seeds_are_not_compared(tmp_path):
+def test_colours_stand_beside_agents_tasks_once_and_single_seeds_are_not_compared(
+    tmp_path,
+):
     truth = Truth(success={"bm": 0.9, "full": 0.95})
     runs = write_study(tmp_path, truth, seeds=1)
     runs += write_study(tmp_path / "tiago", truth, seeds=1, robot="tiago")
     page = write_report(runs, tmp_path / "a.html").read_text()
     first = re.search(r'<table data-table="summary">.*?</table>', page, re.S).group()
     cells = re.findall(
-        r'<td data-k="(task|agent)".*?>(?:<i (class="swatch").*?></i>)?(.*?)</td>', first
+        r'<td data-k="(task|agent)".*?>(?:<i (class="swatch").*?></i>)?(.*?)</td>',
+        first,
     )
     agents = [(mark, text) for key, mark, text in cells if key == "agent"]
     assert agents == [('class="swatch"', name) for name in ("bm", "full")] * 2

@@ -33,22 +33,34 @@ EQUAL = dict.fromkeys(AGENTS, 0.75)
 REAL = dict.fromkeys(AGENTS, 0.5) | {"full": 0.75}
 NOTHING = dict.fromkeys(("bm", "full", "wide", "random"), 0.6)
 SCENE = dict.fromkeys(("wide", "zeros", "random", "shuffled", "onehot"), 0.4)
-TARGET = dict.fromkeys(("target-zeros", "target-random", "target-shuffled", "target-onehot"), 0.4)
+TARGET = dict.fromkeys(
+    ("target-zeros", "target-random", "target-shuffled", "target-onehot"), 0.4
+)
 LOW = {"bm": 0.4, "target-zeros": 0.4, **SCENE}
 PLUS = dict.fromkeys(("wide", "zeros", "random+", "shuffled+", "onehot+"), 0.4)
 BOTH = LOW | {"target": 0.8, "target-onehot": 0.8}
-MEANING, SIZE, INPUT = "knowledge matters", "size may explain it", "input without meaning"
+MEANING, SIZE, INPUT = (
+    "knowledge matters",
+    "size may explain it",
+    "input without meaning",
+)
 
 
-def decided(folder: Path, success: dict[str, float], seeds: int = 5, **truth) -> list[Verdict]:
+def decided(
+    folder: Path, success: dict[str, float], seeds: int = 5, **truth
+) -> list[Verdict]:
     """Findings on success of every subject of one study."""
-    study = collect(write_study(folder, Truth(success=success, **truth), seeds=seeds, size=LIGHT))
+    study = collect(
+        write_study(folder, Truth(success=success, **truth), seeds=seeds, size=LIGHT)
+    )
     return [each.verdict() for each in findings(study.tasks[0], claims(study))]
 
 
 def words(found: Verdict) -> set[str]:
     """Words of the sentence, without the title of the task."""
-    return set(found.sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split())
+    return set(
+        found.sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split()
+    )
 
 
 def some(*agents: str) -> dict[str, float]:
@@ -58,29 +70,84 @@ def some(*agents: str) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("success", "kind", "named", "unnamed"),
     [
-        (REAL, MEANING, {"bm", "wide", "onehot"}, {"partial", "target", "wrong-object"}),
+        (
+            REAL,
+            MEANING,
+            {"bm", "wide", "onehot"},
+            {"partial", "target", "wrong-object"},
+        ),
         (EQUAL | {"bm": 0.5}, SIZE, {"wide"}, {"partial", "target", "wrong-object"}),
-        (EQUAL | dict.fromkeys(("bm", "wide", "zeros"), 0.5), INPUT, {"random"}, {"partial"}),
+        (
+            EQUAL | dict.fromkeys(("bm", "wide", "zeros"), 0.5),
+            INPUT,
+            {"random"},
+            {"partial"},
+        ),
         (EQUAL | {"full": 0.4}, "worse", {"bm"}, set()),
         (NOTHING, "no advantage", {"bm"}, set()),
-        (some("bm", "full"), "size not excluded", {"wide", "zeros"}, set()),  # registered
-        (some("bm", "full", "wide", "zeros"), "meaning not tested", {"shuffled"}, set()),
+        (
+            some("bm", "full"),
+            "size not excluded",
+            {"wide", "zeros"},
+            set(),
+        ),  # registered
+        (
+            some("bm", "full", "wide", "zeros"),
+            "meaning not tested",
+            {"shuffled"},
+            set(),
+        ),
         (some("full", "wide"), "no baseline", set(), {"bm"}),
         (some("bm", "wide"), "nothing to compare", set(), set()),
         (some("full"), "nothing to compare", set(), set()),
-        ({**some("bm", "wide"), "full": 0.8, "wrong-object": 0.5}, MEANING, {"wrong-object"}, {}),
-        ({**some("bm", "wide"), "full": 0.8, "wrong-object": 0.8}, INPUT, {"wrong-object"}, {}),
-        (some("bm", "full", "zeros", "shuffled"), MEANING, set(), {"wide", "random", "onehot"}),
+        (
+            {**some("bm", "wide"), "full": 0.8, "wrong-object": 0.5},
+            MEANING,
+            {"wrong-object"},
+            {},
+        ),
+        (
+            {**some("bm", "wide"), "full": 0.8, "wrong-object": 0.8},
+            INPUT,
+            {"wrong-object"},
+            {},
+        ),
+        (
+            some("bm", "full", "zeros", "shuffled"),
+            MEANING,
+            set(),
+            {"wide", "random", "onehot"},
+        ),
         # A privileged agent is judged by the controls of its scope.
         (BOTH, INPUT, {"target-onehot"}, set(SCENE)),
         (BOTH | {"target-onehot": 0.5}, MEANING, set(), set(SCENE)),
-        (LOW | {"target": 0.8}, "meaning not tested", {*TARGET} - {"target-zeros"}, {"shuffled"}),
-        (SCENE | {"bm": 0.4, "target": 0.8}, "size not excluded", {"target-zeros"}, set(SCENE)),
+        (
+            LOW | {"target": 0.8},
+            "meaning not tested",
+            {*TARGET} - {"target-zeros"},
+            {"shuffled"},
+        ),
+        (
+            SCENE | {"bm": 0.4, "target": 0.8},
+            "size not excluded",
+            {"target-zeros"},
+            set(SCENE),
+        ),
         (TARGET | {"bm": 0.4, "target": 0.8}, MEANING, set(TARGET), set()),
-        (TARGET | {"bm": 0.4, "target": 0.8, "target-random": 0.8}, INPUT, set(), set()),
+        (
+            TARGET | {"bm": 0.4, "target": 0.8, "target-random": 0.8},
+            INPUT,
+            set(),
+            set(),
+        ),
         (TARGET | {"bm": 0.4, "target": 0.8, "target-zeros": 0.8}, SIZE, set(), set()),
         # The vector of ``full+`` is longer than that of ``full``: each has its own controls.
-        (PLUS | {"bm": 0.4, "full+": 0.8, "random": 0.4}, MEANING, {*PLUS, "(norm"}, set()),
+        (
+            PLUS | {"bm": 0.4, "full+": 0.8, "random": 0.4},
+            MEANING,
+            {*PLUS, "(norm"},
+            set(),
+        ),
         # A learned vector has more parameters.
         (REAL | {"learned": 0.9}, MEANING, {"learned", "(parameters"}, set()),
     ],
@@ -94,7 +161,9 @@ def test_the_verdict_on_an_agent(tmp_path, success, kind, named, unnamed):
 
 @pytest.mark.parametrize("seeds", [1, 2])
 def test_few_seeds_allow_no_claim_however_large_the_difference(tmp_path, seeds):
-    (result,) = decided(tmp_path, SCENE | {"bm": 0.1, "full": 0.95}, seeds, spread=0.001)
+    (result,) = decided(
+        tmp_path, SCENE | {"bm": 0.1, "full": 0.95}, seeds, spread=0.001
+    )
     assert result.kind == "too few seeds"
     assert "cannot be decided" in result.sentence
 
@@ -104,7 +173,9 @@ def test_two_subjects_are_judged_apart_and_by_controls_of_their_scope(tmp_path):
     scene, target = decided(tmp_path, success)
     assert (scene.kind, target.kind) == (MEANING, INPUT)
     assert not {"target", "target-onehot"} & words(scene)
-    assert any("zeros" in r and "scope scene instead of target" in r for r in target.reasons)
+    assert any(
+        "zeros" in r and "scope scene instead of target" in r for r in target.reasons
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,8 +186,12 @@ def test_two_subjects_are_judged_apart_and_by_controls_of_their_scope(tmp_path):
         ({"toy": 0.5}, {}, "meaning not tested"),
     ],
 )
-def test_the_role_of_an_unregistered_agent_is_read_from_its_config(tmp_path, success, roles, kind):
-    (result,) = decided(tmp_path, {"bm": 0.5, "full": 0.8, "wide": 0.5} | success, roles=roles)
+def test_the_role_of_an_unregistered_agent_is_read_from_its_config(
+    tmp_path, success, roles, kind
+):
+    (result,) = decided(
+        tmp_path, {"bm": 0.5, "full": 0.8, "wide": 0.5} | success, roles=roles
+    )
     assert result.kind == kind
     assert ("toy" in words(result)) == bool(roles)
 
@@ -135,12 +210,22 @@ def test_every_role_can_come_from_the_config(tmp_path):
         ("random", {"knowledge": {"dim": 300}}, "knowledge width 300 instead of 150"),
         ("random", {"knowledge": {"norm": 9.0}}, "norm 9 instead of"),
         ("random", {"knowledge": {"dim": None}}, "knowledge width unknown"),
-        ("random", {"parameter_counts": {"total": 900_000}}, "parameters 900,000 instead of"),
+        (
+            "random",
+            {"parameter_counts": {"total": 900_000}},
+            "parameters 900,000 instead of",
+        ),
         # 202 visual features
-        ("wide", {"parameter_counts": {"image": 246_186}}, "parameters of the image encoder"),
+        (
+            "wide",
+            {"parameter_counts": {"image": 246_186}},
+            "parameters of the image encoder",
+        ),
     ],
 )
-def test_a_control_of_another_size_is_described_and_named(tmp_path, control, stored, reason):
+def test_a_control_of_another_size_is_described_and_named(
+    tmp_path, control, stored, reason
+):
     success = {"bm": 0.5, "full": 0.8, "zeros": 0.5, "onehot": 0.5, control: 0.8}
     (result,) = decided(tmp_path, success, sizes={control: stored})
     assert result.kind == "knowledge matters"
@@ -156,7 +241,9 @@ def test_a_claim_behind_a_closed_gate_is_not_tested(tmp_path):
     truth = EQUAL | {"zeros": 0.1}
     paths = write_study(tmp_path, Truth(success=truth), seeds=6, size=LIGHT)
     decided = claims(collect(paths))
-    zeros = next(c for c in decided if c.second.agent == "zeros" and c.outcome == "success")
+    zeros = next(
+        c for c in decided if c.second.agent == "zeros" and c.outcome == "success"
+    )
     assert zeros.comparison.p_value < 1e-4
     assert zeros.verdict == "not tested"
 
@@ -178,7 +265,10 @@ def test_without_any_effect_at_most_one_study_in_twenty_claims_one(tmp_path):
     for number in range(200):
         drawn = redraw(study, truth, seed=3_000 + number, size=LIGHT)
         found, task = claims(drawn), drawn.tasks[0]
-        loud += any(finding(task, found, name).kind not in quiet for name in ("success", "speed"))
+        loud += any(
+            finding(task, found, name).kind not in quiet
+            for name in ("success", "speed")
+        )
     assert loud <= 10
 
 
@@ -188,7 +278,10 @@ def test_splits_are_named_once_for_the_tasks_that_share_them():
     def said(tasks: dict[str, tuple[str, ...]]) -> str:
         found = [
             SimpleNamespace(
-                task=SimpleNamespace(title=title), subject=subject, outcome=split, kind="understood"
+                task=SimpleNamespace(title=title),
+                subject=subject,
+                outcome=split,
+                kind="understood",
             )
             for title, splits in tasks.items()
             for split in splits
@@ -204,13 +297,18 @@ def test_splits_are_named_once_for_the_tasks_that_share_them():
 
 
 def test_the_answer_names_outcomes_that_differ():
-    tasks, subject = [SimpleNamespace(title=each) for each in "AB"], SimpleNamespace(name="full")
+    tasks, subject = (
+        [SimpleNamespace(title=each) for each in "AB"],
+        SimpleNamespace(name="full"),
+    )
 
     def said(speed_on_b: str) -> str:
         kinds = {("success", 0): "no advantage", ("success", 1): "no advantage"}
         kinds |= {("speed", 0): "no advantage", ("speed", 1): speed_on_b}
         found = [
-            SimpleNamespace(task=tasks[task], subject=subject, outcome=outcome, kind=kind)
+            SimpleNamespace(
+                task=tasks[task], subject=subject, outcome=outcome, kind=kind
+            )
             for (outcome, task), kind in kinds.items()
         ]
         return answer(found, 2).sentence
@@ -226,7 +324,9 @@ def test_the_answer_names_outcomes_that_differ():
 def test_the_first_page_states_what_is_found_on_every_tested_outcome(tmp_path):
     truth = Truth(success=some("bm", "full", "wide"))
     study = collect(write_study(tmp_path, truth, seeds=3, size=LIGHT))
-    study.tasks[0].subjects[0].runs[0].interim["success"][:] = 0.0  # faster, except for one run
+    study.tasks[0].subjects[0].runs[0].interim["success"][:] = (
+        0.0  # faster, except for one run
+    )
     pages = build_pages(study)
     known = claims(study)
     for outcome in ("success", "speed"):
@@ -238,7 +338,9 @@ def test_the_first_page_states_what_is_found_on_every_tested_outcome(tmp_path):
 
 
 def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
-    paths = write_study(tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT)
+    paths = write_study(
+        tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT
+    )
     for path in (paths[0], paths[2], paths[3]):  # one run of bm stopped, both of full
         for name in ("evaluations.csv", "metrics.csv"):
             lines = (path / name).read_text().splitlines(keepends=True)
@@ -254,14 +356,18 @@ def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
 
 
 def test_a_stopped_run_is_no_mean_over_a_longer_training(tmp_path):
-    paths = write_study(tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT)
+    paths = write_study(
+        tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT
+    )
     for name in ("evaluations.csv", "metrics.csv"):
         lines = (paths[0] / name).read_text().splitlines(keepends=True)
         (paths[0] / name).write_text("".join(lines[:7]))
     task = collect(paths).tasks[0]
     stopped, whole = task.groups[0].runs
     assert (stopped.lasts(task.horizon), whole.lasts(task.horizon)) == (False, True)
-    only = area_under_curve(whole.interim["step"], whole.interim["success"], task.horizon)
+    only = area_under_curve(
+        whole.interim["step"], whole.interim["success"], task.horizon
+    )
     assert scores(task, task.groups[0], "speed") == pytest.approx([only])
     config = json.loads((paths[0] / "config.json").read_text())
     config["stop_when"] = {"success": 0.001, "evaluations": 1}
@@ -288,14 +394,19 @@ def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):
     monkeypatch.setattr(inputs, "_knowledge_of", known.__getitem__)
     monkeypatch.setattr(inputs, "_privileged_uses", lambda group: [])
     verdict = inputs._kind_of_input(SimpleNamespace(groups=groups))
-    assert verdict.sentence == "The knowledge vector describes the query of the episode."
+    assert (
+        verdict.sentence == "The knowledge vector describes the query of the episode."
+    )
     assert verdict.reasons == [
         "asked, codes: the vector describes the query of the episode. Compare with codes."
     ]
 
 
 def evaluated(
-    folder: Path, success: dict[str, list[float]], untrained: float, blind: float | None = None
+    folder: Path,
+    success: dict[str, list[float]],
+    untrained: float,
+    blind: float | None = None,
 ) -> TaskData:
     """Collect a task whose evaluations have just these numbers, of 100 episodes each."""
 
@@ -322,7 +433,12 @@ def evaluated(
 @pytest.mark.parametrize(
     ("success", "untrained", "blind", "said"),
     [
-        (0.9, 0.0, 0.2, "training succeeded: bm and full succeeded clearly more often than"),
+        (
+            0.9,
+            0.0,
+            0.2,
+            "training succeeded: bm and full succeeded clearly more often than",
+        ),
         (0.01, 0.0, None, "training did not succeed"),
         (0.3, 0.0, 0.33, "training did not succeed"),
         (0.9, 0.88, None, "training did not succeed"),
@@ -331,7 +447,9 @@ def evaluated(
 def test_training_succeeded_only_with_clearly_more_success(
     tmp_path, success, untrained, blind, said
 ):
-    task = evaluated(tmp_path, {"bm": [success] * 2, "full": [success] * 2}, untrained, blind)
+    task = evaluated(
+        tmp_path, {"bm": [success] * 2, "full": [success] * 2}, untrained, blind
+    )
     verdict = learning_verdict(task)
     assert said in verdict.sentence
     assert ("without vision" in verdict.sentence) == (blind is not None)
@@ -340,7 +458,10 @@ def test_training_succeeded_only_with_clearly_more_success(
 def test_success_below_that_without_vision_is_not_called_a_part_of_it(tmp_path):
     task = evaluated(tmp_path, {"bm": [0.0, 0.01], "full": [0.9, 0.95]}, 0.0, 0.3)
     verdict = vision_verdict(task)
-    assert "the success of full depends on vision; for bm this is not shown." in verdict.sentence
+    assert (
+        "the success of full depends on vision; for bm this is not shown."
+        in verdict.sentence
+    )
     assert "bm: success 0.5\u202f%; the better of a fixed list" in verdict.reasons[0]
     assert "difference \u221229.5 points" in verdict.reasons[0]
 
@@ -354,7 +475,9 @@ def test_few_seeds_are_shown_and_differences_of_equal_ones_have_no_interval(tmp_
     assert first.sentence == f"Does the knowledge help? {words}"
     assert isinstance(table, Figure)
     assert table.open_table
-    hidden = [block for block in flat(pages[0].blocks[-1:]) if isinstance(block, Verdict)]
+    hidden = [
+        block for block in flat(pages[0].blocks[-1:]) if isinstance(block, Verdict)
+    ]
     assert any("depends on vision" in each.sentence for each in hidden)
     claim = next(claim for claim in claims(study) if claim.outcome == "success")
     assert "full against bm: +40.0 points (no interval" in claim.sentence()

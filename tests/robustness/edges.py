@@ -39,14 +39,32 @@ def links(tries: int, seed: int) -> Result:
             with lock_folder(run, remedy=""):
                 pass
 
-        uses = {"open": lambda: RunFolder.open(run), "load": lambda: load_agent(run), "lock": lock}
+        uses = {
+            "open": lambda: RunFolder.open(run),
+            "load": lambda: load_agent(run),
+            "lock": lock,
+        }
         uses["evaluate"] = lambda: evaluate(run, episodes=2, probes=())
         uses["report"] = lambda: write_report([run], run.parents[1] / "report.html")
         source = ROOT / "zoo" / "irb120-full-fast"
         names = [path.relative_to(source).as_posix() for path in source.rglob("*")]
-        names += [".lock", ".lock.json", "metrics.csv", "graphs/aa/x.csv", "../../report.html"]
-        names += ["evaluation", "evaluation/post-training-greedy", "../../report-data", "new.json"]
-        names += [f"evaluation/post-training-greedy/{x}" for x in ("summary.json", "steps.parquet")]
+        names += [
+            ".lock",
+            ".lock.json",
+            "metrics.csv",
+            "graphs/aa/x.csv",
+            "../../report.html",
+        ]
+        names += [
+            "evaluation",
+            "evaluation/post-training-greedy",
+            "../../report-data",
+            "new.json",
+        ]
+        names += [
+            f"evaluation/post-training-greedy/{x}"
+            for x in ("summary.json", "steps.parquet")
+        ]
         for number in range(tries):
             shutil.rmtree(run.parents[1], ignore_errors=True)
             shutil.copytree(source, run)
@@ -75,7 +93,11 @@ def clocks(tries: int, seed: int) -> Result:
         robot = Robot(patience_s=1, following_steps=1000, max_steps=100)
         sent_at, joints, stamps = -np.inf, np.array([0.0, 0.5]), 100.0
         for _ in range(60):
-            gap = float(random.choice([0.001, 0.05, 0.1, 0.1, 0.1, 0.1, 2], p=[0.16] * 6 + [0.04]))
+            gap = float(
+                random.choice(
+                    [0.001, 0.05, 0.1, 0.1, 0.1, 0.1, 2], p=[0.16] * 6 + [0.04]
+                )
+            )
             robot.now, stamps = robot.now + gap, stamps + gap
             stamps += float(random.choice([0, 0, 0, 0, -1000, 1000, -0.2]))
             ages = random.choice([0.0, 0.0, 0.0, 0.2, 0.5, -0.5], 2)
@@ -93,7 +115,9 @@ def clocks(tries: int, seed: int) -> Result:
                 "of old inputs": (abs(ages) > 0.3).any() or len(robot.calls) == before,
                 "too far": (abs(targets - joints) > 0.0501).any(),
             }
-            failures += [f"{number}: a target {what}" for what, is_so in wrong.items() if is_so]
+            failures += [
+                f"{number}: a target {what}" for what, is_so in wrong.items() if is_so
+            ]
             sent_at, joints = robot.now, targets
     return tries, failures
 
@@ -125,8 +149,12 @@ def sockets(tries: int, seed: int) -> Result:
     for number in range(tries):
         kind = random.integers(3)
         if kind == 0:  # idle sockets, and a part of a handshake
-            idle = [*idle, socket.create_connection(("127.0.0.1", server.port), 30)][-40:]
-            idle[-1].sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"[: random.integers(34)])
+            idle = [*idle, socket.create_connection(("127.0.0.1", server.port), 30)][
+                -40:
+            ]
+            idle[-1].sendall(
+                b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"[: random.integers(34)]
+            )
         elif kind == 1:
             with socket.create_connection(("127.0.0.1", server.port), 30) as one:
                 one.sendall(random.bytes(int(random.integers(1, 400))))
@@ -140,7 +168,9 @@ def sockets(tries: int, seed: int) -> Result:
                         isinstance(said, str) and "\n" in said
                     )
             except (WebSocketException, OSError) as error:
-                failures += [f"{number}: no answer: {error}"] * isinstance(error, TimeoutError)
+                failures += [f"{number}: no answer: {error}"] * isinstance(
+                    error, TimeoutError
+                )
         if number % 5 == 4:
             try:
                 failures += [f"{number}: another answer"] * (answer() != expected)
@@ -167,7 +197,10 @@ def forged_rows(tries: int, seed: int) -> Result:
                 failures.append(f"{number}: {type(error).__name__}: {error}")
                 continue
             figures = [(name, cell["success"]) for name, cell in row["cells"].items()]
-            stored = [(name, cell["success"]) for name, cell in json.loads(text)["cells"].items()]
+            stored = [
+                (name, cell["success"])
+                for name, cell in json.loads(text)["cells"].items()
+            ]
             failures += [f"{number}: {forged.read_bytes()!r:.99}"] * (figures != stored)
     return tries, failures
 

@@ -51,7 +51,10 @@ class _Faults:
 
 OPERATIONS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
 ERRORS = [OSError(28, "No space left on device"), OSError(5, "Input/output error")]
-ERRORS += [PermissionError(13, "Permission denied"), FileNotFoundError(2, "No such file")]
+ERRORS += [
+    PermissionError(13, "Permission denied"),
+    FileNotFoundError(2, "No such file"),
+]
 
 _faults: _Faults | None = None
 
@@ -65,7 +68,9 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
     arrays = {"a": np.arange(100.0)}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        run = train(short(total_steps=40), folder / "runs", policy={"features": 8}).folder
+        run = train(
+            short(total_steps=40), folder / "runs", policy={"features": 8}
+        ).folder
         store = CheckpointStore(folder / "checkpoints", {})
         store.save(Checkpoint(policy=arrays, facts={"step": 0}))
 
@@ -73,7 +78,9 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
             store.save(Checkpoint(policy=arrays, facts={"step": number}))
 
         def log(number: int) -> None:
-            CsvLog(folder / "log.csv", keep_to_step=number).write({"step": number, f"c{number}": 1})
+            CsvLog(folder / "log.csv", keep_to_step=number).write(
+                {"step": number, f"c{number}": 1}
+            )
 
         def report(number: int) -> None:
             write_report([run.path], folder / "report" / "report.html")
@@ -89,16 +96,22 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
         actions += [(training, 1, 60)]
         weights = np.array([weight for _, weight, _ in actions], float)
         for number in range(tries):
-            action, _, most = actions[random.choice(len(actions), p=weights / weights.sum())]
+            action, _, most = actions[
+                random.choice(len(actions), p=weights / weights.sum())
+            ]
             error = ERRORS[int(random.integers(len(ERRORS)))]
             try:
                 with _faults.inject(folder, int(random.integers(1, most)), error):
                     action(number)
             except UserError as caught:
                 if "\n" in str(caught):
-                    failures.append(f"{action.__name__} {number}: several lines: {caught}")
+                    failures.append(
+                        f"{action.__name__} {number}: several lines: {caught}"
+                    )
             except Exception as caught:
-                failures.append(f"{action.__name__} {number}: {type(caught).__name__}: {caught}")
+                failures.append(
+                    f"{action.__name__} {number}: {type(caught).__name__}: {caught}"
+                )
             try:
                 store.load()
                 RunFolder.open(run.path).experiment()

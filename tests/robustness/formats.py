@@ -83,7 +83,9 @@ def try_mutations(each: Format, seeds: range) -> list[Failure]:
     try:
         for seed in seeds:
             random = np.random.default_rng((seed, zlib.crc32(each.name.encode())))
-            each.path.write_bytes(mutate(original, random, is_json=each.path.suffix == ".json"))
+            each.path.write_bytes(
+                mutate(original, random, is_json=each.path.suffix == ".json")
+            )
             if (what := outcome(lambda: each.read(each.path))) is not None:
                 failures.append(Failure(each.name, seed, what))
     finally:
@@ -104,7 +106,9 @@ def outcome(read: Callable[[], object]) -> str | None:
         return f"took more than {STALL_S} s of processor time"
     except BaseException as error:
         frame = traceback.extract_tb(error.__traceback__)[-1]
-        return f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"[:300]
+        return f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"[
+            :300
+        ]
     return None
 
 
@@ -151,7 +155,9 @@ def _graphs(folder: Path) -> list[Format]:
     network = networkx.MultiDiGraph()
     network.add_edges_from((h, t, {"label": r}) for h, r, t in graph)
     for name, text in {
-        "home.json": json.dumps({"nodes": [{"id": n} for n in graph.entities], "links": links}),
+        "home.json": json.dumps(
+            {"nodes": [{"id": n} for n in graph.entities], "links": links}
+        ),
         "home.graphml": "\n".join(networkx.generate_graphml(network)),
         "home.gexf": "\n".join(networkx.generate_gexf(network)),
         "home.trig": (folder / "home.ttl").read_text("utf-8"),
@@ -161,7 +167,11 @@ def _graphs(folder: Path) -> list[Format]:
         (folder / name).write_text(text, "utf-8")
         formats.append(Format(f"graph {name}", folder / name, read_graph))
     small = (folder / "home.nt").read_bytes()[:20_000].rsplit(b"\n", 1)[0] + b"\n"
-    for suffix, compress in (("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress)):
+    for suffix, compress in (
+        ("gz", gzip.compress),
+        ("bz2", bz2.compress),
+        ("xz", lzma.compress),
+    ):
         path = folder / f"small.nt.{suffix}"
         path.write_bytes(compress(small))
         formats.append(Format(f"graph .nt.{suffix}", path, read_graph))
@@ -172,11 +182,17 @@ def _graphs(folder: Path) -> list[Format]:
     openke = folder / "openke"
     write_openke(split_graph(graph), openke)
     formats += [
-        Format(f"OpenKE {name}", openke / f"{name}2id.txt", lambda path: read_graph(path.parent))
+        Format(
+            f"OpenKE {name}",
+            openke / f"{name}2id.txt",
+            lambda path: read_graph(path.parent),
+        )
         for name in ("entity", "relation", "train")
     ]
     path = folder / "conceptnet-assertions-5.7.0.csv"
-    line = '/a/x{0}\t/r/IsA\t/c/en/mug{0}\t/c/en/cup/n\t{{"weight": 2.0, "sources": []}}\n'
+    line = (
+        '/a/x{0}\t/r/IsA\t/c/en/mug{0}\t/c/en/cup/n\t{{"weight": 2.0, "sources": []}}\n'
+    )
     path.write_text("".join(line.format(i) for i in range(40)))
     return [*formats, Format("ConceptNet", path, read_graph)]
 
@@ -188,14 +204,18 @@ def _vectors(folder: Path) -> list[Format]:
         f"word{i} " + " ".join(f"{x:.4f}" for x in random.normal(size=20)) + "\n"
         for i in range(150)
     ).encode()
-    plain, packed, zipped = (folder / f"words.txt{suffix}" for suffix in ("", ".gz", ".zip"))
+    plain, packed, zipped = (
+        folder / f"words.txt{suffix}" for suffix in ("", ".gz", ".zip")
+    )
     plain.write_bytes(text)
     packed.write_bytes(gzip.compress(text))
     with zipfile.ZipFile(zipped, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("words.txt", text)
     config = KgeConfig(dim=4, epochs=1)
     graph = household()
-    trained = train_embedding(config, graph.triples, len(graph.names), len(graph.relation_names))
+    trained = train_embedding(
+        config, graph.triples, len(graph.names), len(graph.relation_names)
+    )
     embedding = folder / "home.safetensors"
     save_model(trained.model, config, graph, embedding)
     return [
@@ -210,7 +230,10 @@ def _vectors(folder: Path) -> list[Format]:
 def _run(folder: Path) -> list[Format]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
-    values = {"episodes": 2, "probes": [{"kind": "steps"}, {"kind": "films", "episodes": 1}]}
+    values = {
+        "episodes": 2,
+        "probes": [{"kind": "steps"}, {"kind": "films", "episodes": 1}],
+    }
     evaluated = evaluate(run.path, **values, label="two").folder
 
     def reported(path: Path) -> None:
@@ -230,7 +253,11 @@ def _run(folder: Path) -> list[Format]:
 
     latest = run.checkpoints / "latest"
     return [
-        Format("config.json", run.config_path, lambda path: RunFolder.open(run.path).experiment()),
+        Format(
+            "config.json",
+            run.config_path,
+            lambda path: RunFolder.open(run.path).experiment(),
+        ),
         Format("config.json in a report", run.config_path, reported),
         Format("provenance.json", run.path / "provenance.json", loaded),
         Format("provenance.json in a report", run.path / "provenance.json", reported),
@@ -243,7 +270,9 @@ def _run(folder: Path) -> list[Format]:
             for p in ("policy", "state")
         ),
         Format("summary.json in a report", evaluated / "summary.json", reported),
-        Format("episodes.parquet in a report", evaluated / "episodes.parquet", reported),
+        Format(
+            "episodes.parquet in a report", evaluated / "episodes.parquet", reported
+        ),
         Format("evaluations.csv in a report", run.evaluations_path, reported),
         Format("episodes.parquet", evaluated / "episodes.parquet", read_table),
         Format("steps.parquet", evaluated / "steps.parquet", read_table),
@@ -268,7 +297,9 @@ def _texts(folder: Path) -> list[Format]:
     graph = household()
     query = folder / "query.rq"
     query.write_text(
-        EXAMPLE + "\n" * 3 + '# OPTIONAL { ?x :isA ?y } FILTER(?colour != "red") LIMIT 10\n'
+        EXAMPLE
+        + "\n" * 3
+        + '# OPTIONAL { ?x :isA ?y } FILTER(?colour != "red") LIMIT 10\n'
     )
     options = folder / "options.txt"
     options.write_text(
@@ -277,10 +308,16 @@ def _texts(folder: Path) -> list[Format]:
     )
     name = "irb120-full-ppo"
     return [
-        Format("SPARQL", query, lambda p: sparql(graph, p.read_bytes().decode(errors="replace"))),
+        Format(
+            "SPARQL",
+            query,
+            lambda p: sparql(graph, p.read_bytes().decode(errors="replace")),
+        ),
         Format(
             "command line",
             options,
-            lambda p: Train.parse("", [name, *p.read_bytes().decode(errors="replace").split()]),
+            lambda p: Train.parse(
+                "", [name, *p.read_bytes().decode(errors="replace").split()]
+            ),
         ),
     ]

@@ -20,20 +20,92 @@ TOKENS = [
         b"}",
         b"[",
     ),
-    *(b"]", b"<", b">", b"&", b";", b",", b"=", b"#", b"%", b"@", b"null", b"true", b"NaN", b"inf"),
-    *(b"-inf", b"1e999", b"-1", b"0", b"9" * 30, b"\\uD800", b"\\u0000", "²٣".encode(), b"../" * 9),
-    *(b"a" * 5000, b"(" * 500, b"[" * 500, b'{"a":' * 500, b"SERVICE", b"FROM NAMED <urn:x>"),
-    *(b"<!ENTITY a '&b;'>", b'"@context": "http://127.0.0.1:1/"', b"=HYPERLINK(1)", b"\x1b[31m"),
+    *(
+        b"]",
+        b"<",
+        b">",
+        b"&",
+        b";",
+        b",",
+        b"=",
+        b"#",
+        b"%",
+        b"@",
+        b"null",
+        b"true",
+        b"NaN",
+        b"inf",
+    ),
+    *(
+        b"-inf",
+        b"1e999",
+        b"-1",
+        b"0",
+        b"9" * 30,
+        b"\\uD800",
+        b"\\u0000",
+        "²٣".encode(),
+        b"../" * 9,
+    ),
+    *(
+        b"a" * 5000,
+        b"(" * 500,
+        b"[" * 500,
+        b'{"a":' * 500,
+        b"SERVICE",
+        b"FROM NAMED <urn:x>",
+    ),
+    *(
+        b"<!ENTITY a '&b;'>",
+        b'"@context": "http://127.0.0.1:1/"',
+        b"=HYPERLINK(1)",
+        b"\x1b[31m",
+    ),
 ]
 """Pieces that parsers treat specially."""
 
 VALUES = [
-    *(None, True, -1, 0, 2**31, 2**63, 2**70, -(2**70), 0.5, 1e308, float("nan"), float("inf")),
-    *("", "x", "a" * 5000, "\0", "\ud800", "../../..", [], [[]], [1, "a"], {}, {"kind": "x"}),
+    *(
+        None,
+        True,
+        -1,
+        0,
+        2**31,
+        2**63,
+        2**70,
+        -(2**70),
+        0.5,
+        1e308,
+        float("nan"),
+        float("inf"),
+    ),
+    *(
+        "",
+        "x",
+        "a" * 5000,
+        "\0",
+        "\ud800",
+        "../../..",
+        [],
+        [[]],
+        [1, "a"],
+        {},
+        {"kind": "x"},
+    ),
 ]
 """Values that replace others in JSON."""
 
-NUMBERS = [b"-1", b"0", b"1e308", b"nan", b"inf", b"99999999999999999999", b"4294967296", b"", b"x"]
+NUMBERS = [
+    b"-1",
+    b"0",
+    b"1e308",
+    b"nan",
+    b"inf",
+    b"99999999999999999999",
+    b"4294967296",
+    b"",
+    b"x",
+]
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 

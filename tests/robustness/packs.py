@@ -16,10 +16,17 @@ def pack_readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], None]]]
     """Write a small pack, and its archive without compression, whose mutations reach the reader."""
     folder.mkdir()
     texts = {"study.json": b"{}", "a/0/config.json": b"{}" * 300}
-    manifest = {"sha256": {name: hashlib.sha256(text).hexdigest() for name, text in texts.items()}}
+    manifest = {
+        "sha256": {
+            name: hashlib.sha256(text).hexdigest() for name, text in texts.items()
+        }
+    }
     pack, archive = folder / "pack.tar.xz", folder / "pack.tar"
     with tarfile.open(archive, "w", format=tarfile.USTAR_FORMAT) as file:
-        for name, text in {"manifest.json": json.dumps(manifest).encode(), **texts}.items():
+        for name, text in {
+            "manifest.json": json.dumps(manifest).encode(),
+            **texts,
+        }.items():
             member = tarfile.TarInfo(name)
             member.size = len(text)
             file.addfile(member, io.BytesIO(text))
@@ -31,7 +38,11 @@ def pack_readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], None]]]
             unpack_study(path, out)
         finally:
             shutil.rmtree(out, ignore_errors=True)
-            assert {each.name for each in folder.iterdir()} <= {"pack.tar", "pack.tar.xz", "x"}
+            assert {each.name for each in folder.iterdir()} <= {
+                "pack.tar",
+                "pack.tar.xz",
+                "x",
+            }
 
     def compressed(path: Path) -> None:
         """Sum up the mutated headers, so that they are read, and compress the archive."""
@@ -39,7 +50,9 @@ def pack_readers(folder: Path) -> list[tuple[str, Path, Callable[[Path], None]]]
         for start in range(0, len(data) - 511, 512):
             if data[start + 257 : start + 262] == b"ustar":
                 data[start + 148 : start + 156] = b" " * 8
-                data[start + 148 : start + 156] = b"%06o\0 " % sum(data[start : start + 512])
+                data[start + 148 : start + 156] = b"%06o\0 " % sum(
+                    data[start : start + 512]
+                )
         (folder / "x").write_bytes(lzma.compress(bytes(data)))
         unpack(folder / "x")
 

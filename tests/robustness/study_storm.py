@@ -54,7 +54,16 @@ retries = 100
 
 def _start(study: Path, out: Path, mark: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, "-m", "knowarm", "study", "run", str(study), "--out", str(out)],
+        [
+            sys.executable,
+            "-m",
+            "knowarm",
+            "study",
+            "run",
+            str(study),
+            "--out",
+            str(out),
+        ],
         env={**os.environ, MARK: mark},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -66,7 +75,10 @@ def _alive(mark: str) -> list[psutil.Process]:
     found = []
     for process in psutil.process_iter():
         try:
-            if process.environ().get(MARK) == mark and process.status() != psutil.STATUS_ZOMBIE:
+            if (
+                process.environ().get(MARK) == mark
+                and process.status() != psutil.STATUS_ZOMBIE
+            ):
                 found.append(process)
         except psutil.Error:
             continue
@@ -74,7 +86,9 @@ def _alive(mark: str) -> list[psutil.Process]:
 
 
 def _shared_memory() -> set[str]:
-    return {path.name for path in Path("/dev/shm").iterdir() if "plasma" not in path.name}
+    return {
+        path.name for path in Path("/dev/shm").iterdir() if "plasma" not in path.name
+    }
 
 
 def _metrics_bytes(out: Path, worker: psutil.Process) -> int:
@@ -102,8 +116,12 @@ def _victim(
     if kind == "worker":
         return draws.choice(workers) if workers else None
     sizes = {worker: _metrics_bytes(out, worker) for worker in workers}
-    workers = [worker for worker, size in sizes.items() if known.get(worker.pid) != size]
-    helpers = {child: worker for worker in workers for child in worker.children(recursive=True)}
+    workers = [
+        worker for worker, size in sizes.items() if known.get(worker.pid) != size
+    ]
+    helpers = {
+        child: worker for worker in workers for child in worker.children(recursive=True)
+    }
     if not helpers:
         return None
     chosen = draws.choice(list(helpers))
@@ -126,7 +144,8 @@ def results(out: Path) -> dict[str, object]:
                 found[path.relative_to(out).as_posix()] = path.read_bytes()
         rows = read_csv(run / "metrics.csv")
         found[f"{run.relative_to(out)} metrics"] = [
-            {name: value for name, value in row.items() if not name.endswith("_s")} for row in rows
+            {name: value for name, value in row.items() if not name.endswith("_s")}
+            for row in rows
         ]
     return found
 
@@ -154,7 +173,9 @@ def kill_study(
     mark, shared = uuid.uuid4().hex, _shared_memory()
     killed, known, failures = 0, {}, []
     with tempfile.TemporaryDirectory() as folder:
-        study, disturbed, calm = (Path(folder) / name for name in ("s.toml", "disturbed", "calm"))
+        study, disturbed, calm = (
+            Path(folder) / name for name in ("s.toml", "disturbed", "calm")
+        )
         seeds = list(range(-(-kills // 6)))
         text = STUDY.replace("EXPERIMENTS", str(list(experiments)))
         study.write_text(text.replace("SEEDS", str(seeds)))
@@ -178,15 +199,23 @@ def kill_study(
         if driver.wait() != 0:
             states = study_status(open_study(disturbed), disturbed)
             failures.append(f"the study failed: {[each.detail for each in states]}")
-        if {each.state for each in study_status(open_study(disturbed), disturbed)} != {"done"}:
+        if {each.state for each in study_status(open_study(disturbed), disturbed)} != {
+            "done"
+        }:
             failures.append("the study is not done")
         else:
-            with pytest.MonkeyPatch.context() as patch:  # in this process, without a worker
+            with (
+                pytest.MonkeyPatch.context() as patch
+            ):  # in this process, without a worker
                 patch.setattr(driver_module, "make_executor", InlineExecutor)
                 run_study(open_study(disturbed), calm)
             wanted, found = results(calm), results(disturbed)
-            failures += [f"{name} differs" for name in wanted if wanted[name] != found.get(name)]
-            failures += [f"{name} is left over" for name in found.keys() - wanted.keys()]
+            failures += [
+                f"{name} differs" for name in wanted if wanted[name] != found.get(name)
+            ]
+            failures += [
+                f"{name} is left over" for name in found.keys() - wanted.keys()
+            ]
     end = time.monotonic() + GONE_S
     while (_alive(mark) or _shared_memory() - shared) and time.monotonic() < end:
         time.sleep(0.2)

@@ -9,7 +9,9 @@ from tests.robustness.formats import make_formats, try_mutations
 
 @pytest.mark.slow
 def test_damaged_files_end_in_an_error_for_users(tmp_path):
-    failures = [f for each in make_formats(tmp_path) for f in try_mutations(each, range(5))]
+    failures = [
+        f for each in make_formats(tmp_path) for f in try_mutations(each, range(5))
+    ]
     assert failures == []
 
 

@@ -78,7 +78,9 @@ def test_entities_in_other_documents_are_not_read(tmp_path):
         f'<!DOCTYPE x [<!ENTITY e SYSTEM "{other.as_uri()}">]>{RDF}'
         '<rdf:Description rdf:about="http://a/"><b>&e;</b></rdf:Description></rdf:RDF>'
     )
-    with pytest.raises(UserError, match=r"refers to another document, .file:.*only the given one"):
+    with pytest.raises(
+        UserError, match=r"refers to another document, .file:.*only the given one"
+    ):
         read_graph(path)
 
 

@@ -97,14 +97,21 @@ def shuffled(values: Mapping, random: Random) -> dict:
 def reordered(runner: Runner, random: Random) -> Runner:
     """Return a runner with the same policy, and other orders of joints and of rows."""
     about, joints = runner.contract, runner.contract["joints"]
-    order, lines = (random.permutation(len(each)) for each in (joints["names"], runner._table))
+    order, lines = (
+        random.permutation(len(each)) for each in (joints["names"], runner._table)
+    )
 
     def policy(inputs):
         levels, *rest = runner._policy(inputs)
         return [levels[:, order], *rest]
 
-    moved = {name: [joints[name][i] for i in order] for name in ("names", "lower", "upper", "home")}
-    named = about["knowledge"] | {"rows": [about["knowledge"]["rows"][i] for i in lines]}
+    moved = {
+        name: [joints[name][i] for i in order]
+        for name in ("names", "lower", "upper", "home")
+    }
+    named = about["knowledge"] | {
+        "rows": [about["knowledge"]["rows"][i] for i in lines]
+    }
     contract = about | {"joints": joints | moved, "knowledge": named}
     return Runner(contract, runner._table[lines], policy, runner._recognition)
 
@@ -149,7 +156,13 @@ def gymnasium_ids(doors: Doors, random: Random) -> list[str]:
         return [images[1].sum(), *after[1].ravel(), infos["distance"][1]]
 
     same = forms({"list": levels.tolist(), "int8": levels.astype(np.int8)}, play)
-    wrong = (levels.astype(float), levels[:, None], levels[:5], levels > 2, levels[None])
+    wrong = (
+        levels.astype(float),
+        levels[:, None],
+        levels[:5],
+        levels > 2,
+        levels[None],
+    )
     other = forms({f"{each.dtype} {each.shape}": each for each in wrong}, play)
     return compare(play(levels), {**same, "beside another": beside}, other)
 
@@ -157,21 +170,30 @@ def gymnasium_ids(doors: Doors, random: Random) -> list[str]:
 def make(doors: Doors, random: Random) -> list[str]:
     """`knowarm.make`: order of options, observations, objects, tables and triples."""
     seed, table = int(random.integers(1000)), random.random((3, 4))
-    targets, options = ("mug", "bottle", "cereal_box"), {"image_size": 8, "dynamics": "kinematic"}
+    targets, options = (
+        ("mug", "bottle", "cereal_box"),
+        {"image_size": 8, "dynamics": "kinematic"},
+    )
     drawn = knowarm.evaluation_episodes(knowarm.EnvConfig(**options), 2, seed)
     triples, graph = list(shipped_graph("objects")), doors.folder / "objects.tsv"
 
-    def see(table=table, observe=("image", "knowledge", "joints"), targets=targets, **reset):
+    def see(
+        table=table, observe=("image", "knowledge", "joints"), targets=targets, **reset
+    ):
         shown = {"observe": observe, "knowledge": table, "targets": targets}
         env = knowarm.make("irb120", 2, **shuffled(options | shown, random))
         seen, infos = env.reset(seed=seed, options=reset)
         names = ("image", "knowledge", "joints")
-        return np.concatenate([*(seen[each].ravel() for each in names), infos["distance"]])
+        return np.concatenate(
+            [*(seen[each].ravel() for each in names), infos["distance"]]
+        )
 
     def asked(order):
         graph.write_text("".join("\t".join(triples[i]) + "\n" for i in order), "utf-8")
         task = knowarm.AskObject(queries=knowarm.GraphQueries(graph=str(graph)))
-        seen, infos = knowarm.make("irb120", 2, task=task, image_size=8).reset(seed=seed)
+        seen, infos = knowarm.make("irb120", 2, task=task, image_size=8).reset(
+            seed=seed
+        )
         return [*seen.ravel(), *infos["query"], *infos["distance"]]
 
     def tensors():
@@ -205,7 +227,9 @@ def load_agent(doors: Doors, random: Random) -> list[str]:
     seen = {"other": images[1], "image": images[0]}
     same = {**same, "one of four": lambda: play(images, names)[0], "permuted": permuted}
     same = {**same, "observations": lambda: play(seen, np.array(names[:1]))}
-    return compare(play(images[0]), same, {**other, "names": lambda: play(images[:1], names[:2])})
+    return compare(
+        play(images[0]), same, {**other, "names": lambda: play(images[:1], names[:2])}
+    )
 
 
 def onnx_runner(doors: Doors, random: Random) -> list[str]:
@@ -233,12 +257,20 @@ def onnx_runner(doors: Doors, random: Random) -> list[str]:
             path.write_text(text)
 
     same, other = image_forms(image, play)
-    joints = {"joints": shuffled(start, random), "more joints": {"finger": 9.0, **start}}
+    joints = {
+        "joints": shuffled(start, random),
+        "more joints": {"finger": 9.0, **start},
+    }
     same = {**same, **forms(joints, lambda each: play(joints=each))}
     fields = [("joints", each) for each in ("names", "lower", "upper", "increments")]
     fields += [("knowledge", "rows"), ("workspace_m", "upper")]
-    other = {**other, **forms({each[1]: each for each in fields}, lambda each: changed(*each))}
-    return compare(play(), {**same, "another order": lambda: play(runner=another)}, other)
+    other = {
+        **other,
+        **forms({each[1]: each for each in fields}, lambda each: changed(*each)),
+    }
+    return compare(
+        play(), {**same, "another order": lambda: play(runner=another)}, other
+    )
 
 
 def serve(doors: Doors, random: Random) -> list[str]:
@@ -250,9 +282,17 @@ def serve(doors: Doors, random: Random) -> list[str]:
 
     def ask(image=image, runner=runner, state=None, **more):
         state = np.array([*home(runner).values()]) if state is None else state
-        seen = {"observation/image": image, "observation/state": state, "prompt": row, **more}
+        seen = {
+            "observation/image": image,
+            "observation/state": state,
+            "prompt": row,
+            **more,
+        }
         return by_name(
-            runner, Episode(runner).answer(shuffled({**seen, "reset": True}, random))["actions"][0]
+            runner,
+            Episode(runner).answer(shuffled({**seen, "reset": True}, random))[
+                "actions"
+            ][0],
         )
 
     def levels(runner):
@@ -261,12 +301,18 @@ def serve(doors: Doors, random: Random) -> list[str]:
         try:
             client = Client(f"ws://127.0.0.1:{server.port}")
             client.reset(Batch.of(env))
-            return client.act({"image": image[None], "joint_targets": env.joint_targets})
+            return client.act(
+                {"image": image[None], "joint_targets": env.joint_targets}
+            )
         finally:
             server.close()
 
     same, other = image_forms(image, ask)
-    same = {**same, "list": lambda: ask(state=[*home(runner).values()]), "more": lambda: ask(a=1)}
+    same = {
+        **same,
+        "list": lambda: ask(state=[*home(runner).values()]),
+        "more": lambda: ask(a=1),
+    }
     same = {**same, "another order": lambda: ask(runner=another)}
     failures = compare(ask(), same, {**other, "map": lambda: ask(state=home(runner))})
     return failures + compare(levels(runner), {}, {"server": lambda: levels(another)})
@@ -275,11 +321,16 @@ def serve(doors: Doors, random: Random) -> list[str]:
 def ros(doors: Doors, random: Random) -> list[str]:
     """The driver of `knowarm ros`: order of joints and channels, padding, types."""
     image, row = picture(random), str(random.choice(doors.rows))
-    start, middle = home(doors.parts.runner()), doors.parts.contract["workspace_m"]["upper"]
+    start, middle = (
+        home(doors.parts.runner()),
+        doors.parts.contract["workspace_m"]["upper"],
+    )
 
     def drive(image=image, joints=start, order=lambda runner: runner):
         safety = Safety(confirm_steps=0)
-        driver = Driver(order(doors.parts.runner()), lambda angles: np.array(middle), safety, row)
+        driver = Driver(
+            order(doors.parts.runner()), lambda angles: np.array(middle), safety, row
+        )
         driver.see(image, 1.0)
         driver.feel(list(joints), list(joints.values()), 1.0)
         targets = driver.tick(1.0)
@@ -292,14 +343,22 @@ def ros(doors: Doors, random: Random) -> list[str]:
         return drive(decoded(encoding, 64, 64, padded.shape[1], padded.tobytes()))
 
     same, other = image_forms(image, drive)
-    joints = {"joints": shuffled(start, random), "more joints": {"finger": 9.0, **start}}
+    joints = {
+        "joints": shuffled(start, random),
+        "more joints": {"finger": 9.0, **start},
+    }
     same = {**same, **forms(joints, lambda each: drive(joints=each))}
-    same = {**same, "another order": lambda: drive(order=lambda each: reordered(each, random))}
+    same = {
+        **same,
+        "another order": lambda: drive(order=lambda each: reordered(each, random)),
+    }
     same = {**same, "rgb8": lambda: message("rgb8", padding=5)}
     same = {**same, "bgr8": lambda: message("bgr8", image[..., ::-1])}
     opaque = np.pad(image, ((0, 0), (0, 0), (0, 1)), constant_values=255)
     same = {**same, "rgba8": lambda: message("rgba8", opaque, padding=5)}
-    return compare(drive(), same, {**other, "yuv422": lambda: message("yuv422", padding=64)})
+    return compare(
+        drive(), same, {**other, "yuv422": lambda: message("yuv422", padding=64)}
+    )
 
 
 def benchmark(doors: Doors, random: Random) -> list[str]:
@@ -307,7 +366,9 @@ def benchmark(doors: Doors, random: Random) -> list[str]:
     env, image = ArmVectorEnv(CELL.env, 2), picture(random, 2)
     env.reset(options={"episodes": CELL.episodes[:2]})
     runner, path = Runner.load(doors.exported), doors.folder / "row.json"
-    row = json.loads(sorted(ROWS.iterdir())[random.integers(len([*ROWS.iterdir()]))].read_text())
+    row = json.loads(
+        sorted(ROWS.iterdir())[random.integers(len([*ROWS.iterdir()]))].read_text()
+    )
 
     def levels(runner):
         with mock.patch.object(Runner, "load", return_value=runner):
@@ -319,7 +380,9 @@ def benchmark(doors: Doors, random: Random) -> list[str]:
         path.write_text(json.dumps(row))
         return rows.read_row(path)
 
-    failures = compare(levels(runner), {}, {"joints": lambda: levels(reordered(runner, random))})
+    failures = compare(
+        levels(runner), {}, {"joints": lambda: levels(reordered(runner, random))}
+    )
     other = {"fields": shuffled(row, random)}
     other["cells"] = row | {"cells": shuffled(row["cells"], random)}
     return failures + compare(figures(row), {}, forms(other, figures))
@@ -328,14 +391,21 @@ def benchmark(doors: Doors, random: Random) -> list[str]:
 def lerobot(doors: Doors, random: Random) -> list[str]:
     """The LeRobot plugin, on a stub of LeRobot: actions of other types, order of seeds."""
     config = type("EnvConfig", (), {"register_subclass": lambda name: lambda cls: cls})
-    stub = {"FeatureType": SimpleNamespace(), "PolicyFeature": dict, "EnvConfig": config}
+    stub = {
+        "FeatureType": SimpleNamespace(),
+        "PolicyFeature": dict,
+        "EnvConfig": config,
+    }
     stub |= {"ACTION": "action", "OBS_IMAGE": "image", "OBS_STATE": "state"}
     modules = ("", ".configs", ".envs", ".envs.configs", ".utils", ".utils.constants")
     fake = {f"lerobot{name}": ModuleType(f"lerobot{name}") for name in modules}
     for module in fake.values():
         vars(module).update(stub)
     plugin = str(ROOT / "plugins" / "lerobot_env_knowarm")
-    with mock.patch.dict(sys.modules, fake), mock.patch.object(sys, "path", [plugin, *sys.path]):
+    with (
+        mock.patch.dict(sys.modules, fake),
+        mock.patch.object(sys, "path", [plugin, *sys.path]),
+    ):
         from lerobot_env_knowarm import BenchmarkEnv
     env, number = BenchmarkEnv("reach-v1", "irb120-fixed"), int(random.integers(100))
     wanted = random.uniform(-0.5, 0.5, 6)
@@ -347,17 +417,27 @@ def lerobot(doors: Doors, random: Random) -> list[str]:
         return [reward, *seen["pixels"].ravel(), *seen["agent_pos"].ravel()]
 
     same = forms({"list": wanted.tolist(), "float32": wanted.astype(np.float32)}, play)
-    same = {**same, "other seeds before": lambda: play(wanted, random.integers(0, 99, 3).tolist())}
+    same = {
+        **same,
+        "other seeds before": lambda: play(wanted, random.integers(0, 99, 3).tolist()),
+    }
     other = [wanted[:1], wanted[None], wanted[:, None], wanted[:5], np.float64(0.1)]
     other += [
-        np.where(np.arange(6) == random.integers(6), each, wanted) for each in (np.nan, np.inf)
+        np.where(np.arange(6) == random.integers(6), each, wanted)
+        for each in (np.nan, np.inf)
     ]
-    return compare(play(wanted), same, forms({f"action {each}": each for each in other}, play))
+    return compare(
+        play(wanted), same, forms({f"action {each}": each for each in other}, play)
+    )
 
 
 def ask(doors: Doors, random: Random) -> list[str]:
     """`knowarm ask`: order of triples and of the parts of a question."""
-    triples, first, second = list(shipped_graph("objects")), "usedFor drinking", "hasColor blue"
+    triples, first, second = (
+        list(shipped_graph("objects")),
+        "usedFor drinking",
+        "hasColor blue",
+    )
     every = np.arange(len(triples))
 
     def answers(question=f"{first} and {second}", order=every):
@@ -367,11 +447,24 @@ def ask(doors: Doors, random: Random) -> list[str]:
 
     orders = {"triples": random.permutation(every), "one twice": [*every, 0]}
     questions = {"parts": f"{second} and {first}", "spaces": f"  {first}  and {second}"}
-    same = {**forms(orders, lambda each: answers(order=each)), **forms(questions, answers)}
+    same = {
+        **forms(orders, lambda each: answers(order=each)),
+        **forms(questions, answers),
+    }
     return compare(answers(), same, {})
 
 
-DOORS = [gymnasium_ids, make, load_agent, onnx_runner, serve, ros, benchmark, lerobot, ask]
+DOORS = [
+    gymnasium_ids,
+    make,
+    load_agent,
+    onnx_runner,
+    serve,
+    ros,
+    benchmark,
+    lerobot,
+    ask,
+]
 
 
 @pytest.fixture(scope="module")

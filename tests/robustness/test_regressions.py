@@ -46,7 +46,12 @@ def test_a_row_with_too_many_cells_does_not_block_resuming(tmp_path):
 def embedding(tmp_path_factory):
     graph, config = household(), KgeConfig(dim=4)
     path = tmp_path_factory.mktemp("embedding") / "home.safetensors"
-    save_model(new_model(config, len(graph.names), len(graph.relation_names)), config, graph, path)
+    save_model(
+        new_model(config, len(graph.names), len(graph.relation_names)),
+        config,
+        graph,
+        path,
+    )
     return path
 
 
@@ -68,7 +73,8 @@ def test_damaged_graph_embeddings(tmp_path, embedding, config, scale, message):
 
 
 @pytest.mark.parametrize(
-    "table", [np.zeros(3, np.float32), np.zeros((2, 3)), np.full((2, 3), np.nan, np.float32)]
+    "table",
+    [np.zeros(3, np.float32), np.zeros((2, 3)), np.full((2, 3), np.nan, np.float32)],
 )
 def test_damaged_knowledge(tmp_path, table):
     save_file({"table": table}, tmp_path / "knowledge.safetensors")
@@ -95,7 +101,9 @@ def test_a_full_disk_while_a_curve_is_written_for_tensorboard(tmp_path, monkeypa
         raise FULL
 
     monkeypatch.setattr(logs._tensorboard, "add_scalar", full)
-    with pytest.raises(UserError, match=r"Cannot write .*tensorboard: No space left on device"):
+    with pytest.raises(
+        UserError, match=r"Cannot write .*tensorboard: No space left on device"
+    ):
         logs.metrics({"step": 1, "loss": 0.5})
     logs.close()
 
@@ -103,14 +111,18 @@ def test_a_full_disk_while_a_curve_is_written_for_tensorboard(tmp_path, monkeypa
 def test_a_full_disk_while_arrays_are_written(tmp_path, embedding):
     """Its own function for files would raise an error that is no `OSError`."""
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: File exists"):
+    with pytest.raises(
+        UserError, match=r"Cannot write .*knowledge\.safetensors: File exists"
+    ):
         RunFolder(tmp_path / "file").write_knowledge(np.zeros((2, 3), np.float32))
     stored = load_model(embedding)
     with pytest.raises(UserError, match=r"Cannot write .*: Is a directory"):
         save_model(stored.model, stored.config, household(), tmp_path)
 
 
-@pytest.mark.parametrize("policy", [None, 3, {"config": 3, "shape": {}}, {"config": {}}])
+@pytest.mark.parametrize(
+    "policy", [None, 3, {"config": 3, "shape": {}}, {"config": {}}]
+)
 def test_damaged_provenance(tmp_path, policy):
     run = shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run")
     values = json.loads((run / "provenance.json").read_text())
@@ -140,7 +152,10 @@ def test_a_film_of_very_many_images(tmp_path):
     images = [Image.new("RGB", (4, 4), colour) for colour in ("red", "blue")]
     duration = 2 * MAX_FRAMES * FRAME_MS
     images[0].save(
-        tmp_path / "0.webp", save_all=True, append_images=images[1:], duration=[duration] * 2
+        tmp_path / "0.webp",
+        save_all=True,
+        append_images=images[1:],
+        duration=[duration] * 2,
     )
     with pytest.raises(UserError, match="shows more than"):
         read_film(tmp_path / "0.webp")
@@ -184,7 +199,9 @@ def test_queries_that_the_engine_refuses(query):
 @pytest.mark.parametrize(
     "before", ["# '\n", '"#"', "'a\\'#'", "<http://a#b>", ":a\\#", '"""\n"#"""']
 )
-@pytest.mark.parametrize("service", ["SERVICE <http://a>", "service silent:s", "1SERVICE ?s"])
+@pytest.mark.parametrize(
+    "service", ["SERVICE <http://a>", "service silent:s", "1SERVICE ?s"]
+)
 def test_service_is_refused_wherever_it_stands(before, service):
     with pytest.raises(UserError, match="nothing is fetched"):
         sparql(household(), f"ASK {{ ?s ?p {before} {service}{{ ?s ?p ?o }} }}")
@@ -209,7 +226,9 @@ ODD = "x\x1b[31m\n\u202ey"
         ["knowledge", "show", "--graph", f"{ODD}.ttl"],
         pytest.param(
             ["list", "--json", "/dev/full"],
-            marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full"),
+            marks=pytest.mark.skipif(
+                not Path("/dev/full").exists(), reason="needs /dev/full"
+            ),
         ),
     ],
     ids=lambda arguments: " ".join(

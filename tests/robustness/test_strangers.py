@@ -32,7 +32,9 @@ BRIEF = {"episodes": 2, "probes": ()}
 
 @pytest.fixture
 def run(tmp_path):
-    return shutil.copytree(ROOT / "zoo" / "irb120-full-fast", tmp_path / "runs" / "x" / "0")
+    return shutil.copytree(
+        ROOT / "zoo" / "irb120-full-fast", tmp_path / "runs" / "x" / "0"
+    )
 
 
 @pytest.fixture
@@ -103,7 +105,9 @@ def opened(tmp_path):
 
 
 @pytest.mark.parametrize("has_copy", [True, False])
-def test_a_run_that_names_a_folder_of_the_user_as_graph_opens_nothing_there(run, opened, has_copy):
+def test_a_run_that_names_a_folder_of_the_user_as_graph_opens_nothing_there(
+    run, opened, has_copy
+):
     folder = RunFolder(run)
     edit(run, "knows", graph=str(opened))
     if has_copy:
@@ -123,7 +127,9 @@ def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
     name = str(own / ("scara.toml" if field == "robot" else "bowl.toml"))
     edit(run, "env", **{field: name if field == "robot" else [name]})
     for use in (evaluate, load_agent):
-        with pytest.raises(UserError, match=r"names the description .*trusted like code"):
+        with pytest.raises(
+            UserError, match=r"names the description .*trusted like code"
+        ):
             use(run)
     with pytest.raises(UserError, match=r"Nothing to report: .*trusted like code"):
         write_report([run], run.parents[2] / "report.html")
@@ -136,9 +142,15 @@ def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
 
 
 def test_a_study_of_a_stranger_brings_no_robot_of_its_own(tmp_path):
-    robot = shutil.copytree(ROOT / "examples" / "own_robot", tmp_path / "own") / "scara.toml"
+    robot = (
+        shutil.copytree(ROOT / "examples" / "own_robot", tmp_path / "own")
+        / "scara.toml"
+    )
     study = StudyConfig(
-        name="s", experiments=("full-fast",), seeds=(0,), overrides={"env": {"robot": str(robot)}}
+        name="s",
+        experiments=("full-fast",),
+        seeds=(0,),
+        overrides={"env": {"robot": str(robot)}},
     )
     (tmp_path / "s").mkdir()
     values = {"format": 1, **to_dict(study)}
@@ -149,7 +161,9 @@ def test_a_study_of_a_stranger_brings_no_robot_of_its_own(tmp_path):
     assert read_study(tmp_path / "s") == study
 
 
-@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "$(touch x)", "a\nb", "..", "", "\u00e4"])
+@pytest.mark.parametrize(
+    "name", ["../../x", "/tmp/x", "$(touch x)", "a\nb", "..", "", "\u00e4"]
+)
 def test_names_of_folders_are_no_paths(run, name):
     edit(run, name=name)
     with pytest.raises(UserError, match="name must be a name of letters"):

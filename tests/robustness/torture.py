@@ -46,9 +46,13 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
 def main() -> int:
     """Run the campaigns that the arguments name, and print tries and failures of each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="part of the names of the campaigns to run")
+    parser.add_argument(
+        "--only", default="", help="part of the names of the campaigns to run"
+    )
     parser.add_argument("--scale", type=float, default=1.0, help="share of the tries")
-    parser.add_argument("--seed", type=int, default=0, help="another one makes other tries")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="another one makes other tries"
+    )
     given = parser.parse_args()
     failed = False
     for name, (tries, campaign) in CAMPAIGNS.items():
@@ -57,7 +61,10 @@ def main() -> int:
         begin = time.monotonic()
         count, failures = campaign(max(1, round(tries * given.scale)), given.seed)
         minutes = (time.monotonic() - begin) / 60
-        print(f"{name}: {count:,} tries, {len(failures)} failures, {minutes:.1f} min", flush=True)
+        print(
+            f"{name}: {count:,} tries, {len(failures)} failures, {minutes:.1f} min",
+            flush=True,
+        )
         for failure in failures[:20]:
             print(f"    {failure}", flush=True)
         failed |= bool(failures)

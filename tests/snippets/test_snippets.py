@@ -19,19 +19,31 @@ import pytest
 from tests.source_tree import ROOT
 
 FOLDERS = ("tutorials", "how-to", "reference")
-GUIDES = sorted(path for folder in FOLDERS for path in (ROOT / "docs" / folder).glob("*.md"))
+GUIDES = sorted(
+    path for folder in FOLDERS for path in (ROOT / "docs" / folder).glob("*.md")
+)
 PAGES = [
-    *("README.md", "docs/index.md", "docs/faq.md", "docs/reliability.md", "docs/results/README.md"),
+    *(
+        "README.md",
+        "docs/index.md",
+        "docs/faq.md",
+        "docs/reliability.md",
+        "docs/results/README.md",
+    ),
     *(path.relative_to(ROOT).as_posix() for path in GUIDES),
 ]
 PARTS = re.compile(
-    r"^<!-- snippets: (\w+) (.*?) -->|^```([^\n`]*)\n(.*?)^```", re.MULTILINE | re.DOTALL
+    r"^<!-- snippets: (\w+) (.*?) -->|^```([^\n`]*)\n(.*?)^```",
+    re.MULTILINE | re.DOTALL,
 )
 COMMAND = re.compile(r"(?:knowarm|sed|export) |python (?:examples/|-m benchmarks\.)")
 SHORT = [
     (r"^knowarm train .*", "--total-steps 1600 --interim.episodes 2"),
     (r"^knowarm train (?!.*-a2c)", "--algorithm.processes 1 --algorithm.minibatches 1"),
-    (r"^knowarm train .*-choose-(?!bm)", "--knows.grounding.images 500 --knows.grounding.rounds 1"),
+    (
+        r"^knowarm train .*-choose-(?!bm)",
+        "--knows.grounding.images 500 --knows.grounding.rounds 1",
+    ),
     (r"^knowarm train .*", "--algorithm.num-envs 32"),
     (r"^knowarm evaluate (?!.*--episodes)", "--episodes 10"),
     (r"^knowarm evaluate ", "--blind-episodes 4"),
@@ -97,7 +109,9 @@ def test_the_snippets_of_a_page_run(page, tmp_path):
         return done.returncode, shown
 
     script, mark = "", ("", "")
-    for kind, value, language, block in PARTS.findall((ROOT / page).read_text(encoding="utf-8")):
+    for kind, value, language, block in PARTS.findall(
+        (ROOT / page).read_text(encoding="utf-8")
+    ):
         if kind == "first":
             code, shown = run(shorten(value), shell=True)
             assert code == 0, shown
@@ -114,7 +128,9 @@ def test_the_snippets_of_a_page_run(page, tmp_path):
             assert code == 0, shown
             mark = ("", "")
         elif language == "python":
-            script += re.sub(r"(total_(?:time)?steps=)[\d_]+", r"\g<1>1600", block) + "\n"
+            script += (
+                re.sub(r"(total_(?:time)?steps=)[\d_]+", r"\g<1>1600", block) + "\n"
+            )
             (tmp_path / "script.py").write_text(script)
             code, shown = run([sys.executable, "script.py"])
             assert code == 0, shown
@@ -125,5 +141,7 @@ def test_the_snippets_of_a_page_run(page, tmp_path):
                     environment[found[1]] = found[2].replace("$PWD", str(tmp_path))
                     continue
                 endless = re.match(ENDLESS, short)
-                code, shown = run(f"timeout -s INT 20 {short}" if endless else short, shell=True)
+                code, shown = run(
+                    f"timeout -s INT 20 {short}" if endless else short, shell=True
+                )
                 assert code in ((124, 130) if endless else (0,)), shown

@@ -83,7 +83,11 @@ def test_a_spread_of_rounding_alone_is_none():
 
 def test_one_side_without_spread_is_compared_without_a_warning():
     compared = welch(np.full(3, 0.5), np.array([0.2, 0.3, 0.4]))
-    assert compared.difference.low < compared.difference.estimate < compared.difference.high
+    assert (
+        compared.difference.low
+        < compared.difference.estimate
+        < compared.difference.high
+    )
 
 
 def test_probability_of_improvement_of_the_clearly_better_is_one():
@@ -124,13 +128,18 @@ def test_censored_runs_by_hand():
     assert restricted.estimate == pytest.approx(2 + 4 * 0.8 + 2 * 1.6 / 3 + 0.8 / 3)
     variance = (4 * 0.8 + 2 * 1.6 / 3 + 0.8 / 3) ** 2 / 20
     variance += (2 * 1.6 / 3 + 0.8 / 3) ** 2 / 6 + (0.8 / 3) ** 2 / 2
-    assert restricted.low == pytest.approx(restricted.estimate - 1.959964 * np.sqrt(variance))
+    assert restricted.low == pytest.approx(
+        restricted.estimate - 1.959964 * np.sqrt(variance)
+    )
 
 
 def test_the_median_is_reached_by_exactly_half_of_the_runs():
     # (1 - 1/28)(1 - 1/27)... is rounded to more than 1/2 after 14 of 28 crossings.
     for count in range(2, 60, 2):
-        assert median_steps(np.arange(1.0, count + 1), np.ones(count, bool))[0] == count / 2
+        assert (
+            median_steps(np.arange(1.0, count + 1), np.ones(count, bool))[0]
+            == count / 2
+        )
 
 
 def test_a_threshold_nobody_reached_has_no_median_and_costs_all_steps():
@@ -166,8 +175,12 @@ def test_few_runs_have_an_interval_as_wide_as_students_t_and_as_their_own():
         return Interval(value, value - half, value + half)
 
     found = mean_of_runs([run(0.91, 0.02), run(0.95, 0.02)])
-    half = 12.706 * 0.02  # quantile of t with 1 degree of freedom, standard error of the mean
-    assert (found.low, found.high) == pytest.approx((0.93 - half, 0.93 + half), rel=1e-3)
+    half = (
+        12.706 * 0.02
+    )  # quantile of t with 1 degree of freedom, standard error of the mean
+    assert (found.low, found.high) == pytest.approx(
+        (0.93 - half, 0.93 + half), rel=1e-3
+    )
     assert found.runs == (0.91, 0.95)
     equal = mean_of_runs([run(0.9, 0.05)] * 3)
     assert (equal.low, equal.high) == pytest.approx((0.85, 0.95))

@@ -25,21 +25,31 @@ proportion = pytest.importorskip("statsmodels.stats.proportion")
 survival = pytest.importorskip("statsmodels.duration.survfunc")
 
 
-@pytest.mark.parametrize(("successes", "trials"), [(0, 10), (3, 10), (10, 10), (917, 1000)])
+@pytest.mark.parametrize(
+    ("successes", "trials"), [(0, 10), (3, 10), (10, 10), (917, 1000)]
+)
 def test_wilson(successes, trials):
     ours, confidence = wilson(successes, trials), CONFIDENCE
-    low, high = proportion.proportion_confint(successes, trials, 1 - confidence, method="wilson")
+    low, high = proportion.proportion_confint(
+        successes, trials, 1 - confidence, method="wilson"
+    )
     assert ours.low == pytest.approx(max(low, 0), abs=1e-12)
     assert ours.high == pytest.approx(min(high, 1), abs=1e-12)
-    scipy = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    scipy = stats.binomtest(successes, trials).proportion_ci(
+        confidence, method="wilson"
+    )
     assert (ours.low, ours.high) == pytest.approx((scipy.low, scipy.high), abs=1e-12)
 
 
-@pytest.mark.parametrize("counts", [(56, 70, 48, 80), (200, 200, 0, 50), (9, 10, 10, 10)])
+@pytest.mark.parametrize(
+    "counts", [(56, 70, 48, 80), (200, 200, 0, 50), (9, 10, 10, 10)]
+)
 def test_difference_of_shares(counts):
     hits, trials, other_hits, other_trials = counts
     ours = share_difference(wilson(hits, trials), wilson(other_hits, other_trials))
-    ends = proportion.confint_proportions_2indep(*counts, method="newcomb", compare="diff")
+    ends = proportion.confint_proportions_2indep(
+        *counts, method="newcomb", compare="diff"
+    )
     assert ours.estimate == pytest.approx(hits / trials - other_hits / other_trials)
     assert (ours.low, ours.high) == pytest.approx(ends, abs=1e-9)
 
@@ -87,8 +97,12 @@ def test_power(effect):
     for count in (3, 10, 40):
         for alpha in (0.05, 0.05 / 6):
             expected = power.power(effect, count, alpha)
-            expected = 1.0 if np.isnan(expected) else expected  # near 1, with SciPy before 1.17
-            assert power_of_two_samples(effect, count, alpha) == pytest.approx(expected, abs=1e-9)
+            expected = (
+                1.0 if np.isnan(expected) else expected
+            )  # near 1, with SciPy before 1.17
+            assert power_of_two_samples(effect, count, alpha) == pytest.approx(
+                expected, abs=1e-9
+            )
     needed = power.solve_power(effect_size=effect, power=0.8, alpha=0.05)
     assert seeds_needed(effect) == int(np.ceil(needed))
 
@@ -106,7 +120,9 @@ def test_restricted_mean(seed, until):
     waiting = reference.surv_prob[inside]
     areas = waiting * np.diff(times)
     right = areas[::-1].cumsum()[::-1]
-    terms = np.diff((reference.surv_prob_se[inside] / waiting) ** 2, prepend=0.0)  # Greenwood's
+    terms = np.diff(
+        (reference.surv_prob_se[inside] / waiting) ** 2, prepend=0.0
+    )  # Greenwood's
     ours = restricted_mean_steps(steps, reached, until)
     assert ours.estimate == pytest.approx(times[0] + areas.sum())
     error = np.sqrt((right**2 * terms).sum())
@@ -120,7 +136,9 @@ def test_median_steps(seed):
     reached = generator.random(40) < 0.8
     ours = median_steps(steps, reached)
     reference = survival.SurvfuncRight(steps, reached)
-    with np.errstate(divide="ignore", invalid="ignore"):  # theirs takes log(0) at its ends
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # theirs takes log(0) at its ends
         low, high = reference.quantile_ci(0.5, method="cloglog")
     assert ours[0] == pytest.approx(reference.quantile(0.5))
     assert ours[1:] == pytest.approx((low, high))
@@ -132,25 +150,36 @@ def test_restricted_mean_without_censoring_is_the_mean_of_the_shortened():
     shortened = np.minimum(steps, 6.0)
     assert ours.estimate == pytest.approx(shortened.mean())
     # Greenwood's form of its variance is the plain one, divided by n.
-    assert (ours.high - ours.low) / 2 == pytest.approx(1.959964 * shortened.std() / np.sqrt(30))
+    assert (ours.high - ours.low) / 2 == pytest.approx(
+        1.959964 * shortened.std() / np.sqrt(30)
+    )
 
 
 def test_bootstrap_of_the_mean():
     scores = np.random.default_rng(4).normal(0.6, 0.1, 12)
     ours = bootstrap(scores, repetitions=20_000)
     reference = stats.bootstrap(
-        (scores,), np.mean, method="percentile", n_resamples=20_000, rng=np.random.default_rng(1)
+        (scores,),
+        np.mean,
+        method="percentile",
+        n_resamples=20_000,
+        rng=np.random.default_rng(1),
     ).confidence_interval
     assert (ours.low, ours.high) == pytest.approx(tuple(reference), abs=2e-3)
 
 
 def test_interquartile_mean():
     scores = np.random.default_rng(5).normal(size=(3, 20))
-    np.testing.assert_allclose(iqm(scores), [stats.trim_mean(row, 0.25) for row in scores])
+    np.testing.assert_allclose(
+        iqm(scores), [stats.trim_mean(row, 0.25) for row in scores]
+    )
 
 
 def test_probability_of_improvement_is_mann_whitney():
     generator = np.random.default_rng(6)
-    first, second = generator.normal(0.3, 1, 9).round(1), generator.normal(0, 1, 7).round(1)
+    first, second = (
+        generator.normal(0.3, 1, 9).round(1),
+        generator.normal(0, 1, 7).round(1),
+    )
     u = stats.mannwhitneyu(first, second).statistic
     assert probability_of_improvement(first, second).estimate == pytest.approx(u / 63)

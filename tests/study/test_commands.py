@@ -43,7 +43,10 @@ def test_status_retry_stop_and_pack(capsys, tmp_path, finished, inline):
     assert main(["study", "stop", str(out)]) == 0
     assert "Nothing is running" in capsys.readouterr().out
     assert main(["study", "pack", str(out)]) == 0
-    assert main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")]) == 0
+    assert (
+        main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")])
+        == 0
+    )
     command = capsys.readouterr().out.partition("Report: knowarm ")[2].split()
     assert main(command) == 0
     assert (tmp_path / "again" / "report.html").exists()
@@ -61,20 +64,31 @@ def test_a_study_runs_in_slices(capsys, tmp_path, inline):
     assert "Paused at step 15 of each run" in capsys.readouterr().out
     assert main(["study", "status", out]) == 0
     printed = capsys.readouterr().out
-    for words in ("best return", "steps/s", "irb120-bm-ppo/1 paused: at step 20; goes on"):
+    for words in (
+        "best return",
+        "steps/s",
+        "irb120-bm-ppo/1 paused: at step 20; goes on",
+    ):
         assert words in printed
     assert main(["study", "pack", out, "--with-checkpoints"]) == 0
-    assert main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")]) == 0
+    assert (
+        main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")])
+        == 0
+    )
     assert main(["study", "run", str(tmp_path / "again")]) == 0
     assert "Complete" in capsys.readouterr().out
 
 
-def test_this_folder_is_packed_and_other_runs_are_named(capsys, tmp_path, finished, monkeypatch):
+def test_this_folder_is_packed_and_other_runs_are_named(
+    capsys, tmp_path, finished, monkeypatch
+):
     out = shutil.copytree(finished, tmp_path / "tiny")
     shutil.copytree(out / "irb120-bm-ppo" / "0", out / "irb120-bm-ppo" / "7")
     monkeypatch.chdir(out)
     assert main(["study", "pack", "."]) == 0
-    assert "Left out: irb120-bm-ppo/7 is no run of the study." in capsys.readouterr().out
+    assert (
+        "Left out: irb120-bm-ppo/7 is no run of the study." in capsys.readouterr().out
+    )
     assert (tmp_path / "tiny.tar.xz").is_file()
 
 
@@ -84,7 +98,8 @@ def test_a_shipped_name_is_never_a_folder(tmp_path, monkeypatch):
     write_study(read_study("smoke"), tmp_path / "smoke")
     places = []
     monkeypatch.setattr(
-        "knowarm.cli.study.run_study", lambda study, out, **options: places.append(out) or []
+        "knowarm.cli.study.run_study",
+        lambda study, out, **options: places.append(out) or [],
     )
     for name in ("smoke", "./smoke"):
         main(["study", "run", name])
@@ -113,8 +128,13 @@ def test_damage_to_one_run_leaves_the_others(
     file.write_text(text.replace(old, new))
     table = tmp_path / "status.json"
     assert main(["study", "status", str(out), "--json", str(table)]) == 0
-    assert [run["state"] for run in json.loads(table.read_text())["runs"]] == [state, "done"]
-    assert ("irb120-bm-ppo/0 damaged: " in capsys.readouterr().out) == (state == "damaged")
+    assert [run["state"] for run in json.loads(table.read_text())["runs"]] == [
+        state,
+        "done",
+    ]
+    assert ("irb120-bm-ppo/0 damaged: " in capsys.readouterr().out) == (
+        state == "damaged"
+    )
     assert main(["report", str(out), "--out", str(tmp_path / "r.html")]) == 0
     with contextlib.suppress(SystemExit):  # exit code 1: one run is not done
         assert main(["study", "run", str(out)]) == 0
@@ -127,7 +147,9 @@ def test_damage_to_one_run_leaves_the_others(
 def test_a_study_of_very_many_runs_is_refused_where_it_is_read(tmp_path, finished):
     out = shutil.copytree(finished, tmp_path / "tiny")
     values = json.loads((out / "study.json").read_text())
-    (out / "study.json").write_text(json.dumps(values | {"seeds": list(range(100_000))}))
+    (out / "study.json").write_text(
+        json.dumps(values | {"seeds": list(range(100_000))})
+    )
     with pytest.raises(UserError, match="at most 2,000 runs"):
         read_study(out)
 

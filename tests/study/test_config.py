@@ -59,10 +59,13 @@ def test_the_papers_algorithm_is_run_on_the_papers_cells_in_the_declared_order()
     assert {run.agent for run in runs[-4:]} == {"partial"}
     cells = {(run.env.robot, run.env.colours, run.agent) for run in runs}
     assert cells >= {
-        (run.env.robot, run.env.colours, run.agent) for run in read_study("paper").runs()
+        (run.env.robot, run.env.colours, run.agent)
+        for run in read_study("paper").runs()
     }
     assert {run.total_steps for run in runs} == {70_000_000}
-    thresholds = {each.folder: (each.distance_m, each.angle_deg) for each in study.evaluations}
+    thresholds = {
+        each.folder: (each.distance_m, each.angle_deg) for each in study.evaluations
+    }
     assert thresholds == {
         "post-training-greedy": (0.1, 17),
         "distance": (0.1, 180),
@@ -71,7 +74,9 @@ def test_the_papers_algorithm_is_run_on_the_papers_cells_in_the_declared_order()
     }
 
 
-@pytest.mark.parametrize("name", ["irb120-{}-dr-a3c", "tiago-{}-dr-a3c", "irb120-{}-a3c"])
+@pytest.mark.parametrize(
+    "name", ["irb120-{}-dr-a3c", "tiago-{}-dr-a3c", "irb120-{}-a3c"]
+)
 def test_the_control_of_the_papers_algorithm_has_the_size_of_full(name):
     full, zeros = (experiment_config(name.format(agent)) for agent in ("full", "zeros"))
     parts = [build(config) for config in (full, zeros)]
@@ -98,14 +103,24 @@ def test_changes_of_the_papers_algorithm_change_nothing_else():
             "algorithm.learning_rate_schedule",
             "algorithm.learning_rate_final",
         },
-        "paper-a3c-rewards": {"total_steps", "algorithm.reward_scale", "algorithm.ent_coef"},
+        "paper-a3c-rewards": {
+            "total_steps",
+            "algorithm.reward_scale",
+            "algorithm.ent_coef",
+        },
     }
     decay = read_study("paper-a3c-decay").runs()[0].algorithm
-    assert [decay.learning_rate_at(progress) for progress in (0, 0.5, 1)] == [1e-4, 5e-5, 0]
+    assert [decay.learning_rate_at(progress) for progress in (0, 0.5, 1)] == [
+        1e-4,
+        5e-5,
+        0,
+    ]
 
 
 def test_a_run_can_be_listed_with_its_seed(tmp_path):
-    study = tiny(experiments=("irb120-bm-ppo", "irb120-full-ppo/1", "irb120-full-ppo/7"))
+    study = tiny(
+        experiments=("irb120-bm-ppo", "irb120-full-ppo/1", "irb120-full-ppo/7")
+    )
     keys = [(run.name, run.seed) for run in study.runs()]
     first, second = "irb120-bm-ppo", "irb120-full-ppo"
     assert keys == [(first, 0), (first, 1), (second, 1), (second, 7)]
@@ -119,15 +134,24 @@ def test_the_study_of_choosing_holds_controls_of_its_subject_and_every_split():
     study = read_study("choose")
     agents = {run.agent for run in study.runs()}
     assert set(controls_of("subgraph", "content_control")) & agents
-    assert {AGENTS[name].role for name in agents} >= {"baseline", "knowledge", "privileged"}
+    assert {AGENTS[name].role for name in agents} >= {
+        "baseline",
+        "knowledge",
+        "privileged",
+    }
     assert [each.split for each in study.evaluations] == ["S1", "S2", "S3", "S4", "S5"]
-    assert {(each.distance_m, each.angle_deg) for each in study.evaluations} == {(0.05, 15.0)}
+    assert {(each.distance_m, each.angle_deg) for each in study.evaluations} == {
+        (0.05, 15.0)
+    }
 
 
 def test_controls_match_the_agents_of_a_study():
     study = read_study("paper")
     control = controls(study)
-    assert {run.role for run in control.runs()} == {"capacity_control", "content_control"}
+    assert {run.role for run in control.runs()} == {
+        "capacity_control",
+        "content_control",
+    }
     assert control.seeds == study.seeds
     assert {run.env for run in control.runs()} == {run.env for run in study.runs()}
     assert len(control.runs()) < len(AGENTS) * 4 * len(study.seeds)
@@ -139,14 +163,22 @@ def test_controls_of_a_study_of_choosing_have_its_task(tmp_path):
     assert control.name == "choose-controls"
     assert "irb120-choose-query-random-fast" in control.cells()
     assert {ExperimentName.parse(cell).task for cell in control.cells()} == {"choose"}
-    assert {run.env for run in control.runs()} <= {run.env for run in read_study("choose").runs()}
+    assert {run.env for run in control.runs()} <= {
+        run.env for run in read_study("choose").runs()
+    }
 
 
 def test_a_grid_has_a_task(tmp_path):
     grid = ExperimentGrid(
-        robots=("irb120",), agents=("bm", "subgraph"), algorithms=("fast",), task="choose"
+        robots=("irb120",),
+        agents=("bm", "subgraph"),
+        algorithms=("fast",),
+        task="choose",
     )
-    assert grid.experiments() == ["irb120-choose-bm-fast", "irb120-choose-subgraph-fast"]
+    assert grid.experiments() == [
+        "irb120-choose-bm-fast",
+        "irb120-choose-subgraph-fast",
+    ]
     with pytest.raises(UserError, match=r"task 'chose'.*Did you mean 'choose'"):
         dataclasses.replace(grid, task="chose").experiments()
 
@@ -175,12 +207,27 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         (("seeds = [0, 1]", "seeds = []"), ["line 4", "got none"]),
         (("total_steps", "total_step"), ["line 6", "'total_step'", "'total_steps'"]),
         (("num_envs = 4", "num_envs = 3"), ["line 9", "minibatches"]),
-        (('["irb120-bm-ppo"]', '["irb120-bm-ppo", "irb120-bm-ppo"]'), ["line 3", "twice"]),
-        (("episodes = 2\nprobes", "episodes = 0\nprobes"), ["episodes must be at least 1"]),
-        (('name = "tiny"', 'name = "../x"'), ["line 2", "name must be a name of letters"]),
-        (("[overrides]", '[where]\nkind = "slurm"\n[overrides]'), ["line 6", "'slurm'", "local"]),
         (
-            ("[[eval", '[[overrides_for]]\nexperiments = "*"\nfields.name = "x"\n[[eval'),
+            ('["irb120-bm-ppo"]', '["irb120-bm-ppo", "irb120-bm-ppo"]'),
+            ["line 3", "twice"],
+        ),
+        (
+            ("episodes = 2\nprobes", "episodes = 0\nprobes"),
+            ["episodes must be at least 1"],
+        ),
+        (
+            ('name = "tiny"', 'name = "../x"'),
+            ["line 2", "name must be a name of letters"],
+        ),
+        (
+            ("[overrides]", '[where]\nkind = "slurm"\n[overrides]'),
+            ["line 6", "'slurm'", "local"],
+        ),
+        (
+            (
+                "[[eval",
+                '[[overrides_for]]\nexperiments = "*"\nfields.name = "x"\n[[eval',
+            ),
             ["overrides must not set 'name'"],
         ),
         (("[overrides]", "[overrides"), ["not TOML", "line 5"]),

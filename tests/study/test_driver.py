@@ -48,7 +48,9 @@ def states(study, out):
 def test_a_study_trains_and_evaluates_every_run_once(tmp_path, executors):
     study = tiny()
     seen = []
-    done = run_study(study, tmp_path, on_status=lambda all: seen.append([a.state for a in all]))
+    done = run_study(
+        study, tmp_path, on_status=lambda all: seen.append([a.state for a in all])
+    )
     assert seen[0] == ["waiting", "waiting"]
     assert [each.state for each in done] == ["done", "done"]
     assert [each.step for each in done] == [40, 40]
@@ -57,7 +59,9 @@ def test_a_study_trains_and_evaluates_every_run_once(tmp_path, executors):
     before = (tmp_path / "irb120-bm-ppo" / "0" / "config.json").stat().st_mtime_ns
     run_study(study, tmp_path)
     assert executors[-1].started == []
-    assert (tmp_path / "irb120-bm-ppo" / "0" / "config.json").stat().st_mtime_ns == before
+    assert (
+        tmp_path / "irb120-bm-ppo" / "0" / "config.json"
+    ).stat().st_mtime_ns == before
 
 
 def test_a_stopped_run_goes_on_and_missing_evaluations_are_made(tmp_path, executors):
@@ -68,16 +72,22 @@ def test_a_stopped_run_goes_on_and_missing_evaluations_are_made(tmp_path, execut
     assert states(study, tmp_path) == ["trained"]
     run_study(study, tmp_path)
     assert states(study, tmp_path) == ["done"]
-    rows = (tmp_path / "irb120-bm-ppo" / "0" / "evaluations.csv").read_text().splitlines()
+    rows = (
+        (tmp_path / "irb120-bm-ppo" / "0" / "evaluations.csv").read_text().splitlines()
+    )
     assert len(rows) == 4
 
 
-def test_runs_pause_at_a_step_and_go_on_to_the_same_bytes(tmp_path, executors, finished):
+def test_runs_pause_at_a_step_and_go_on_to_the_same_bytes(
+    tmp_path, executors, finished
+):
     study = tiny()
     paused = run_study(study, tmp_path, until_step=15)
     assert [each.state for each in paused] == ["paused", "paused"]
     assert [each.step for each in paused] == [20, 20]
-    assert [each.best_step for each in paused] == [best_step(tmp_path, each) for each in paused]
+    assert [each.best_step for each in paused] == [
+        best_step(tmp_path, each) for each in paused
+    ]
     started = len(executors[-1].started)
     run_study(study, tmp_path, until_step=15)
     assert len(executors) == 3
@@ -107,7 +117,9 @@ def test_listed_runs_start_in_their_order(tmp_path, executors):
     assert executors[-1].started == [(full, 1), (bm, 0), (full, 0)]
 
 
-def test_an_error_fails_its_run_only_and_retry_resumes_it(tmp_path, executors, monkeypatch):
+def test_an_error_fails_its_run_only_and_retry_resumes_it(
+    tmp_path, executors, monkeypatch
+):
     study = tiny()
     broken = {0}
 
@@ -136,7 +148,9 @@ def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
     study = tiny(seeds=(0,), where=Where(retries=2))
     (status,) = run_study(study, tmp_path / "few")
     assert status.state == "failed"
-    assert status.detail.startswith("its process was killed by signal 9, 3 times since step 0")
+    assert status.detail.startswith(
+        "its process was killed by signal 9, 3 times since step 0"
+    )
 
 
 def test_retry_starts_the_count_of_kills_again(tmp_path):
@@ -155,7 +169,9 @@ def test_retry_starts_the_count_of_kills_again(tmp_path):
     assert [kill() for _ in range(3)] == [False, False, True]
 
 
-def test_a_run_that_another_worker_began_meanwhile_is_resumed(tmp_path, executors, monkeypatch):
+def test_a_run_that_another_worker_began_meanwhile_is_resumed(
+    tmp_path, executors, monkeypatch
+):
     resumed = []
 
     def begin_elsewhere_first(config, *arguments, **options):
@@ -174,7 +190,9 @@ def test_runs_start_seed_by_seed_and_the_longest_first(tmp_path, executors):
     longer = OverridesFor(experiments="tiago-*", fields={"total_steps": 100})
     names = ("irb120-bm-ppo", "tiago-bm-ppo")
     run_study(tiny(seeds=(3, 0), experiments=names, overrides_for=(longer,)), tmp_path)
-    assert executors[-1].started == [(name, seed) for seed in (3, 0) for name in names[::-1]]
+    assert executors[-1].started == [
+        (name, seed) for seed in (3, 0) for name in names[::-1]
+    ]
 
 
 def test_other_studies_and_changed_runs_are_refused(finished):
@@ -188,7 +206,9 @@ def test_other_studies_and_changed_runs_are_refused(finished):
     ):
         with pytest.raises(UserError, match=words):
             driver.check_folder(study, finished)
-    driver.check_folder(tiny(seeds=(0, 1, 2)), finished)  # more seeds are no other study
+    driver.check_folder(
+        tiny(seeds=(0, 1, 2)), finished
+    )  # more seeds are no other study
 
 
 def test_a_silent_run_that_another_process_holds_is_not_waited_for(
@@ -198,7 +218,9 @@ def test_a_silent_run_that_another_process_holds_is_not_waited_for(
     path = train(study.runs()[0], tmp_path, should_stop=lambda: True).folder.path
     monkeypatch.setattr("knowarm.study.status.SILENT_S", -1.0)
     with lock_folder(path, remedy=""):
-        ended = run_study(study, tmp_path, should_stop=lambda: time.monotonic() - start > 20)
+        ended = run_study(
+            study, tmp_path, should_stop=lambda: time.monotonic() - start > 20
+        )
     assert [each.state for each in ended] == ["stalled"]
     assert time.monotonic() - start < 20
 
@@ -214,7 +236,9 @@ def test_a_run_with_pending_interim_evaluations_is_not_trained(tmp_path, finishe
     assert not is_trained(folder, config)
 
 
-@pytest.mark.parametrize(("visible", "gpus"), [("-1", []), ("1,-1,2", ["1"]), ("0,1", ["0", "1"])])
+@pytest.mark.parametrize(
+    ("visible", "gpus"), [("-1", []), ("1,-1,2", ["1"]), ("0,1", ["0", "1"])]
+)
 def test_gpus_that_the_environment_hides_are_not_used(monkeypatch, visible, gpus):
     monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
@@ -242,13 +266,17 @@ def test_a_stop_request_ends_the_study(tmp_path, executors):
     assert [each.state for each in run_study(tiny(), tmp_path)] == ["done", "done"]
 
 
-@pytest.mark.parametrize("needs", [{"cores": 10_000}, {"memory_gib": 1e6}, {"gpus": 100}])
+@pytest.mark.parametrize(
+    "needs", [{"cores": 10_000}, {"memory_gib": 1e6}, {"gpus": 100}]
+)
 def test_a_machine_that_is_too_small_is_refused(tmp_path, needs):
     with pytest.raises(UserError, match=rf"where\.{next(iter(needs))}"):
         LocalExecutor(Where(**needs), tmp_path)
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="Windows cannot stop processes")
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGSTOP"), reason="Windows cannot stop processes"
+)
 def test_a_stopped_worker_is_killed_after_a_deadline(tmp_path, monkeypatch):
     monkeypatch.setattr(executor, "TIMEOUT_S", 0.5)
     write_study(tiny(), tmp_path)

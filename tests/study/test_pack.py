@@ -33,7 +33,10 @@ def test_the_report_of_a_pack_equals_that_of_the_study(finished, tmp_path, pack)
     out = unpack_study(pack, tmp_path / "unpacked")
     pages = [write_report([folder], folder / "report.html") for folder in (copy, out)]
     assert pages[0].read_bytes() == pages[1].read_bytes()
-    assert [each.state for each in study_status(open_study(out), out)] == ["done", "done"]
+    assert [each.state for each in study_status(open_study(out), out)] == [
+        "done",
+        "done",
+    ]
     run = out / "irb120-bm-ppo" / "0"
     assert evaluate(run, episodes=2, probes=()).summary["episodes"] == 2
     assert not (run / "checkpoints" / "latest" / "optimizer.safetensors").exists()
@@ -45,7 +48,10 @@ def test_parts_can_be_left_out(finished, tmp_path, pack):
     pack_study(finished, small, leave_out=("policies", "episodes", "steps", "films"))
     assert small.stat().st_size < pack.stat().st_size / 2
     out = unpack_study(small, tmp_path / "small")
-    assert [each.state for each in study_status(open_study(out), out)] == ["done", "done"]
+    assert [each.state for each in study_status(open_study(out), out)] == [
+        "done",
+        "done",
+    ]
     assert write_report([out], out / "report.html").exists()
     with pytest.raises(UserError, match=r"'film'.*'films'"):
         pack_study(finished, small, leave_out=("film",))
@@ -56,13 +62,16 @@ def test_the_report_needs_no_losses(finished, tmp_path, pack):
     pack_study(finished, short, leave_out=("losses",))
     name = "irb120-bm-ppo/0/metrics.csv"
     whole, reported = (
-        unpack_study(file, tmp_path / file.name.removesuffix(SUFFIX)) for file in (pack, short)
+        unpack_study(file, tmp_path / file.name.removesuffix(SUFFIX))
+        for file in (pack, short)
     )
     assert "value_loss" in (whole / name).read_text().splitlines()[0]
     lines = (reported / name).read_text().splitlines()
     assert lines[0] == "step,wall_time_s,steps_per_s"  # too short for a return
     assert len(lines) == len((whole / name).read_text().splitlines())
-    pages = [write_report([folder], folder / "report.html") for folder in (whole, reported)]
+    pages = [
+        write_report([folder], folder / "report.html") for folder in (whole, reported)
+    ]
     assert pages[0].read_bytes() == pages[1].read_bytes()
     with pytest.raises(UserError, match="leave out losses or checkpoints"):
         pack_study(finished, short, leave_out=("losses",), with_checkpoints=True)
@@ -101,7 +110,9 @@ def test_begun_runs_of_an_unpacked_study_are_not_run(finished, tmp_path):
     shutil.rmtree(part / "irb120-bm-ppo" / "1" / "evaluation")
     pack_study(part, tmp_path / "part.tar.xz")
     out = unpack_study(tmp_path / "part.tar.xz", tmp_path / "unpacked")
-    with pytest.raises(UserError, match=r"unpacked study.*irb120-bm-ppo/1.*remove the folders"):
+    with pytest.raises(
+        UserError, match=r"unpacked study.*irb120-bm-ppo/1.*remove the folders"
+    ):
         run_study(open_study(out), out)
     shutil.rmtree(out / "irb120-bm-ppo" / "1")
     assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
@@ -112,7 +123,10 @@ def test_begun_runs_go_on_elsewhere_from_a_pack_with_checkpoints(finished, tmp_p
     run_study(open_study(finished), begun, until_step=20)
     pack_study(begun, tmp_path / "begun.tar.xz", with_checkpoints=True)
     out = unpack_study(tmp_path / "begun.tar.xz", tmp_path / "unpacked")
-    assert [each.state for each in study_status(open_study(out), out)] == ["stopped", "stopped"]
+    assert [each.state for each in study_status(open_study(out), out)] == [
+        "stopped",
+        "stopped",
+    ]
     assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
     for name in ("policy", "optimizer", "state"):
         file = f"irb120-bm-ppo/1/checkpoints/latest/{name}.safetensors"
@@ -149,7 +163,9 @@ def write_pack(file, members, **manifest):
     """
     values = {
         "format": 1,
-        "sha256": {member.name: hashlib.sha256(data).hexdigest() for member, data in members},
+        "sha256": {
+            member.name: hashlib.sha256(data).hexdigest() for member, data in members
+        },
     }
     text = manifest.get("text", json.dumps(values | manifest)).encode()
     with tarfile.open(file, "w:xz") as archive:
@@ -171,11 +187,22 @@ def link(name: str, to: str) -> tarfile.TarInfo:
         ([(tarfile.TarInfo("/tmp/knowarm-outside"), b"x")], {}, ""),
         ([(link("a", "/etc/passwd"), b"")], {}, "a is not .* or no regular file"),
         ([(tarfile.TarInfo("a"), b"x")], {"sha256": {}}, "not one of the manifest"),
-        ([(tarfile.TarInfo("a"), b"x"), (tarfile.TarInfo("a"), b"x")], {}, "not one of"),
-        ([(tarfile.TarInfo("a"), b"x")], {"sha256": {"a": "0"}}, "a is missing or was changed"),
+        (
+            [(tarfile.TarInfo("a"), b"x"), (tarfile.TarInfo("a"), b"x")],
+            {},
+            "not one of",
+        ),
+        (
+            [(tarfile.TarInfo("a"), b"x")],
+            {"sha256": {"a": "0"}},
+            "a is missing or was changed",
+        ),
         ([], {"sha256": {"a": "0"}}, "a is missing or was changed"),
         ([], {"sha256": []}, "manifest.json, or an empty one"),
-        *(([], {"text": text}, "") for text in ("[]", "[" * 100_000, '{"sha256": 3}', "1e999")),
+        *(
+            ([], {"text": text}, "")
+            for text in ("[]", "[" * 100_000, '{"sha256": 3}', "1e999")
+        ),
     ],
 )
 def test_packs_of_strangers_write_only_what_their_manifest_states(

@@ -25,6 +25,8 @@ def test_the_page_of_the_papers_table_is_made_from_its_pack(tmp_path, monkeypatc
     made = write_report([Path("paper")], Path("paper.html")).read_text(encoding="utf-8")
     committed = (RESULTS / "paper.html").read_text(encoding="utf-8")
     # Last digits may differ between processors.
-    assert NUMBER.split(made) == NUMBER.split(committed), "make the page again: docs/results"
+    assert NUMBER.split(made) == NUMBER.split(committed), (
+        "make the page again: docs/results"
+    )
     numbers = [np.array(NUMBER.findall(page), float) for page in (made, committed)]
     np.testing.assert_allclose(*numbers, rtol=1e-3, atol=0.02)

@@ -33,7 +33,14 @@ def test_without_ray_the_executor_names_the_remedy(tmp_path):
 def start_node(*options: str) -> subprocess.Popen:
     """Start a node with one core, in a process group of its own."""
     return subprocess.Popen(
-        [shutil.which("ray"), "start", "--block", "--num-cpus=1", "--memory=2000000000", *options],
+        [
+            shutil.which("ray"),
+            "start",
+            "--block",
+            "--num-cpus=1",
+            "--memory=2000000000",
+            *options,
+        ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
@@ -106,7 +113,10 @@ def test_a_killed_node_changes_nothing(tmp_path, cluster):
     killed = False
     while driver.poll() is None:
         statuses = study_status(study, out)
-        if not killed and sum(each.state == "running" and each.step > 0 for each in statuses) == 2:
+        if (
+            not killed
+            and sum(each.state == "running" and each.step > 0 for each in statuses) == 2
+        ):
             os.killpg(node.pid, signal.SIGKILL)
             killed = True
         time.sleep(0.1)

@@ -39,7 +39,9 @@ class InlineExecutor:
         self.started.append(run)
         if self.deaths:
             self.deaths -= 1
-            self._ended.append(Ended(run, "its process was killed by signal 9", killed=True))
+            self._ended.append(
+                Ended(run, "its process was killed by signal 9", killed=True)
+            )
             return
         work(self.out, run)
         self._ended.append(Ended(run))

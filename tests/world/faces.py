@@ -38,19 +38,31 @@ class Face:
 
     def actions(self, values: np.ndarray) -> Any:
         """Convert actions (n, J) to what ``step`` takes."""
-        return values if self.device is None else torch.as_tensor(values, device=self.device)
+        return (
+            values
+            if self.device is None
+            else torch.as_tensor(values, device=self.device)
+        )
 
 
 def small_config(**options: Any) -> EnvConfig:
     """Build a config of small images and short episodes."""
-    defaults = {"image_size": 16, "max_episode_steps": EPISODE_STEPS, "colours": "randomized"}
+    defaults = {
+        "image_size": 16,
+        "max_episode_steps": EPISODE_STEPS,
+        "colours": "randomized",
+    }
     return EnvConfig(**defaults | options)
 
 
 NUMPY = Face("numpy", lambda config, n: ArmVectorEnv(config, n, 1))
-TORCH = Face("torch", lambda config, n: TorchArmVectorEnv(config, n, num_threads=1), "cpu")
+TORCH = Face(
+    "torch", lambda config, n: TorchArmVectorEnv(config, n, num_threads=1), "cpu"
+)
 
-CUDA = Face("cuda", lambda config, n: TorchArmVectorEnv(config, n, device="cuda"), "cuda")
+CUDA = Face(
+    "cuda", lambda config, n: TorchArmVectorEnv(config, n, device="cuda"), "cuda"
+)
 
 FACES = [pytest.param(face, id=face.name) for face in (NUMPY, TORCH)]
 if torch.cuda.is_available():
@@ -65,7 +77,9 @@ def shared_env(face: Face, robot: str) -> Any:
 
 def host(values: Any) -> np.ndarray:
     """Return an array or tensor as an array."""
-    return values.cpu().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+    return (
+        values.cpu().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+    )
 
 
 def random_actions(env: Any, generator: np.random.Generator) -> np.ndarray:

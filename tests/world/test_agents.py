@@ -13,7 +13,14 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.source_tree import modules
 
 OTHER_PAIRS = {"start", "step", "choose", "begin"}
-PLAYERS = {"TrainedAgent", "PolicyAgent", "OracleAgent", "Runner", "Client", "OnnxPolicy"}
+PLAYERS = {
+    "TrainedAgent",
+    "PolicyAgent",
+    "OracleAgent",
+    "Runner",
+    "Client",
+    "OnnxPolicy",
+}
 
 
 def classes():
@@ -21,12 +28,16 @@ def classes():
     for tree in modules().values():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
-                methods = [each for each in node.body if isinstance(each, ast.FunctionDef)]
+                methods = [
+                    each for each in node.body if isinstance(each, ast.FunctionDef)
+                ]
                 yield node.name, {each.name: each for each in methods}
 
 
 def test_all_that_plays_has_reset_and_act_and_no_other_pair():
-    assert not [name for name, methods in classes() if {"start", "step"} <= set(methods)]
+    assert not [
+        name for name, methods in classes() if {"start", "step"} <= set(methods)
+    ]
     found = {name: methods for name, methods in classes() if "act" in methods}
     assert set(found) >= PLAYERS
     for place, methods in found.items():
@@ -50,7 +61,9 @@ def envs():
 
 @pytest.mark.parametrize("name", SCRIPTED_AGENTS)
 def test_class_and_declared_inputs_agree(name, envs, monkeypatch):
-    monkeypatch.setattr("knowarm.world.agents.search_open_loop", lambda config, seed: LIST)
+    monkeypatch.setattr(
+        "knowarm.world.agents.search_open_loop", lambda config, seed: LIST
+    )
     entry = SCRIPTED_AGENTS[name]
     agents = [entry.make(env, 0) for env in envs]
     assert {type(agent) for agent in agents} == {entry.kind}

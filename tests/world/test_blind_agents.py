@@ -5,7 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from knowarm.world.agents import Batch, BlindAgent, FrozenAgent, OpenLoopAgent, open_loop
+from knowarm.world.agents import (
+    Batch,
+    BlindAgent,
+    FrozenAgent,
+    OpenLoopAgent,
+    open_loop,
+)
 from knowarm.world.agents.open_loop import (
     ANCHORS,
     _anchor_goals,
@@ -60,11 +66,15 @@ def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     env = ArmVectorEnv(config, 60)
     episodes = evaluation_episodes(config, 60, 0)
     score = OpenLoopScore(config, episodes)
-    actions = np.random.default_rng(1).choice([0, 1, 1, 2, 3], size=(50, env.scene.num_joints))
+    actions = np.random.default_rng(1).choice(
+        [0, 1, 1, 2, 3], size=(50, env.scene.num_joints)
+    )
     result = play(ListAgent(actions), env, episodes)
     first, _ = score.play(actions)
     assert 0 < result.success.sum() < 60
-    np.testing.assert_array_equal(first[result.success] + 1, result.length[result.success])
+    np.testing.assert_array_equal(
+        first[result.success] + 1, result.length[result.success]
+    )
     np.testing.assert_array_equal(score.is_solved(first), result.success)
     changed = actions.copy()
     changed[20:] = 0
@@ -100,7 +110,9 @@ def test_the_search_is_reproducible_and_beats_standing_still(cached):
     env.config = config
     episodes = evaluation_episodes(config, 100, 0)
     blind = play(
-        OpenLoopAgent(search_open_loop(config, 600, 3)), ArmVectorEnv(config, 100), episodes
+        OpenLoopAgent(search_open_loop(config, 600, 3)),
+        ArmVectorEnv(config, 100),
+        episodes,
     ).success.mean()
     still = play(ListAgent(np.zeros_like(actions)), ArmVectorEnv(config, 100), episodes)
     assert blind > 0.3 > still.success.mean()
@@ -114,7 +126,11 @@ def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
     np.savez(file, actions=mine)
     np.testing.assert_array_equal(search_open_loop(config, 30), mine)
     assert cached() == [file]
-    for change in ({"success_distance_m": 0.09}, {"targets": ("bottle",)}, {"mpi_rad": 0.06}):
+    for change in (
+        {"success_distance_m": 0.09},
+        {"targets": ("bottle",)},
+        {"mpi_rad": 0.06},
+    ):
         search_open_loop(dataclasses.replace(config, **change), 30)
     search_open_loop(config, 31)
     search_open_loop(config, 30, 1)
@@ -135,7 +151,9 @@ def test_many_targets_are_searched_in_groups(monkeypatch):
 def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():
     env = ArmVectorEnv(loose("irb120", max_episode_steps=3), 2)
     episodes = evaluation_episodes(env.config, 2, 0)
-    blind, frozen, seeing = (ListAgent(np.ones((3, 6), dtype=np.int64)) for _ in range(3))
+    blind, frozen, seeing = (
+        ListAgent(np.ones((3, 6), dtype=np.int64)) for _ in range(3)
+    )
     for _ in range(2):  # a second start forgets the first images
         play(BlindAgent(blind), env, episodes)
         play(FrozenAgent(frozen), env, episodes)

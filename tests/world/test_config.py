@@ -19,7 +19,9 @@ from knowarm.world.config import EnvConfig
         ({"renderer": "raster"}, r"renderer 'raster'.*raycast"),
     ],
 )
-def test_each_bad_field_is_named_with_what_is_allowed(options: dict, message: str) -> None:
+def test_each_bad_field_is_named_with_what_is_allowed(
+    options: dict, message: str
+) -> None:
     with pytest.raises(UserError, match=rf"EnvConfig\.?.*{message}"):
         EnvConfig(**options)
 

@@ -86,7 +86,10 @@ def test_episodes_are_those_of_the_numpy_face(face: Face, robot: str) -> None:
     [
         {"success_distance_m": 0.6, "success_angle_deg": 80.0, "dynamics": "kinematic"},
         {"randomization": EVERYTHING, "ignore_roll": True, "dynamics": "kinematic"},
-        {"held_out": HeldOut(colours=("blue",), places=(0, 1, 0, 1)), "antialiasing": False},
+        {
+            "held_out": HeldOut(colours=("blue",), places=(0, 1, 0, 1)),
+            "antialiasing": False,
+        },
     ],
     ids=["success", "looks", "held_out"],
 )
@@ -115,7 +118,14 @@ def test_results_have_the_promised_types(face: Face, robot: str) -> None:
     assert later.data_ptr() != images.data_ptr(), "a new image at every call"
     assert host(reward).dtype == np.float64
     assert later.dtype == torch.uint8
-    results = (later, reward, terminated, truncated, env.knowledge_input, infos["distance"])
+    results = (
+        later,
+        reward,
+        terminated,
+        truncated,
+        env.knowledge_input,
+        infos["distance"],
+    )
     assert all(values.device == env.device for values in results)
 
 
@@ -161,14 +171,18 @@ def test_seeds_select_streams(face: Face, robot: str) -> None:
     env, reference = shared_env(face, robot), shared_env(NUMPY, robot)
     for seed in (2**63 - 3, 2**64 - 2, [4, None, 9, 4, 1, None]):
         infos, expected = env.reset(seed=seed)[1], reference.reset(seed=seed)[1]
-        given = np.array([True] * 6 if isinstance(seed, int) else [s is not None for s in seed])
+        given = np.array(
+            [True] * 6 if isinstance(seed, int) else [s is not None for s in seed]
+        )
         check_infos(infos, expected, given)
     first = host(env.reset(seed=1)[1]["distance"])
     assert (first != host(env.reset()[1]["distance"])).any(), "the stream continues"
     assert (first == host(env.reset(seed=1)[1]["distance"])).all()
 
 
-def test_given_episodes_are_played_where_the_mask_is_set(face: Face, robot: str) -> None:
+def test_given_episodes_are_played_where_the_mask_is_set(
+    face: Face, robot: str
+) -> None:
     env, reference = shared_env(face, robot), shared_env(NUMPY, robot)
     env.reset(seed=3), reference.reset(seed=3)
     mask = np.array([True, False, False, True, True, False])
@@ -178,14 +192,20 @@ def test_given_episodes_are_played_where_the_mask_is_set(face: Face, robot: str)
     infos = env.reset(options=options)[1]
     check_infos(infos, expected, np.ones(6, dtype=np.bool_))
     assert (host(infos["target"])[mask] == episodes.target).all()
-    assert host(env.joint_positions) == pytest.approx(reference.joint_positions, abs=1e-6)
+    assert host(env.joint_positions) == pytest.approx(
+        reference.joint_positions, abs=1e-6
+    )
     if face.device:
-        env.reset(options=options | {"reset_mask": torch.as_tensor(mask, device=face.device)})
+        env.reset(
+            options=options | {"reset_mask": torch.as_tensor(mask, device=face.device)}
+        )
     with pytest.raises(UserError, match="holds 3 episodes for 6 environments"):
         env.reset(options={"episodes": episodes})
 
 
-def test_a_reset_leaves_the_other_environments_unchanged(face: Face, robot: str) -> None:
+def test_a_reset_leaves_the_other_environments_unchanged(
+    face: Face, robot: str
+) -> None:
     env = shared_env(face, robot)
     env.reset(seed=0)
     for _ in range(4):
@@ -231,8 +251,13 @@ def test_returned_arrays_are_not_written_later(face: Face) -> None:
             face.actions(random_actions(env, generator))
         )
         infos = {name: infos[name] for name in METRICS}
-        kept.append((images, infos | {"reward": reward, "ended": terminated | truncated}))
-    copies = [(host(images), {n: host(v).copy() for n, v in d.items()}) for images, d in kept[:4]]
+        kept.append(
+            (images, infos | {"reward": reward, "ended": terminated | truncated})
+        )
+    copies = [
+        (host(images), {n: host(v).copy() for n, v in d.items()})
+        for images, d in kept[:4]
+    ]
     env.reset(seed=5)
     for (images, infos), (copy, copied) in zip(kept, copies, strict=False):
         assert (host(images) == copy).all()
@@ -249,7 +274,9 @@ def test_returned_arrays_are_not_written_later(face: Face) -> None:
         (np.full((6, 6), -1), "0 to 6 of shape .*got -1"),
     ],
 )
-def test_wrong_actions_are_refused(face: Face, actions: np.ndarray, message: str) -> None:
+def test_wrong_actions_are_refused(
+    face: Face, actions: np.ndarray, message: str
+) -> None:
     env = shared_env(face, "irb120")
     env.reset(seed=0)
     with pytest.raises(UserError, match=message):
@@ -264,7 +291,9 @@ def test_wrong_seeds_masks_and_counts_are_refused(face: Face) -> None:
         env.reset(seed=-1)
     with pytest.raises(UserError, match="reset_mask"):
         env.reset(options={"reset_mask": np.zeros(6, dtype=np.bool_)})
-    with pytest.raises(UserError, match="num_envs must be a whole number of at least 1, got 0"):
+    with pytest.raises(
+        UserError, match="num_envs must be a whole number of at least 1, got 0"
+    ):
         face.make(0)
 
 

@@ -35,7 +35,10 @@ def test_example_robot_and_target_can_be_solved(
 def test_name_and_title_default_to_the_file_and_the_name(tmp_path: Path) -> None:
     robot = read_description(EXAMPLES / "scara.toml", Robot)
     assert (robot.name, robot.title) == ("scara", "scara")
-    assert read_description(write_robot(tmp_path, title='"Scara 2"'), Robot).title == "Scara 2"
+    assert (
+        read_description(write_robot(tmp_path, title='"Scara 2"'), Robot).title
+        == "Scara 2"
+    )
 
 
 def test_an_edited_description_is_read_again(tmp_path: Path) -> None:
@@ -58,13 +61,17 @@ def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="field mjcf must be the path"):
         read_description(path, Target)
     with pytest.raises(UserError, match=r"Did you mean 'joints'"):
-        read_description(write_robot(tmp_path, home='[0.0, 0.0, 0.0, 0.0]\njoint = ["a"]'), Robot)
+        read_description(
+            write_robot(tmp_path, home='[0.0, 0.0, 0.0, 0.0]\njoint = ["a"]'), Robot
+        )
     with pytest.raises(UserError, match="package 'no_such_package' is not installed"):
         read_description(write_robot(tmp_path, mjcf='"no_such_package:a.xml"'), Robot)
     with pytest.raises(UserError, match="camera_fovy_deg"):
         read_description(write_robot(tmp_path, camera_fovy_deg=""), Robot)
     drive = read_description(write_robot(tmp_path, mjcf="'C:/arms/a.xml'"), Robot)
-    assert drive.mjcf.as_posix().endswith("C:/arms/a.xml")  # a path, not a Python package C
+    assert drive.mjcf.as_posix().endswith(
+        "C:/arms/a.xml"
+    )  # a path, not a Python package C
     with pytest.raises(UserError, match="Convert it: knowarm doctor --robot"):
         load_scene(str(write_robot(tmp_path, mjcf='"a.urdf"')), ("bottle",))
     with pytest.raises(UserError, match=r"is a model file\. Draft a description"):

@@ -17,7 +17,9 @@ def test_the_hash_is_splitmix64() -> None:
 
 def test_a_draw_depends_on_its_three_numbers_only() -> None:
     many = numbers([1, 2, 3, 3], [0, 0, 0, 1])
-    for row, (stream, episode) in zip(many, [(1, 0), (2, 0), (3, 0), (3, 1)], strict=True):
+    for row, (stream, episode) in zip(
+        many, [(1, 0), (2, 0), (3, 0), (3, 1)], strict=True
+    ):
         assert (numbers([stream], [episode])[0] == row).all()
     assert (numbers([3], [1], 3)[0] == many[3, :3]).all()
 
@@ -32,6 +34,8 @@ def test_draws_are_uniform_and_independent_across_streams_episodes_and_draws() -
 
 
 def test_derived_seeds_are_far_from_the_streams_of_training() -> None:
-    seeds = {derive(seed, label) for seed in range(100) for label in ("evaluation", "other")}
+    seeds = {
+        derive(seed, label) for seed in range(100) for label in ("evaluation", "other")
+    }
     assert len(seeds) == 200
     assert min(seeds) > 2**40

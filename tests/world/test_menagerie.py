@@ -52,7 +52,9 @@ def test_missing_files_say_how_to_get_them(
 ) -> None:
     monkeypatch.setenv("KNOWARM_MENAGERIE", str(tmp_path))
     name = next(iter(KNOWN_ARMS))
-    with pytest.raises(UserError, match=r"git clone .*mujoco_menagerie.*KNOWARM_MENAGERIE"):
+    with pytest.raises(
+        UserError, match=r"git clone .*mujoco_menagerie.*KNOWARM_MENAGERIE"
+    ):
         knowarm.make(name)
     List(kind="robots").run()
     printed = capsys.readouterr().out

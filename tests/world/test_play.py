@@ -11,7 +11,9 @@ from tests.world.helpers import MakeEnv
 
 @pytest.mark.parametrize("target", EnvConfig().targets)
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv) -> None:
+def test_the_oracle_solves_every_task(
+    robot: str, target: str, make_env: MakeEnv
+) -> None:
     env = make_env(40, robot=robot, targets=(target,), image_size=8, num_threads=0)
     result = play(OracleAgent(env), env, evaluation_episodes(env.config, 40, seed=1))
     assert result.success.mean() >= 0.97

@@ -16,7 +16,12 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.asked.query.query import AskObject
-from knowarm.world.viewing.record import record_episode, write_page, write_strip, write_video
+from knowarm.world.viewing.record import (
+    record_episode,
+    write_page,
+    write_strip,
+    write_video,
+)
 from tests.world.helpers import MakeEnv
 
 
@@ -24,7 +29,9 @@ from tests.world.helpers import MakeEnv
 def films(make_env: MakeEnv) -> list:
     env = make_env(1, image_size=32)
     episodes = evaluation_episodes(env.config, 2, seed=0)
-    return [record_episode(OracleAgent(env), env, episodes[i : i + 1]) for i in range(2)]
+    return [
+        record_episode(OracleAgent(env), env, episodes[i : i + 1]) for i in range(2)
+    ]
 
 
 def test_a_recorded_episode_runs_from_the_start_to_success(films: list) -> None:
@@ -54,7 +61,9 @@ def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
     path = tmp_path / "film.mp4"
     write_video(path, films)
     with av.open(str(path)) as container:
-        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        frames = [
+            frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)
+        ]
     assert len(frames) == sum(len(film) + 10 for film in films)
     assert frames[0].std() > 10
     with pytest.raises(UserError, match=r"must be an .mp4 file, got 'film.gif'"):
@@ -76,7 +85,9 @@ def test_a_page_holds_every_frame_of_every_episode(films: list, tmp_path: Path) 
         assert f"reached after {film[-1].step} steps</figcaption>" in text
 
 
-def test_an_interrupted_video_leaves_the_former_file(films: list, tmp_path: Path) -> None:
+def test_an_interrupted_video_leaves_the_former_file(
+    films: list, tmp_path: Path
+) -> None:
     pytest.importorskip("av")
     path = tmp_path / "video.mp4"
     path.write_bytes(b"former")
@@ -93,7 +104,9 @@ def test_an_interrupted_video_leaves_the_former_file(films: list, tmp_path: Path
 
 def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> None:
     for name in ("strip.nothing", "strip.psd"):  # the second can be read only
-        with pytest.raises(UserError, match=rf"film strip is an image file .* got '{name}'"):
+        with pytest.raises(
+            UserError, match=rf"film strip is an image file .* got '{name}'"
+        ):
             write_strip(tmp_path / name, films)
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="Cannot write"):
@@ -101,20 +114,30 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
 
 
 def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
-    env = ArmVectorEnv(EnvConfig(task=AskObject(), image_size=16, dynamics="kinematic"), 1)
+    env = ArmVectorEnv(
+        EnvConfig(task=AskObject(), image_size=16, dynamics="kinematic"), 1
+    )
     episodes = evaluation_episodes(env.config, 1, seed=1)
     frames = record_episode(OracleAgent(env), env, episodes)
     assert frames[0].goal.startswith(f"{episodes.question[0]}: the ")
     write_strip(tmp_path / "with.png", [frames])
-    write_strip(tmp_path / "without.png", [[replace(frame, goal="") for frame in frames]])
-    heights = [Image.open(tmp_path / f"{name}.png").height for name in ("with", "without")]
+    write_strip(
+        tmp_path / "without.png", [[replace(frame, goal="") for frame in frames]]
+    )
+    heights = [
+        Image.open(tmp_path / f"{name}.png").height for name in ("with", "without")
+    ]
     assert heights[0] > heights[1]
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1])
-def test_axes_are_drawn_where_the_image_shows_the_goal(shift: float, make_env: MakeEnv) -> None:
+def test_axes_are_drawn_where_the_image_shows_the_goal(
+    shift: float, make_env: MakeEnv
+) -> None:
     """The grasp of a bottle is on its stopper, just above its coloured pixels."""
-    env = make_env(1, targets=("bottle",), randomization=VisualRandomization(camera_shift_m=shift))
+    env = make_env(
+        1, targets=("bottle",), randomization=VisualRandomization(camera_shift_m=shift)
+    )
     episodes = evaluation_episodes(env.config, 1, seed=4)
     plain, drawn = (
         record_episode(OracleAgent(env), env, episodes, axes=axes)[0].large.astype(int)

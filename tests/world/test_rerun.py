@@ -22,10 +22,24 @@ def test_an_episode_is_recorded(tmp_path, capsys):
     assert str(path) in capsys.readouterr().out
     entities = {str(chunk.entity_path) for chunk in chunks(path)}
     assert sum(name.startswith("/joints/") for name in entities) == 6
-    assert entities >= {"/camera/policy", "/camera/large", "/distance", "/angle", "/goal"}
-    rows = sum(chunk.num_rows for chunk in chunks(path) if str(chunk.entity_path) == "/distance")
+    assert entities >= {
+        "/camera/policy",
+        "/camera/large",
+        "/distance",
+        "/angle",
+        "/goal",
+    }
+    rows = sum(
+        chunk.num_rows
+        for chunk in chunks(path)
+        if str(chunk.entity_path) == "/distance"
+    )
     assert rows > 20
-    goals = [chunk.to_record_batch() for chunk in chunks(path) if str(chunk.entity_path) == "/goal"]
+    goals = [
+        chunk.to_record_batch()
+        for chunk in chunks(path)
+        if str(chunk.entity_path) == "/goal"
+    ]
     steps = [step for batch in goals for step in batch.column("step").to_pylist()]
     assert steps == [0, 0], "the goal stands where its episode begins"
 
@@ -34,7 +48,9 @@ def test_an_episode_is_recorded(tmp_path, capsys):
 @pytest.mark.parametrize("agent", ["answers", "subgraph"])
 def test_what_a_run_knows_is_recorded(tmp_path, agent):
     path, run = tmp_path / "episode.rrd", ROOT / f"zoo/irb120-choose-{agent}-fast"
-    assert main(["view", "--agent", str(run), "--episodes", "2", "--rrd", str(path)]) == 0
+    assert (
+        main(["view", "--agent", str(run), "--episodes", "2", "--rrd", str(path)]) == 0
+    )
     for name in ("/knowledge", "/recognition"):
         found = [chunk for chunk in chunks(path) if str(chunk.entity_path) == name]
         assert sum(chunk.num_rows for chunk in found) == 2

@@ -37,10 +37,20 @@ def test_gripper_starts_where_the_data_sheets_say(robot: str, start_tcp: tuple) 
     [
         ("irb120", "mug", (-0.0802, 0.0215, 0.066), (0.3794, 0.1206, 0.9160, -0.0500)),
         ("irb120", "bottle", (0, 0, 0.222), (0, 0.7934, 0.6088, 0)),
-        ("irb120", "cereal_box", (-0.0566, -0.0566, 0.19), (0.6533, -0.2706, 0.6533, 0.2706)),
+        (
+            "irb120",
+            "cereal_box",
+            (-0.0566, -0.0566, 0.19),
+            (0.6533, -0.2706, 0.6533, 0.2706),
+        ),
         ("tiago", "mug", (-0.0802, -0.0215, 0.066), (-0.0500, 0.9160, 0.1206, 0.3794)),
         ("tiago", "bottle", (0, 0, 0.222), (0, -0.1305, 0.9914, 0)),
-        ("tiago", "cereal_box", (-0.0566, -0.0566, 0.19), (0.6533, -0.2706, 0.6533, 0.2706)),
+        (
+            "tiago",
+            "cereal_box",
+            (-0.0566, -0.0566, 0.19),
+            (0.6533, -0.2706, 0.6533, 0.2706),
+        ),
     ],
 )
 def test_grasp_frames_stand_as_designed(
@@ -80,13 +90,19 @@ def test_irb120_reaches_580_mm_to_the_wrist_and_weighs_what_it_should() -> None:
 
 def test_colours_are_the_paper_s() -> None:
     scene = load_scene("irb120", ALL)
-    assert scene.colour_names == (("red", "blue"), ("yellow", "purple"), ("brown", "light_blue"))
+    assert scene.colour_names == (
+        ("red", "blue"),
+        ("yellow", "purple"),
+        ("brown", "light_blue"),
+    )
     assert scene.target_colours[2, 1] == pytest.approx([0.5, 0.7, 0.9])
 
 
 def test_the_middle_of_the_image_is_where_the_camera_looks() -> None:
     scene = load_scene("irb120", ("mug",))
-    assert project(scene, np.array([IRB120.camera_look_at_m]))[0] == pytest.approx([0, 0], abs=1e-9)
+    assert project(scene, np.array([IRB120.camera_look_at_m]))[0] == pytest.approx(
+        [0, 0], abs=1e-9
+    )
     behind = 2 * np.array(IRB120.camera_position_m) - IRB120.camera_look_at_m
     assert np.isnan(project(scene, behind[None])).all()
 
@@ -98,7 +114,9 @@ def test_unknown_names_get_the_nearest() -> None:
         find_targets(("mugg",))
     with pytest.raises(UserError, match="Did you mean 'cereal_box'"):
         find_targets(("cereal-box",))
-    with pytest.raises(UserError, match=r"Unknown target 'bottle-x'\. Did you mean 'bottle'"):
+    with pytest.raises(
+        UserError, match=r"Unknown target 'bottle-x'\. Did you mean 'bottle'"
+    ):
         find_targets(("bottle-x",))
 
 
@@ -106,7 +124,9 @@ def test_a_missing_file_and_broken_mjcf_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="there is no such file"):
         build_scene(replace(IRB120, mjcf=tmp_path / "none.xml"), [MUG])
     broken = tmp_path / "broken.xml"
-    broken.write_text('<mujoco><worldbody><body><geom size="-1"/></body></worldbody></mujoco>')
+    broken.write_text(
+        '<mujoco><worldbody><body><geom size="-1"/></body></worldbody></mujoco>'
+    )
     with pytest.raises(UserError, match=r"mjcf .*broken.xml' does not compile"):
         build_scene(replace(IRB120, mjcf=broken), [MUG])
     broken.write_text("<mujoco><worldbody>")
@@ -115,8 +135,12 @@ def test_a_missing_file_and_broken_mjcf_are_named(tmp_path: Path) -> None:
 
 
 def test_what_only_compiling_the_whole_scene_reveals_is_no_traceback() -> None:
-    added = replace(IRB120, tcp_body="link_6", tcp_site="tcp")  # which the file has already
-    with pytest.raises(UserError, match=r"robot 'irb120' with mug does not compile: .*repeated"):
+    added = replace(
+        IRB120, tcp_body="link_6", tcp_site="tcp"
+    )  # which the file has already
+    with pytest.raises(
+        UserError, match=r"robot 'irb120' with mug does not compile: .*repeated"
+    ):
         build_scene(added, [MUG])
 
 
@@ -137,7 +161,9 @@ def test_missing_joints_and_sites_are_named_with_those_there_are() -> None:
 def test_a_target_outside_the_image_is_refused() -> None:
     with pytest.raises(UserError, match=r"'mug' standing at .* outside the image"):
         build_scene(replace(IRB120, rectangle_centre_m=(0.47, 0.9)), [MUG])
-    with pytest.raises(UserError, match=r"camera_position_m .* must not lie straight above"):
+    with pytest.raises(
+        UserError, match=r"camera_position_m .* must not lie straight above"
+    ):
         build_scene(replace(IRB120, camera_position_m=(0.42, -0.03, 1.0)), [MUG])
 
 
@@ -189,7 +215,10 @@ def test_a_held_joint_keeps_how_its_body_is_turned(tmp_path, orientation: str) -
     spec = mujoco.MjSpec()
     attach_robot(spec, replace(own, tcp_body="tip", base_position_m=(0, 0, 0)))
     poses = []
-    for model, name in ((mujoco.MjModel.from_xml_path(str(path)), "tip"), (spec.compile(), "")):
+    for model, name in (
+        (mujoco.MjModel.from_xml_path(str(path)), "tip"),
+        (spec.compile(), ""),
+    ):
         data = mujoco.MjData(model)
         if name:
             data.joint("held").qpos = 0.7
@@ -199,7 +228,9 @@ def test_a_held_joint_keeps_how_its_body_is_turned(tmp_path, orientation: str) -
 
 
 def test_two_objects_of_one_name_and_a_robot_among_them_are_refused() -> None:
-    with pytest.raises(UserError, match="Target 'mug': of the objects mug, mug each needs a name"):
+    with pytest.raises(
+        UserError, match="Target 'mug': of the objects mug, mug each needs a name"
+    ):
         build_scene(IRB120, [MUG, MUG])
     with pytest.raises(UserError, match="other than 'robot'"):
         build_scene(IRB120, [replace(MUG, name="robot")])

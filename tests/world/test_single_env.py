@@ -31,7 +31,9 @@ def test_stable_baselines3_s_checker_passes_without_a_warning(env_id: str) -> No
         warnings.simplefilter("error")
         checker.check_env(gymnasium.make(env_id).unwrapped)
         shown = {"observe": ("image", "joints", "knowledge"), "knowledge": np.eye(3)}
-        checker.check_env(gymnasium.make(env_id, action="continuous", **shown).unwrapped)
+        checker.check_env(
+            gymnasium.make(env_id, action="continuous", **shown).unwrapped
+        )
 
 
 def test_make_vec_gives_our_own_vector() -> None:
@@ -45,13 +47,17 @@ def test_make_vec_gives_our_own_vector() -> None:
 
 
 def test_render_gives_a_large_image() -> None:
-    env = gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, render_mode="rgb_array")
+    env = gymnasium.make(
+        "knowarm/IRB120Reach-v0", image_size=16, render_mode="rgb_array"
+    )
     env.reset(seed=0)
     image = env.render()
     assert isinstance(image, np.ndarray)
     assert image.shape == (480, 480, 3)
     assert image.dtype == np.uint8
-    with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, got 'human'"):
+    with pytest.raises(
+        UserError, match="render_mode must be 'rgb_array' or None, got 'human'"
+    ):
         ArmEnv(render_mode="human")
 
 
@@ -66,12 +72,16 @@ def test_an_unseeded_environment_is_not_the_same_every_time() -> None:
 def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
     table = np.arange(12).reshape(6, 2)
     shown = {"observe": ("image", "knowledge"), "knowledge": table}
-    env = gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, colours="randomized", **shown)
+    env = gymnasium.make(
+        "knowarm/IRB120Reach-v0", image_size=16, colours="randomized", **shown
+    )
     for seed in range(5):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
         assert (observation["knowledge"] == table[env.unwrapped.knowledge_input]).all()
-        assert info["facet"] == "/".join(env.unwrapped.facets[env.unwrapped.knowledge_input])
+        assert info["facet"] == "/".join(
+            env.unwrapped.facets[env.unwrapped.knowledge_input]
+        )
     rows = "one row for each of the 3 values of the info 'facet', which begin with 'mug/red'"
     with pytest.raises(UserError, match=rows):
         make("irb120", **shown)
@@ -97,9 +107,14 @@ def test_continuous_actions_are_joint_steps_in_units_of_the_mpi(robot: str) -> N
         observed = steps.step(np.array(ACTION_LEVELS, np.float32)[actions])[0]
         np.testing.assert_allclose(steps.joint_targets, levels.joint_targets, atol=1e-6)
         assert list(observed) == ["joints"]
-        np.testing.assert_allclose(observed["joints"], levels.joint_positions, atol=1e-5)
+        np.testing.assert_allclose(
+            observed["joints"], levels.joint_positions, atol=1e-5
+        )
     for wrong, message in (
-        (np.full(steps.action_space.shape, 1.1), r"floats from -1 to 1 .*got 1\.1 to 1\.1"),
+        (
+            np.full(steps.action_space.shape, 1.1),
+            r"floats from -1 to 1 .*got 1\.1 to 1\.1",
+        ),
         (np.full(steps.action_space.shape, np.nan), "floats from -1 to 1 .*got nan"),
         (np.zeros(steps.action_space.shape, int), "must be floats"),
     ):
@@ -108,7 +123,10 @@ def test_continuous_actions_are_joint_steps_in_units_of_the_mpi(robot: str) -> N
 
 
 def test_an_id_and_another_task_are_refused() -> None:
-    assert make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.name == "choose"
+    assert (
+        make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.name
+        == "choose"
+    )
     with pytest.raises(UserError, match="names the task 'reach', and task is 'choose'"):
         make("knowarm/IRB120Reach-v0", task="choose")
     with pytest.raises(UserError, match="names the task 'choose', and task is 'reach'"):
@@ -138,7 +156,11 @@ def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> N
     assert (observations["knowledge"][:, 0] == after).all()
     assert [final["knowledge"][0] for final in infos["final_obs"]] == before.tolist()
     last = np.stack([final["joints"] for final in infos["final_obs"]])
-    assert np.abs(last - joints).max() < 0.01 < np.abs(observations["joints"] - joints).max()
+    assert (
+        np.abs(last - joints).max()
+        < 0.01
+        < np.abs(observations["joints"] - joints).max()
+    )
 
 
 def test_importing_the_package_imports_no_simulator() -> None:

@@ -12,7 +12,9 @@ MAX_GROWTH_MIB = 30
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
-def test_random_steps_leave_no_nan_and_no_growing_memory(robot: str, make_env: MakeEnv) -> None:
+def test_random_steps_leave_no_nan_and_no_growing_memory(
+    robot: str, make_env: MakeEnv
+) -> None:
     env = make_env(128, num_threads=0, robot=robot, colours="randomized")
     env.reset(seed=0)
     generator = np.random.default_rng(0)

@@ -73,9 +73,17 @@ def test_results_are_on_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch_env, "torch_device", torch.device)
     env = TorchArmVectorEnv(EnvConfig(image_size=16), 2, device="meta", num_threads=1)
     env.report_privileged_state = True
-    monkeypatch.setattr(env, "_checked", lambda actions: np.zeros((2, 6), dtype=np.int64))
+    monkeypatch.setattr(
+        env, "_checked", lambda actions: np.zeros((2, 6), dtype=np.int64)
+    )
     images, infos = env.reset(seed=0)
-    results = (images, infos, *env.step(torch.zeros(0)), env.knowledge_input, env.joint_positions)
+    results = (
+        images,
+        infos,
+        *env.step(torch.zeros(0)),
+        env.knowledge_input,
+        env.joint_positions,
+    )
     assert len(infos) == 12
     for tensor in leaves(results):
         assert tensor.device.type == "meta"

@@ -19,7 +19,9 @@ def random_actions(env: ArmVectorEnv, generator: np.random.Generator) -> np.ndar
 
 @pytest.mark.parametrize("dynamics", ["dynamic", "kinematic"])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env: MakeEnv) -> None:
+def test_steps_give_what_the_spaces_promise(
+    robot: str, dynamics: str, make_env: MakeEnv
+) -> None:
     env = make_env(robot=robot, dynamics=dynamics, image_size=64)
     observations, infos = env.reset(seed=1)
     assert env.observation_space.contains(observations)
@@ -30,17 +32,25 @@ def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env:
         actions = np.ones(env.action_space.shape, dtype=np.int64)
         observations, rewards, terminated, truncated, infos = env.step(actions)
         assert env.observation_space.contains(observations)
-        assert (observations != previous).any(axis=(1, 2, 3)).all(), "the arm is seen to move"
-        assert rewards == pytest.approx(-2 * infos["distance"] ** 2 - infos["angle"] / 70)
+        assert (observations != previous).any(axis=(1, 2, 3)).all(), (
+            "the arm is seen to move"
+        )
+        assert rewards == pytest.approx(
+            -2 * infos["distance"] ** 2 - infos["angle"] / 70
+        )
         assert not (terminated | truncated).any()
         previous = observations
 
 
 def test_a_mode_of_autoreset_may_be_given_by_its_value(make_env: MakeEnv) -> None:
-    env = knowarm.make("irb120", num_envs=2, autoreset="NextStep", image_size=8, num_threads=1)
+    env = knowarm.make(
+        "irb120", num_envs=2, autoreset="NextStep", image_size=8, num_threads=1
+    )
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     with pytest.raises(UserError, match="got autoreset NextStep"):
-        knowarm.make("irb120", num_envs=2, autoreset="NextStep", device="cpu", image_size=8)
+        knowarm.make(
+            "irb120", num_envs=2, autoreset="NextStep", device="cpu", image_size=8
+        )
     with pytest.raises(ValueError, match="'Never' is not a valid AutoresetMode"):
         knowarm.make("irb120", num_envs=2, autoreset="Never", image_size=8)
 
@@ -67,7 +77,9 @@ def test_the_arm_does_not_go_through_the_floor(make_env: MakeEnv) -> None:
     down[:, 1] = 1
     for _ in range(25):
         env.step(down)
-    assert (env.joint_targets[:, 1] - env.joint_positions[:, 1] > 0.2).all(), "it was stopped"
+    assert (env.joint_targets[:, 1] - env.joint_positions[:, 1] > 0.2).all(), (
+        "it was stopped"
+    )
     assert env.simulation.tcp_position[:, 2].min() > -0.01
 
 
@@ -96,11 +108,15 @@ def test_facets_list_targets_with_their_possible_colours(make_env: MakeEnv) -> N
     assert env.facets[2:4] == (("bottle", "yellow"), ("bottle", "purple"))
     _, infos = env.reset(seed=0)
     assert set(env.knowledge_input) == set(range(6))
-    assert infos["facet"].tolist() == ["/".join(env.facets[i]) for i in env.knowledge_input]
+    assert infos["facet"].tolist() == [
+        "/".join(env.facets[i]) for i in env.knowledge_input
+    ]
     assert (env.knowledge_input == infos["target"] * 2 + infos["colour"]).all()
 
 
-def test_the_target_is_shown_in_its_colour_and_the_others_are_hidden(make_env: MakeEnv) -> None:
+def test_the_target_is_shown_in_its_colour_and_the_others_are_hidden(
+    make_env: MakeEnv,
+) -> None:
     env = make_env(60, colours="randomized", image_size=64)
     images, infos = env.reset(seed=0)
     red = (images[..., 0] > 120) & (images[..., 1] < 40) & (images[..., 2] < 40)
@@ -125,7 +141,8 @@ def _compare_with_gymnasium(mode: AutoresetMode, make_env: MakeEnv) -> None:
     """Our vector against Gymnasium's SyncVectorEnv of single environments, value by value."""
     options = {"image_size": 16, "max_episode_steps": 4, "colours": "randomized"}
     theirs = gymnasium.vector.SyncVectorEnv(
-        [lambda: gymnasium.make("knowarm/IRB120Reach-v0", **options)] * 3, autoreset_mode=mode
+        [lambda: gymnasium.make("knowarm/IRB120Reach-v0", **options)] * 3,
+        autoreset_mode=mode,
     )
     ours = make_env(3, mode, **options)
     a, infos_a = ours.reset(seed=11)
@@ -162,7 +179,9 @@ def _same(a: dict, b: dict) -> None:
             assert (values == b[name]).all(), name
 
 
-def test_a_finished_environment_must_be_reset_when_autoreset_is_off(make_env: MakeEnv) -> None:
+def test_a_finished_environment_must_be_reset_when_autoreset_is_off(
+    make_env: MakeEnv,
+) -> None:
     env = make_env(2, AutoresetMode.DISABLED, max_episode_steps=1)
     env.reset(seed=0)
     stay = np.zeros((2, 6), dtype=np.int64)
@@ -174,7 +193,9 @@ def test_a_finished_environment_must_be_reset_when_autoreset_is_off(make_env: Ma
 
 
 @pytest.mark.parametrize("mode", ALL_MODES)
-def test_reset_without_a_seed_goes_on_in_the_stream(mode: AutoresetMode, make_env: MakeEnv) -> None:
+def test_reset_without_a_seed_goes_on_in_the_stream(
+    mode: AutoresetMode, make_env: MakeEnv
+) -> None:
     env, other = make_env(2, mode), make_env(2, mode)
     for each in (env, other):
         each.reset(seed=3)

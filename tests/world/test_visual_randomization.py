@@ -52,7 +52,11 @@ def test_a_varied_world_is_the_same_at_any_batch_size_and_after_a_stop(
     robot: str, make_env: MakeEnv
 ) -> None:
     options = {"robot": robot, "randomization": EVERYTHING, "colours": "randomized"}
-    one, many, other = make_env(1, **options), make_env(5, **options), make_env(5, **options)
+    one, many, other = (
+        make_env(1, **options),
+        make_env(5, **options),
+        make_env(5, **options),
+    )
     alone = one.reset(seed=14)[0]
     together = many.reset(seed=10)[0]
     assert alone[0].tobytes() == together[-1].tobytes()
@@ -92,7 +96,11 @@ def test_the_opengl_renderer_varies_alike(make_env: MakeEnv) -> None:
     for renderer in ("raycast", "opengl"):
         try:
             env = make_env(
-                3, image_size=64, renderer=renderer, antialiasing=False, randomization=EVERYTHING
+                3,
+                image_size=64,
+                renderer=renderer,
+                antialiasing=False,
+                randomization=EVERYTHING,
             )
         except UserError as error:
             pytest.skip(str(error))
@@ -112,11 +120,15 @@ def test_episodes_of_another_look_are_refused(make_env: MakeEnv) -> None:
 
 def test_episodes_in_colours_that_are_not_shown_are_refused(make_env: MakeEnv) -> None:
     many = evaluation_episodes(make_env(8, colours="randomized").config, 8, 0)
-    with pytest.raises(UserError, match="show colours that this environment does not have"):
+    with pytest.raises(
+        UserError, match="show colours that this environment does not have"
+    ):
         make_env(8).reset(options={"episodes": many})
 
 
-def test_episodes_of_another_robot_or_other_objects_change_nothing(make_env: MakeEnv) -> None:
+def test_episodes_of_another_robot_or_other_objects_change_nothing(
+    make_env: MakeEnv,
+) -> None:
     env = make_env(2, targets=("mug", "bottle"))
     env.reset(seed=1)
     before = env.get_state()
@@ -138,7 +150,9 @@ def test_held_out_places_and_colours_are_never_mixed() -> None:
     centre = np.array(scene.robot.rectangle_centre_m)
     half = np.array(scene.robot.rectangle_half_size_m)
     for play in ("rest", "held_out"):
-        held_out = HeldOut(colours=("blue", "yellow"), places=(0.0, 1.0, -0.5, 1.0), play=play)
+        held_out = HeldOut(
+            colours=("blue", "yellow"), places=(0.0, 1.0, -0.5, 1.0), play=play
+        )
         config = EnvConfig(colours="randomized", held_out=held_out)
         keys = np.full(3000, 7, np.uint64), np.arange(3000, dtype=np.uint64)
         episodes = draw_episodes(config, *keys)
@@ -148,7 +162,8 @@ def test_held_out_places_and_colours_are_never_mixed() -> None:
         assert offset.min() < -0.45 if play == "held_out" else offset.min() < -0.95
         assert offset.max() > 0.95
         names = [
-            scene.colour_names[t][c] for t, c in zip(episodes.target, episodes.colour, strict=True)
+            scene.colour_names[t][c]
+            for t, c in zip(episodes.target, episodes.colour, strict=True)
         ]
         blue_or_yellow = {"blue", "yellow"} & set(names)
         assert blue_or_yellow == ({"blue", "yellow"} if play == "held_out" else set())
@@ -158,8 +173,14 @@ def test_held_out_places_and_colours_are_never_mixed() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: VisualRandomization(light=1.5), "light must be between 0 and 1, got 1.5"),
-        (lambda: VisualRandomization(distractors=9), "distractors must be between 0 and 4, got 9"),
+        (
+            lambda: VisualRandomization(light=1.5),
+            "light must be between 0 and 1, got 1.5",
+        ),
+        (
+            lambda: VisualRandomization(distractors=9),
+            "distractors must be between 0 and 4, got 9",
+        ),
         (lambda: HeldOut(), "needs colours or places"),
         (lambda: HeldOut(places=(-1, 1, -1, 1)), "50 % of the rectangle"),
         (lambda: HeldOut(places=(0.5, 0.2, 0, 1)), "x from < x to"),
@@ -174,4 +195,6 @@ def test_impossible_held_out_colours_are_refused(make_env: MakeEnv) -> None:
     with pytest.raises(UserError, match="leave target 'mug' no colour"):
         make_env(1, held_out=HeldOut(colours=("red",))).reset(seed=0)
     with pytest.raises(UserError, match="Did you mean 'blue'"):
-        make_env(1, colours="randomized", held_out=HeldOut(colours=("blu",))).reset(seed=0)
+        make_env(1, colours="randomized", held_out=HeldOut(colours=("blu",))).reset(
+            seed=0
+        )

@@ -90,11 +90,17 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
         if value:
             triples.append(("it", relation, value))
     graph = graph_of(triples)
-    colours = sorted(value for _, relation, value in triples if relation == COLOUR_RELATION)
-    text = read_plain(prompt, Vocabulary(graph, graph.heads[:1], colours), lambda _: set())
+    colours = sorted(
+        value for _, relation, value in triples if relation == COLOUR_RELATION
+    )
+    text = read_plain(
+        prompt, Vocabulary(graph, graph.heads[:1], colours), lambda _: set()
+    )
     row = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
     if row is None:
-        raise UserError(f"The policy knows no query {text!r}, as which {prompt!r} is read.")
+        raise UserError(
+            f"The policy knows no query {text!r}, as which {prompt!r} is read."
+        )
     return row
 
 
@@ -120,7 +126,11 @@ def _reading(
 
     def holders(question: str) -> set[int]:
         names = {name for name, _ in _evidence(graph, entities, facets, question)}
-        return {entity for name, entity in entities.items() if name in names and entity is not None}
+        return {
+            entity
+            for name, entity in entities.items()
+            if name in names and entity is not None
+        }
 
     known = [entity for entity in entities.values() if entity is not None]
     try:
@@ -158,7 +168,9 @@ def _evidence(
 
 
 def words(
-    graph: KnowledgeGraph, facets: Sequence[ObjectColour], names: Mapping[str, str] | None = None
+    graph: KnowledgeGraph,
+    facets: Sequence[ObjectColour],
+    names: Mapping[str, str] | None = None,
 ) -> Words:
     """Return what a graph can be asked about objects: colours first, then its facts.
 
@@ -175,7 +187,10 @@ def words(
         for row in graph.out_rows(entity):
             tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
-            if graph.names[tail].startswith(('"', "_:")) or local_name(relation) == COLOUR_RELATION:
+            if (
+                graph.names[tail].startswith(('"', "_:"))
+                or local_name(relation) == COLOUR_RELATION
+            ):
                 continue
             value = graph.names.short(tail)
             objects.setdefault(relation, {}).setdefault(value, []).append(name)
@@ -236,7 +251,9 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
         for row in result.rows:
             values = dict(zip(result.columns, row, strict=True))
             if values["object"] == graph.names[entity] and _in_colour(values, colour):
-                return tuple(f"?{name} = {local_name(value)}" for name, value in values.items())
+                return tuple(
+                    f"?{name} = {local_name(value)}" for name, value in values.items()
+                )
         return None
 
     return evidence

@@ -161,7 +161,9 @@ class Asker:
         """Answer a question and play a scene; see `ask`."""
         answers = [self.answers(question, edit)]
         if scene is None and edit:
-            with suppress(UserError):  # without the edits the question may have no answer
+            with suppress(
+                UserError
+            ):  # without the edits the question may have no answer
                 before = self.answers(question)
                 if (before.satisfies != answers[0].satisfies).any():
                     answers.insert(0, before)
@@ -222,7 +224,9 @@ class Asker:
         Raises:
             UserError: there is none.
         """
-        satisfies = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
+        satisfies = np.stack(
+            [each.satisfies[self._shown] for each in answers]
+        )  # (a, N, m)
         has_one = satisfies.sum(2) == 1
         fits = has_one.all(0) & (satisfies.sum(0) <= 1).all(1)
         if not fits.any():
@@ -269,15 +273,21 @@ class Asker:
         if picked is not None:
             wanted = np.array([facet == picked for facet in self.facets])
             unclear = "guess"
-        agent = self.trained.answering(wanted[None], unclear=unclear, threshold=self.threshold)
+        agent = self.trained.answering(
+            wanted[None], unclear=unclear, threshold=self.threshold
+        )
         film = record_episode(agent, self._env, episode)
         end = self._env.running
         infos = end.config.task.infos(end)
-        nearest = np.argmax(infos["objects"] == infos["reached_object"][:, None], axis=1)
+        nearest = np.argmax(
+            infos["objects"] == infos["reached_object"][:, None], axis=1
+        )
         distance, angle = end.measure_object(nearest)
         with torch.inference_mode():
             image = torch.as_tensor(film[0].policy)[None]
-            seen = agent.recognition.see(image, torch.from_numpy(answers.satisfies[None]))
+            seen = agent.recognition.see(
+                image, torch.from_numpy(answers.satisfies[None])
+            )
         named = [self.facets[f] for f in seen.named[0].tolist()]
         may_answer = seen.candidates(self.threshold)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)

@@ -30,7 +30,9 @@ class Ask(TableCommand):
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
     """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast."""
-    question: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")] = ""
+    question: Annotated[
+        tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")
+    ] = ""
     """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
     and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
     ?object. Optional with --browser."""
@@ -65,13 +67,17 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            what = "a question" if Path(self.agent).exists() else "a run, then a question"
+            what = (
+                "a question" if Path(self.agent).exists() else "a run, then a question"
+            )
             raise UserError(
                 f"Give {what}: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
             )
         if self.browser and self.page is not None:
-            raise UserError("--browser serves a page and writes none: leave out --page.")
+            raise UserError(
+                "--browser serves a page and writes none: leave out --page."
+            )
         trained = load_agent(self.agent)
         graph = read_graph(self.graph, self.format) if self.graph else None
         names = read_names(self.names)
@@ -102,7 +108,9 @@ class Ask(TableCommand):
             print(f"Wrote {self.page}")
         return {
             "question": asked.answers.question,
-            "answers": {"/".join(f): list(why) for f, why in asked.answers.evidence.items()},
+            "answers": {
+                "/".join(f): list(why) for f, why in asked.answers.evidence.items()
+            },
             "scene": asked.scene,
             "shown": list(map("/".join, asked.shown)),
             "named": list(map("/".join, asked.named)),
@@ -130,7 +138,9 @@ def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
     print(printable(f"I read this as: {asked.answers.question}"))
-    print_table("Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN])
+    print_table(
+        "Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN]
+    )
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
     _print_facets(asked, "stand", asked.shown)

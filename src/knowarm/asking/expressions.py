@@ -77,7 +77,9 @@ class QuestionReader:
         self.colours = colours
         self.words = [*_TOKEN.findall(text), ""]
         self.taken = 0
-        self.has_relation = False  # Whether a relation was read: no sentence begins with one
+        self.has_relation = (
+            False  # Whether a relation was read: no sentence begins with one
+        )
         deep = self.words.count("(") + self.words.count("not")
         count = len(self.words) - 1
         if deep > MOST_NESTED or count > MOST_WORDS:
@@ -187,7 +189,9 @@ class QuestionReader:
             return self.colour(relation, value)
         ids = self.values(relation, value)
         if not ids:
-            known = {local_name(self.graph.names[tail]) for tail in self.tails(relation)}
+            known = {
+                local_name(self.graph.names[tail]) for tail in self.tails(relation)
+            }
             raise unknown_name(f"value of {relation.name}", value, known)
         return self.chain(relation, lambda tail, colour: () if tail in ids else None)
 
@@ -198,7 +202,9 @@ class QuestionReader:
                 value = colour
         ids = self.values(relation, value)
         if not ids and value not in self.colours:
-            known = {local_name(self.graph.names[tail]) for tail in self.tails(relation)}
+            known = {
+                local_name(self.graph.names[tail]) for tail in self.tails(relation)
+            }
             raise unknown_name(f"value of {relation.name}", value, known | self.colours)
         stated = self.chain(relation, lambda tail, colour: () if tail in ids else None)
 
@@ -214,7 +220,9 @@ class QuestionReader:
         ids = set(self.graph.values(value))
         quantity = _quantity(value)
         if quantity is not None:
-            ids.update(tail for tail in self.tails(relation) if self.quantity(tail) == quantity)
+            ids.update(
+                tail for tail in self.tails(relation) if self.quantity(tail) == quantity
+            )
         return ids
 
     def chain(self, relation: _Relation, of: Part) -> Part:
@@ -232,7 +240,9 @@ class QuestionReader:
         if wanted is None:
             raise self.wrong("a number or a date")
         known = {tail: self.quantity(tail) for tail in self.tails(relation)}
-        if not any(quantity and quantity[0] == wanted[0] for quantity in known.values()):
+        if not any(
+            quantity and quantity[0] == wanted[0] for quantity in known.values()
+        ):
             raise UserError(
                 f"The question {self.text!r}: the graph states no {wanted[0]} by {relation.name}."
             )
@@ -248,7 +258,9 @@ class QuestionReader:
     def tails(self, relation: _Relation) -> list[int]:
         """Return the ids of what a relation leads to."""
         graph = self.graph
-        return np.unique(graph.tails[np.isin(graph.relations, list(relation.ids))]).tolist()
+        return np.unique(
+            graph.tails[np.isin(graph.relations, list(relation.ids))]
+        ).tolist()
 
     def quantity(self, entity: int) -> tuple[str, float] | None:
         """Return the number or date that a name or literal is."""
@@ -282,7 +294,9 @@ class QuestionReader:
         word = self.take_name().strip('"')
         if not word:
             raise self.wrong("a relation")
-        if name_key(local_name(word)) in _COLOUR:  # the image answers it, whoever else states it
+        if (
+            name_key(local_name(word)) in _COLOUR
+        ):  # the image answers it, whoever else states it
             ids = self.graph.relation_names.find_local(COLOUR_RELATION)
             name = COLOUR_RELATION
         else:

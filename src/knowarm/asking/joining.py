@@ -35,7 +35,9 @@ def joined(conditions: Sequence[ReadCondition]) -> str:
         for phrase in _split(segment, _is_thing):
             groups = _split(phrase, _is_no_value)
             joins = {group[0].join for group in groups[1:]}
-            if len(joins) > 1 or any(map(_is_open, groups, [[], *groups], [*groups[1:], []])):
+            if len(joins) > 1 or any(
+                map(_is_open, groups, [[], *groups], [*groups[1:], []])
+            ):
                 return ""
             group_texts = list(map(_either, groups))
             if joins == {"or"}:
@@ -54,7 +56,12 @@ def _listed(conditions: Sequence[ReadCondition]) -> list[ReadCondition]:
         if condition.join != ",":
             after = condition
             listed.append(condition)
-        elif after is not None and after.join == "or" and after.is_bare and condition.is_bare:
+        elif (
+            after is not None
+            and after.join == "or"
+            and after.is_bare
+            and condition.is_bare
+        ):
             listed.append(replace(condition, join="or"))
         else:
             listed.append(replace(condition, join="and"))
@@ -62,7 +69,8 @@ def _listed(conditions: Sequence[ReadCondition]) -> list[ReadCondition]:
 
 
 def _split(
-    conditions: Sequence[ReadCondition], begins: Callable[[ReadCondition, ReadCondition], bool]
+    conditions: Sequence[ReadCondition],
+    begins: Callable[[ReadCondition, ReadCondition], bool],
 ) -> list[list[ReadCondition]]:
     """Split conditions before those that begin a group, seen beside the one before."""
     groups = [[conditions[0]]]

@@ -25,7 +25,9 @@ NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 _ENDINGS = {"en": "", "ical": "", "ic": "", "er": "r", "ular": "le"}
 """Endings of adjectives, as in wooden and cylindrical, and what their nouns have instead."""
 _ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
-WORDS: dict[str, list[str]] = {name: words.split() for name, words in _ENGLISH["words"].items()}
+WORDS: dict[str, list[str]] = {
+    name: words.split() for name, words in _ENGLISH["words"].items()
+}
 """Words of one function in questions, by it; the file says what they are."""
 JOINS: dict[str, str] = _ENGLISH["joins"]
 """What joins conditions: "and", "or", "but" or a comma, by word."""
@@ -51,16 +53,22 @@ WEAK = {"by", "about", *" ".join(family.weak for family in FAMILIES.values()).sp
 def tokens(text: str) -> list[str]:
     """Return the words of a question, with comparisons such as "at least two" as one: ">=2"."""
     if len(text) > MOST_LETTERS:
-        raise UserError(f"Questions of {len(text):,} letters are not read: {text:.40} ...")
+        raise UserError(
+            f"Questions of {len(text):,} letters are not read: {text:.40} ..."
+        )
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
     text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold())
     text = text.replace("ca not", "can not")
     text = text.replace("||", " or ")
     text = re.sub(r"&&|&", " and ", text)
-    text = re.sub(r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text)
+    text = re.sub(
+        r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text
+    )
     text = re.sub(rf"\b({'|'.join(_ENGLISH['compared'])}|than) one\b", r"\1 1", text)
     numbers = WORDS["numbers"]
-    several = "|".join(word for word in numbers if word != "one")  # "the one" is no number
+    several = "|".join(
+        word for word in numbers if word != "one"
+    )  # "the one" is no number
     text = re.sub(rf"\b({several})\b", lambda match: str(numbers.index(match[1])), text)
     text = re.sub(rf"({NUMBER}) or (?:more|greater|higher|larger)", r">=\1", text)
     text = re.sub(rf"({NUMBER}) or (?:less|fewer|lower|smaller)", r"<=\1", text)

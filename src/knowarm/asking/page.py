@@ -58,7 +58,11 @@ def place_labels(asked: Asked) -> list[Label]:
         half = _half_width(text)
         left = min(max(x, half), 100 - half)
         tops = _tops(y)
-        free = (top for top in tops if not any(_overlaps(left, top, half, it) for it in labels))
+        free = (
+            top
+            for top in tops
+            if not any(_overlaps(left, top, half, it) for it in labels)
+        )
         labels.append(
             Label(
                 text=text,
@@ -119,7 +123,9 @@ def page(
         values["words"] = asker.words
         values["examples"] = asker.examples
         values["seen"] = asker.seen
-        values["unseen"] = sorted({name for name, _ in asker.facets}.difference(asker.seen))
+        values["unseen"] = sorted(
+            {name for name, _ in asker.facets}.difference(asker.seen)
+        )
     if asked is not None:
         values.update(_pictures(asked), labels=place_labels(asked))
     elif asker is not None:
@@ -189,7 +195,9 @@ def make_server(
                 typed = fields.get("edit", [""])[0].splitlines()
                 lines = tuple(filter(None, map(str.strip, typed)))
                 wanted = fields.get("scene", [""])[0].strip()
-                number = int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
+                number = (
+                    int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
+                )
             asked = None
             problem = ""
             try:
@@ -204,7 +212,9 @@ def make_server(
             pass
 
     listener = listen(port)
-    server = ThreadingHTTPServer(listener.getsockname(), Handler, bind_and_activate=False)
+    server = ThreadingHTTPServer(
+        listener.getsockname(), Handler, bind_and_activate=False
+    )
     server.socket.close()
     server.socket = listener
     server.server_name = ADDRESS

@@ -49,7 +49,9 @@ class _State:
     done: tuple[ReadCondition, ...] = ()
     cost: float = 0.0
     strong: frozenset[str] | None = None  # The relations that are said; not used yet
-    outer: frozenset[str] | None = None  # The same before a noun: "used for something ..."
+    outer: frozenset[str] | None = (
+        None  # The same before a noun: "used for something ..."
+    )
     weak: tuple[str, ...] = ()  # Prepositions since the last condition
     noun: str = ""  # The relation of a noun that is counted
     number: str = ""
@@ -82,12 +84,16 @@ class _Reader:
         self.vocabulary = vocabulary
         self.words = tokens(text)
         if not 0 < len(self.words) <= MOST_WORDS:
-            raise self.refused(f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}")
+            raise self.refused(
+                f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}"
+            )
         self.matches = [list(self.match(start)) for start in range(len(self.words))]
 
     def refused(self, why: str) -> UserError:
         """Return the error of a question that is not understood, with the nearest conditions."""
-        near = self.vocabulary.nearest([word for word in self.words if word not in _NO_VALUE])
+        near = self.vocabulary.nearest(
+            [word for word in self.words if word not in _NO_VALUE]
+        )
         return UserError(f"The question {self.text!r} is not understood: {why}. {near}")
 
     def best(self) -> list[ReadCondition]:
@@ -116,7 +122,9 @@ class _Reader:
         if not texts[0]:
             first, second, *_, last = nearest.done
             remedy = f"write it with brackets, as ({first} or {second}) and {last}"
-            raise self.refused(f"'and' and 'or' can be joined in several ways; {remedy}")
+            raise self.refused(
+                f"'and' and 'or' can be joined in several ways; {remedy}"
+            )
         return list(nearest.done)
 
     def reason(self, furthest: int) -> str:
@@ -141,7 +149,9 @@ class _Reader:
             yield 1, replace(state, number="1", weak=())
         if state.noun and state.outer is None:  # "more than two parts that ..."
             for closed in self.closed(state):
-                yield from self.following(start, replace(closed, cost=closed.cost + INFLECTED))
+                yield from self.following(
+                    start, replace(closed, cost=closed.cost + INFLECTED)
+                )
         yield from self.values(start, state)
         for entry, far in self.matches[start]:
             if len(entry.words) > 1 and far <= INFLECTED:
@@ -179,7 +189,10 @@ class _Reader:
         join = state.join
         if word == "nor":
             join = join or "and"
-        yield 1, replace(state, weak=weak, join=join, noun="", negated=not state.negated)
+        yield (
+            1,
+            replace(state, weak=weak, join=join, noun="", negated=not state.negated),
+        )
 
     def cues(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
         """Yield the state behind a word that says a relation, or changes nothing."""
@@ -193,11 +206,17 @@ class _Reader:
                 noun = self.vocabulary.noun(word, is_counted)
                 yield 1, replace(state, strong=both, noun=noun)
             is_location = word == "used" and self.after(start) in ("in", "at", "on")
-            if state.strong is None and not state.weak and (last in said or is_location):
+            if (
+                state.strong is None
+                and not state.weak
+                and (last in said or is_location)
+            ):
                 yield 1, state  # "round shape", "red in colour", "used in the kitchen"
         if word in WEAK:
             yield 1, replace(state, weak=(*state.weak, word))
-            if last and (word != "with" or self.vocabulary.family(last) is FAMILIES["use"]):
+            if last and (
+                word != "with" or self.vocabulary.family(last) is FAMILIES["use"]
+            ):
                 yield 1, replace(state, cost=state.cost + 0.01)  # "to drink from"
             if start and self.words[start - 1] in _REQUESTS and not state.done:
                 yield 1, state  # "look for", "want to"
@@ -278,7 +297,9 @@ class _Reader:
                 continue  # "for water" is not to water, though "water" is its verb
             cost = self.fits(entry, state)
             if cost is not None:
-                condition = ReadCondition(entry.text, entry.relation, is_bare=state.is_bare)
+                condition = ReadCondition(
+                    entry.text, entry.relation, is_bare=state.is_bare
+                )
                 yield longest, self.added(state, condition, far + cost)
 
     def is_exact(self, start: int, entry: Entry) -> bool:
@@ -324,14 +345,18 @@ class _Reader:
             return True
         return any(self.vocabulary.allows(word, entry.inner) for word in state.weak)
 
-    def added(self, state: _State, condition: ReadCondition, cost: float = 0.0) -> _State:
+    def added(
+        self, state: _State, condition: ReadCondition, cost: float = 0.0
+    ) -> _State:
         """Return the state behind a condition."""
         join = state.join or "and"
         inherits = False
         if state.negated is None and state.done and state.join and not state.is_new:
             before = state.done[-1]
             is_same = before.relation == condition.relation or join == "or"
-            is_open = before.negated and not before.is_whole  # "not the blue one, the red one"
+            is_open = (
+                before.negated and not before.is_whole
+            )  # "not the blue one, the red one"
             inherits = is_open and condition.is_bare and is_same and join != "but"
         whole = replace(
             condition,
@@ -387,7 +412,12 @@ class _Reader:
             yield 1, replace(state, best=extreme, weak=())
             for relation in sorted(self.vocabulary.said(after[0])):
                 if self.vocabulary.numbers(relation):
-                    yield 2, self.added(state, ReadCondition(relation, relation, best=extreme))
+                    yield (
+                        2,
+                        self.added(
+                            state, ReadCondition(relation, relation, best=extreme)
+                        ),
+                    )
         adjective = word
         length = 1
         if word in ("most", "least", "more", "less"):
@@ -400,7 +430,10 @@ class _Reader:
             sign = "<" if sign == ">" else ">"
         if word.endswith("est") or word in ("most", "least"):
             extreme = "max" if sign == ">" else "min"
-            yield length, self.added(state, ReadCondition(relation, relation, best=extreme))
+            yield (
+                length,
+                self.added(state, ReadCondition(relation, relation, best=extreme)),
+            )
         elif after[0] == "than" and re.fullmatch(NUMBER, after[1]):
             length += 2 + (after[2] in WORDS["money"])
             text = f"{relation} {sign} {after[1]}"
@@ -440,6 +473,8 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
     among = holders(joined(rest)) if rest else set(vocabulary.heads)
     values = [number for head, number in numbers.items() if head in among]
     if not values:
-        raise reader.refused(f"no object that it is about has a number of {superlative.relation}")
+        raise reader.refused(
+            f"no object that it is about has a number of {superlative.relation}"
+        )
     extreme = max(values) if superlative.best == "max" else min(values)
     return joined([*rest, ReadCondition(f"{superlative.text} = {extreme:g}")])

@@ -85,11 +85,17 @@ class Vocabulary:
         for head in heads:
             rows = graph.out_rows(head)
             pairs.update(
-                zip(graph.relations[rows].tolist(), graph.tails[rows].tolist(), strict=True)
+                zip(
+                    graph.relations[rows].tolist(),
+                    graph.tails[rows].tolist(),
+                    strict=True,
+                )
             )
         for relation, tail in sorted(pairs):
             name = graph.relation_names.short(relation)
-            self.words.setdefault(name, words_of(self._label(graph.relation_names[relation])))
+            self.words.setdefault(
+                name, words_of(self._label(graph.relation_names[relation]))
+            )
             yield name, tail
 
     def _entry(self, relation: str, tail: int, inner: str = "") -> Entry:
@@ -135,7 +141,9 @@ class Vocabulary:
 
     def allows(self, word: str, relation: str) -> bool:
         """Return whether a preposition or "has" can stand before a value of a relation."""
-        return word in self.words[relation] or word in self.family(relation).weak.split()
+        return (
+            word in self.words[relation] or word in self.family(relation).weak.split()
+        )
 
     def numbers(self, relation: str) -> dict[int, float]:
         """Return the numbers that a relation states, by what it states them of."""
@@ -166,7 +174,9 @@ class Vocabulary:
         for sign, size in ((">", "large"), ("<", "small")):
             for relation in self.words:
                 adjectives = getattr(self.family(relation), size).split()
-                is_near = any(near(word, adjective, INFLECTED) for adjective in adjectives)
+                is_near = any(
+                    near(word, adjective, INFLECTED) for adjective in adjectives
+                )
                 if is_near and self.numbers(relation):
                     return relation, sign
         return "", ""
@@ -177,22 +187,35 @@ class Vocabulary:
         by_word = dict[str, str]()
         for entry in self.entries:
             by_word.update(dict.fromkeys(entry.words, entry.text))
-            if any(near(word, other, SYNONYM) for word, other in product(words, entry.words)):
+            if any(
+                near(word, other, SYNONYM)
+                for word, other in product(words, entry.words)
+            ):
                 texts.append(entry.text)
         for word in words:
             texts += map(by_word.__getitem__, get_close_matches(word, by_word, n=1))
         if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
-            texts = [entry.text for entry in self.entries if entry.relation == COLOUR_RELATION]
+            texts = [
+                entry.text
+                for entry in self.entries
+                if entry.relation == COLOUR_RELATION
+            ]
         if texts:
             return f"Nearest: {'; '.join(list(dict.fromkeys(texts))[:9])}."
-        examples = {entry.relation: entry.text for entry in self.entries if not entry.inner}
+        examples = {
+            entry.relation: entry.text for entry in self.entries if not entry.inner
+        }
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
 
 
 def words_of(label: str) -> list[str]:
     """Return the words of a name or label in lower case."""
-    text = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", unicodedata.normalize("NFC", label))
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)  # and ConceptNet's /r/UsedFor above
+    text = re.sub(
+        r"^/(?:c/\w+|r)/([^/]+).*", r"\1", unicodedata.normalize("NFC", label)
+    )
+    text = re.sub(
+        r"(?<=[a-z0-9])(?=[A-Z])", " ", text
+    )  # and ConceptNet's /r/UsedFor above
     return re.findall(r"[^\W_]+(?:\.\d+)?", text.casefold())
 
 

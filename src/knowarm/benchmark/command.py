@@ -31,7 +31,14 @@ class ShowSuites:
 
     def run(self) -> None:
         """Print a table per suite."""
-        titles = ["cell", "episodes", "success within", "oracle %", "open-loop %", "chance %"]
+        titles = [
+            "cell",
+            "episodes",
+            "success within",
+            "oracle %",
+            "open-loop %",
+            "chance %",
+        ]
         for suite in map(read_suite, suite_names()):
             rows = []
             for cell in suite.cells.values():
@@ -40,7 +47,9 @@ class ShowSuites:
                 scores = [_percent(cell.reference[name]) for name in REFERENCES]
                 rows.append([cell.name, f"{len(cell.episodes):,}", within, *scores])
             print_table(f"{suite.name}: {suite.about}", titles, rows)
-            print(f"Digest {suite.digest[:16]}; {suite.training_seeds} training seeds per row.\n")
+            print(
+                f"Digest {suite.digest[:16]}; {suite.training_seeds} training seeds per row.\n"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +74,9 @@ class RunSuite:
     def run(self) -> None:
         """Play, print and write."""
         if not self.policy:
-            raise UserError("--policy needs a policy: a run folder, an ONNX file, module:Name.")
+            raise UserError(
+                "--policy needs a policy: a run folder, an ONNX file, module:Name."
+            )
         name = self.name or self.policy[0]
         suite = read_suite(self.suite)
         if self.trial is None:
@@ -80,7 +91,9 @@ class RunSuite:
         row = run_suite(suite, entrants, name=name, cells=self.cells, report=_report)
         for table, summary in row["summary"].items():
             rows = [[cell, *_figures(row["cells"][cell])] for cell in summary["cells"]]
-            print_table(f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows)
+            print_table(
+                f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows
+            )
         if self.trial is not None:
             print("A trial: no row was written.")
             return
@@ -119,7 +132,11 @@ class VerifyRow:
                     )
             entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)
-        how = "played again with the same outcomes" if self.play else "consistent; not played again"
+        how = (
+            "played again with the same outcomes"
+            if self.play
+            else "consistent; not played again"
+        )
         print(f"{self.row}: {how}.")
 
 
@@ -158,5 +175,10 @@ def _interval(figures: dict[str, float]) -> str:
     return f"{mean} [{_percent(figures['low'])}, {_percent(figures['high'])}]"
 
 
-COMMANDS = {"show": ShowSuites, "run": RunSuite, "verify": VerifyRow, "table": WriteTable}
+COMMANDS = {
+    "show": ShowSuites,
+    "run": RunSuite,
+    "verify": VerifyRow,
+    "table": WriteTable,
+}
 """Commands of the group `knowarm benchmark`, by name."""

@@ -29,7 +29,9 @@ class OnnxPolicy:
             self._session = session = onnxruntime.InferenceSession(path, options)
         sizes = {tensor.name: tensor.shape[1:] for tensor in session.get_inputs()}
         self._observed = sizes.keys() & {"image", "joint_targets"}
-        self._state_sizes = {name: sizes[name] for name in sizes if name not in self._observed}
+        self._state_sizes = {
+            name: sizes[name] for name in sizes if name not in self._observed
+        }
         if len(session.get_outputs()) != 1 + len(self._state_sizes):
             raise UserError(
                 f"{path} must have an output for the actions and one per state (all inputs but "
@@ -56,7 +58,9 @@ class OnnxPolicy:
             actions, *states = self._session.run(None, inputs)
         except Exception as error:  # ONNX Runtime's errors have no common class
             shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in inputs.items())
-            raise UserError(f"{self._path} does not take {shapes}: {one_line(error)}.") from None
+            raise UserError(
+                f"{self._path} does not take {shapes}: {one_line(error)}."
+            ) from None
         self._state = dict(zip(self._state, states, strict=True))
         if actions.ndim != 3:
             return actions
@@ -118,7 +122,9 @@ class PredictingPolicy:
         inputs: Any = observations["image"]
         if isinstance(self._names, dict):
             inputs = {name: observations[name] for name in self._names}
-        actions, self._state = self._model.predict(inputs, self._state, self._start, True)
+        actions, self._state = self._model.predict(
+            inputs, self._state, self._start, True
+        )
         self._start = np.zeros_like(self._start)
         if np.issubdtype(actions.dtype, np.integer):
             return actions

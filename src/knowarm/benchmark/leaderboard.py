@@ -51,7 +51,9 @@ def tables(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return result
 
 
-def _table(suite: Suite, name: str, cells: list[str], rows: Sequence[Row]) -> dict[str, Any]:
+def _table(
+    suite: Suite, name: str, cells: list[str], rows: Sequence[Row]
+) -> dict[str, Any]:
     lines = [_line(suite, name, cells, row) for row in rows]
     ranked = [line for line in lines if line["is_ranked"]]
     controls: set[str] = set()
@@ -126,7 +128,11 @@ def write_leaderboard(rows: Sequence[Row], path: Path) -> list[Path]:
     )
     templates.filters["percent"] = lambda share: f"{100 * share:.1f}"
     paths = [path.with_suffix(".html"), path.with_suffix(".md")]
-    contents = {"tables": tables(rows), "controls": CONTROLS, "style": Markup(style_sheet())}
+    contents = {
+        "tables": tables(rows),
+        "controls": CONTROLS,
+        "style": Markup(style_sheet()),
+    }
     for file in paths:
         template = templates.get_template(f"leaderboard{file.suffix}.j2")
         text = template.render(contents)

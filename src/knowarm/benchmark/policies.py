@@ -108,7 +108,9 @@ def _run(spec: str) -> Entrant:
         learned = config.env
         played = cell.env
         if (learned.robot, learned.task.name) != (played.robot, played.task.name):
-            raise UserError(f"{spec} was trained for {learned.robot} and {learned.task.name}.")
+            raise UserError(
+                f"{spec} was trained for {learned.robot} and {learned.task.name}."
+            )
         if facets_of(learned) != facets_of(played):
             raise UserError(f"{spec} was trained with other objects or colours.")
         graph = cell.graph or played.task.asked.edited_graph(facets_of(played))
@@ -131,7 +133,12 @@ def _run(spec: str) -> Entrant:
     if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((folder.checkpoints / "best").glob("*.safetensors"))
-    for name in ("config.json", "provenance.json", "knowledge.safetensors", PERCEPTION_FILE):
+    for name in (
+        "config.json",
+        "provenance.json",
+        "knowledge.safetensors",
+        PERCEPTION_FILE,
+    ):
         file = folder.path / name
         if file.is_file():
             files.append(file)
@@ -148,7 +155,10 @@ def _run(spec: str) -> Entrant:
 
 
 def _exported(spec: str, folder: Path) -> Entrant:
-    with reading(folder, "Export the policy again."), packages_of("onnx", "An exported folder"):
+    with (
+        reading(folder, "Export the policy again."),
+        packages_of("onnx", "An exported folder"),
+    ):
         contract_digest = digest((folder / "contract.json").read_bytes())
         runner = Runner.load(folder)
         rows = runner.contract["knowledge"]["rows"]
@@ -156,11 +166,17 @@ def _exported(spec: str, folder: Path) -> Entrant:
     has_words = len(rows) > 1
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        if has_words and not set(env.config.task.asked.knowledge_rows(env.facets)) <= set(rows):
-            raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
+        if has_words and not set(
+            env.config.task.asked.knowledge_rows(env.facets)
+        ) <= set(rows):
+            raise UserError(
+                f"{spec} knows other facets or queries than those of {cell.name}."
+            )
         if runner.joint_names != tuple(env.scene.joint_names):
             joints = ", ".join(runner.joint_names)
-            raise UserError(f"{spec} moves the joints {joints}, and {cell.name} has others.")
+            raise UserError(
+                f"{spec} moves the joints {joints}, and {cell.name} has others."
+            )
         return policy
 
     return Entrant(
@@ -192,13 +208,19 @@ def _user_policy(spec: str) -> Any:
 def _entrant(spec: str, policy: Any) -> Entrant:
     for method in ("reset", "act"):
         if not callable(getattr(policy, method, None)):
-            raise UserError(f"{spec} has no method {method}(); a policy has reset and act.")
+            raise UserError(
+                f"{spec} has no method {method}(); a policy has reset and act."
+            )
     inputs = tuple(getattr(policy, "inputs", ("image",)))
     if unknown := set(inputs) - set(INPUTS):
-        raise UserError(f"{spec}.inputs names {', '.join(unknown)}; allowed: {', '.join(INPUTS)}.")
+        raise UserError(
+            f"{spec}.inputs names {', '.join(unknown)}; allowed: {', '.join(INPUTS)}."
+        )
     return Entrant(
         spec=spec,
-        make=lambda cell, env: InformedAgent(policy, partial(replace, graph=cell.graph)),
+        make=lambda cell, env: InformedAgent(
+            policy, partial(replace, graph=cell.graph)
+        ),
         inputs=inputs,
         training=str(getattr(policy, "training", "")),
         digest=getattr(policy, "digest", ""),

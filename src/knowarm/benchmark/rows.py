@@ -18,7 +18,12 @@ from knowarm.reading import read_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import play
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol, Batch
-from knowarm.world.agents.scripted import BlindAgent, FrozenAgent, InformedAgent, OpenLoopAgent
+from knowarm.world.agents.scripted import (
+    BlindAgent,
+    FrozenAgent,
+    InformedAgent,
+    OpenLoopAgent,
+)
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
@@ -28,7 +33,9 @@ MOST_TEXT = 300
 """Longest text of a row: a name, a spec, or how a policy was trained."""
 MOST_TOLERANCE = 0.1
 FIELDS = {"format", "suite", "digest", "name", "policy", "version", "cells", "summary"}
-OPTIONAL_CONTROL = "shuffled graph"  # of agents that answer by a graph, and of no others
+OPTIONAL_CONTROL = (
+    "shuffled graph"  # of agents that answer by a graph, and of no others
+)
 
 Row = dict[str, Any]
 Outcome = dict[str, dict[str, str]]
@@ -103,8 +110,12 @@ def _check_seeds(entrants: Sequence[Entrant]) -> None:
         values = dict.fromkeys(getattr(entrant, name) for entrant in entrants)
         if len(values) > 1:
             listed = " | ".join(map(str, values))
-            raise UserError(f"The seeds of one policy must have equal {name}, got {listed}.")
-    different = {entrant.digest or f"{entrant.spec}/{entrant.seed}" for entrant in entrants}
+            raise UserError(
+                f"The seeds of one policy must have equal {name}, got {listed}."
+            )
+    different = {
+        entrant.digest or f"{entrant.spec}/{entrant.seed}" for entrant in entrants
+    }
     if len(different) < len(entrants):
         specs = ", ".join(entrant.spec for entrant in entrants)
         raise UserError(f"Give each seed once, got {specs}.")
@@ -146,7 +157,9 @@ def _required_controls(cell: Cell, inputs: Sequence[str]) -> list[str]:
     return controls
 
 
-def _controls(cell: Cell, entrant: Entrant, env: ArmVectorEnv) -> dict[str, AgentProtocol]:
+def _controls(
+    cell: Cell, entrant: Entrant, env: ArmVectorEnv
+) -> dict[str, AgentProtocol]:
     make = entrant.make
     makers: dict[str, Callable[[], AgentProtocol]] = {
         "open-loop": lambda: OpenLoopAgent(cell.open_loop),
@@ -167,7 +180,9 @@ def shuffled(batch: Batch) -> Batch:
     return replace(batch, names=batch.names[order])
 
 
-def _play(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> dict[str, str]:
+def _play(
+    agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes
+) -> dict[str, str]:
     """Play episodes; return success, and where the task has queries right choices, as hex."""
     result = play(agent, env, episodes)
     measures = {"success": result.success}
@@ -200,7 +215,9 @@ def _figures(suite: Suite, row: Row) -> dict[str, Any]:
         controls = {}
         for control in CONTROLS:
             if control in outcomes[0]:
-                seeds = [_bits(outcome[control]["success"], count) for outcome in outcomes]
+                seeds = [
+                    _bits(outcome[control]["success"], count) for outcome in outcomes
+                ]
                 controls[control] = float(np.mean([bits.mean() for bits in seeds]))
         cells[name] = {**measures, "controls": controls, "outcomes": outcomes}
     summary = {}
@@ -209,7 +226,9 @@ def _figures(suite: Suite, row: Row) -> dict[str, Any]:
         controls = {}
         for control in CONTROLS:
             if all(control in shares for shares in of_cells):
-                controls[control] = float(np.mean([shares[control] for shares in of_cells]))
+                controls[control] = float(
+                    np.mean([shares[control] for shares in of_cells])
+                )
         by_seed = zip(*[successes[name] for name in names], strict=True)
         count = min(len(suite.cells[name].episodes) for name in names)
         success = _share([np.concatenate(bits) for bits in by_seed], count)
@@ -227,7 +246,9 @@ def _share(seeds: Sequence[Mask], episodes: int) -> dict[str, Any]:
             so do training seeds.
     """
     shares = [float(bits.mean()) for bits in seeds]
-    different = {bits.tobytes(): share for bits, share in zip(seeds, shares, strict=True)}
+    different = {
+        bits.tobytes(): share for bits, share in zip(seeds, shares, strict=True)
+    }
     if len(set(different.values())) > 1:
         interval = bootstrap(np.array(list(different.values())))
     else:
@@ -249,7 +270,9 @@ def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
     by_cell = []
     for name in names:
         outcomes = row["cells"][name]["outcomes"]
-        if not all("right" in outcome.get("shuffled query", {}) for outcome in outcomes):
+        if not all(
+            "right" in outcome.get("shuffled query", {}) for outcome in outcomes
+        ):
             return None
         count = suite.episodes_of_controls(name)
         by_cell.append([_gain(outcome)[:count] for outcome in outcomes])
@@ -280,15 +303,21 @@ def read_row(path: Path) -> Row:
         )
     suite = read_suite(str(row.get("suite")))
     if row.get("digest") != suite.digest:
-        raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
+        raise UserError(
+            f"{path} was measured on another {suite.name}: the digests differ."
+        )
     try:
         _check_declared(suite, row)
         computed = row | _figures(suite, row)
     except (AttributeError, KeyError, ValueError, TypeError, IndexError) as error:
-        raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
+        raise UserError(
+            f"{path} is damaged: {error!r}. Measure the row again."
+        ) from None
     as_stored = json.loads(json.dumps(computed))
     for where, (stored, follows) in differences(row, as_stored).items():
-        raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")
+        raise UserError(
+            f"{path}: {where} is {stored}, but its episodes give {follows}."
+        )
     return row
 
 
@@ -303,7 +332,9 @@ def _check_declared(suite: Suite, row: Row) -> None:
     digests = policy["digests"]
     for text in [row["name"], policy["training"], *policy["inputs"], *specs, *digests]:
         if not text.isprintable() or len(text) > MOST_TEXT:
-            raise ValueError(f"{text!r:.40} is not one line of at most {MOST_TEXT} characters")
+            raise ValueError(
+                f"{text!r:.40} is not one line of at most {MOST_TEXT} characters"
+            )
     if not row["name"] or not row["cells"] or not specs:
         raise ValueError("it has no name, no cells or no policy")
     _check_names("it", row.keys(), FIELDS)
@@ -318,7 +349,9 @@ def _check_declared(suite: Suite, row: Row) -> None:
     for name, cell in row["cells"].items():
         needed = {"policy", *_required_controls(suite.cells[name], policy["inputs"])}
         for _, outcome in zip(specs, cell["outcomes"], strict=True):
-            _check_names(f"cells.{name}.outcomes", outcome.keys() - {OPTIONAL_CONTROL}, needed)
+            _check_names(
+                f"cells.{name}.outcomes", outcome.keys() - {OPTIONAL_CONTROL}, needed
+            )
 
 
 def _check_names(where: str, names: Any, needed: set[str]) -> None:
@@ -347,14 +380,18 @@ def verify(
             of files may differ where there is a tolerance.
     """
     if not 0 <= tolerance < MOST_TOLERANCE:  # also for NaN
-        raise UserError(f"tolerance must lie from 0 to below {MOST_TOLERANCE}, got {tolerance}.")
+        raise UserError(
+            f"tolerance must lie from 0 to below {MOST_TOLERANCE}, got {tolerance}."
+        )
     suite = read_suite(row["suite"])
     declared = _declared(entrants)
     may_differ = ["specs", "digests"] if tolerance else ["specs"]
     for name in may_differ:
         declared[name] = row["policy"][name]
     for name, (stored, played) in differences(row["policy"], declared).items():
-        raise UserError(f"policy.{name}: the row says {stored}, the given policy has {played}.")
+        raise UserError(
+            f"policy.{name}: the row says {stored}, the given policy has {played}."
+        )
     cells = list(row["cells"])
     again = run_suite(suite, entrants, name=row["name"], cells=cells, report=report)
     for name, cell in row["cells"].items():

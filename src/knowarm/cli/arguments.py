@@ -34,7 +34,11 @@ from tyro.conf import (
     Suppress,
     arg,
 )
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+)
 
 from knowarm.config import TAGS
 from knowarm.errors import UserError, unknown_name
@@ -54,7 +58,9 @@ OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
 """Options of every command that import a part of your own: variable that does too, and how."""
 REGISTRY = ConstructorRegistry()
 """Rules by which values of options are read, beside tyro's own."""
-NO_TYPE = re.compile(r"no type matching (?:\{None\}\|)?(.*) could be instantiated from \[(.*)\]")
+NO_TYPE = re.compile(
+    r"no type matching (?:\{None\}\|)?(.*) could be instantiated from \[(.*)\]"
+)
 """Message of tyro on a value: type and value."""
 
 
@@ -67,7 +73,9 @@ def _integer(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
         nargs=1,
         metavar="INT",
         instance_from_str=lambda words: _to_integer(words[0]),
-        is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
+        is_instance=lambda value: (
+            isinstance(value, int) and not isinstance(value, bool)
+        ),
         str_from_instance=lambda value: [str(value)],
     )
 
@@ -78,7 +86,9 @@ def _to_integer(word: str) -> int:
     try:
         return int(word)
     except ValueError:
-        raise ValueError(f"expected a whole number, such as 200000 or 2e5, got {word!r}") from None
+        raise ValueError(
+            f"expected a whole number, such as 200000 or 2e5, got {word!r}"
+        ) from None
 
 
 # Alternatives such as tasks are options, not commands: the default says which one is meant.
@@ -91,7 +101,9 @@ def parse_options(
     """Make a command, a dataclass, from its options; ``options`` are those of `tyro.cli`."""
     for name, count in Counter(map(_option_of, arguments)).items():
         if count > 1 and re.match(r"--[a-z]", name):
-            raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
+            raise UserError(
+                f"{name} is given twice; give it once, a list as {name} FIRST SECOND."
+            )
     shape = options.get("default") or command
     if HELP.intersection(arguments):
         _print_help(shape, prog)
@@ -124,12 +136,16 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
             unknown = ", ".join(event.tokens)
             problem = f"Unrecognized options: {unknown}.{_near(shape, event.tokens)}"
         case parse_errors.MissingArgs():
-            names = [str(missing.arg.lowered.metavar) for missing in event.missing_arguments]
+            names = [
+                str(missing.arg.lowered.metavar) for missing in event.missing_arguments
+            ]
             problem = f"Missing from {event.prog}: {', '.join(names)}."
         case parse_errors.BadValue(reason="too_few_values"):
             problem = f"Missing value of {event.argument.display_name()}."
         case parse_errors.InstantiationFailure():
-            option = event.argument.display_name() if event.argument else "the arguments"
+            option = (
+                event.argument.display_name() if event.argument else "the arguments"
+            )
             problem = f"Error parsing {option}: {_in_words(event.message)}."
         case _:
             return
@@ -222,7 +238,11 @@ def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
 
 
 def answer_help(
-    default: Any, prog: str, words: Sequence[str], first: Collection[str], about: str = ""
+    default: Any,
+    prog: str,
+    words: Sequence[str],
+    first: Collection[str],
+    about: str = "",
 ) -> list[str]:
     """Print the help of the fields ``first`` of a command, or of the group after `--help`; exit.
 
@@ -256,7 +276,10 @@ def answer_help(
 
 
 def _print_help(
-    default: Any, prog: str, is_shown: Callable[[str], bool] = lambda path: True, about: str = ""
+    default: Any,
+    prog: str,
+    is_shown: Callable[[str], bool] = lambda path: True,
+    about: str = "",
 ) -> None:
     """Print the help of a command, a class or an object of it with its defaults, and exit."""
     config = (*READING["config"], DisallowNone)
@@ -278,7 +301,11 @@ def _groups(config: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _showing(
-    config: Any, is_shown: Callable[[str], bool], prefix: str = "", *, is_one_of: bool = False
+    config: Any,
+    is_shown: Callable[[str], bool],
+    prefix: str = "",
+    *,
+    is_one_of: bool = False,
 ) -> type:
     """Return a class like a config's, with its values as defaults, whose help shows some fields.
 
@@ -340,7 +367,9 @@ def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str
     return name, words
 
 
-def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list[str], str | None]:
+def take_option(
+    arguments: Sequence[str], flag: str, example: str
+) -> tuple[list[str], str | None]:
     """Take an option such as `--source analogy` out of arguments; return the others and its value.
 
     Options of its fields (`--source.file`) are left in place.
@@ -363,7 +392,9 @@ def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list
     return others, value
 
 
-def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], "VectorSource | None"]:
+def take_source(
+    arguments: Sequence[str], flag: str
+) -> tuple[list[str], "VectorSource | None"]:
     """Take the short name of a source of vectors out of arguments, as `take_option` does."""
     from knowarm.knowledge.vectors import source_named
 
@@ -377,7 +408,9 @@ def read_names(words: Sequence[str]) -> dict[str, str]:
     for word in words:
         lines = [word]
         if "=" not in word:
-            text = read_text(Path(word), remedy="Give mug=CoffeeMug, or a file of such lines.")
+            text = read_text(
+                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
+            )
             lines = text.split("\n")
         for line in filter(None, map(str.strip, lines)):
             name, _, other = map(str.strip, line.partition("="))

@@ -120,7 +120,9 @@ class ConditionOptions:
             conditions.append(GraphTest(graph=self.graph, names=read_names(self.names)))
         elif self.names:
             raise UserError("--names are those of another graph: give --graph.")
-        reasoning = ReasoningTest(by=self.reasoning, unclear=self.unclear, level=self.level)
+        reasoning = ReasoningTest(
+            by=self.reasoning, unclear=self.unclear, level=self.level
+        )
         if reasoning != ReasoningTest():
             conditions.append(reasoning)
         if self.damage is not None or self.repair is not None:
@@ -177,7 +179,9 @@ class Evaluate(TableCommand):
 
     agent: Annotated[Positional[str], arg(metavar="AGENT")]
     """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
-    evaluation: Annotated[EpisodeOptions, OmitArgPrefixes] = field(default_factory=EpisodeOptions)
+    evaluation: Annotated[EpisodeOptions, OmitArgPrefixes] = field(
+        default_factory=EpisodeOptions
+    )
     """Episodes and success criteria."""
     conditions: Annotated[ConditionOptions, OmitArgPrefixes] = field(
         default_factory=ConditionOptions
@@ -204,7 +208,9 @@ class Evaluate(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
-        from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
+        from knowarm.experiment.evaluate import (
+            evaluate,
+        )  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
         recorded: RecordOptions = self.probes
@@ -213,12 +219,16 @@ class Evaluate(TableCommand):
         report = partial(print, file=sys.stderr, flush=True)
         if is_scripted(self.agent):
             if self.perception is not None:
-                raise UserError("A scripted agent perceives nothing: leave out --perception.")
+                raise UserError(
+                    "A scripted agent perceives nothing: leave out --perception."
+                )
             default = EnvConfig()
             for name in ("distance-m", "angle-deg"):
                 field_name = f"success_{name.replace('-', '_')}"
                 if getattr(self.env, field_name) != getattr(default, field_name):
-                    raise UserError(f"--env.success-{name} is of training: give --{name} here.")
+                    raise UserError(
+                        f"--env.success-{name} is of training: give --{name} here."
+                    )
             make = SCRIPTED_AGENTS[self.agent].make
             result = evaluate(
                 lambda env: make(env, how.seed),
@@ -264,7 +274,9 @@ def parse_with_task(
         make: Callable[..., Command] = command
         options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
     parsed: Any = parse_options(command, prog, words, **options)
-    if any(word.startswith("--env.") for word in arguments) and not is_scripted(parsed.agent):
+    if any(word.startswith("--env.") for word in arguments) and not is_scripted(
+        parsed.agent
+    ):
         raise UserError("A run has its own environment: leave out the --env options.")
     return parsed
 
@@ -288,7 +300,9 @@ def _print(summary: Summary) -> None:
         _print_groups("By target and colour", "target/colour", facets)
     blind = summary.groups.get("blind")
     if blind:
-        _print_groups("Blind agents, on the first of these episodes", "blind agent", blind)
+        _print_groups(
+            "Blind agents, on the first of these episodes", "blind agent", blind
+        )
         for name, entry in BLIND_AGENTS.items():
             print(f"{name}: {entry.about}.")
         gain = measure("vision_gain")

@@ -31,7 +31,9 @@ def _print_kinds() -> None:
     }
     rows: list[list[Any]] = []
     for kind, names in names_by_kind.items():
-        rows.append([kind, len(names), ", ".join(names[:FIRST]), f"knowarm list {kind}"])
+        rows.append(
+            [kind, len(names), ", ".join(names[:FIRST]), f"knowarm list {kind}"]
+        )
     print_table("Names", ["kind", "number", "the first", "for all"], rows)
 
 

@@ -20,13 +20,22 @@ from knowarm.private_apis import end_process
 from knowarm.world.description import trust
 
 COMMANDS = {
-    "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
+    "demo": (
+        "train:Demo",
+        "train two agents for a short time, evaluate them, write a report",
+    ),
     "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
     "train": ("train:Train", "train one agent, or resume a stopped run"),
-    "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
+    "evaluate": (
+        "evaluate:Evaluate",
+        "evaluate a trained or scripted agent on fixed episodes",
+    ),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("study:Report", "write one HTML report from run folders"),
-    "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
+    "knowledge": (
+        "knowledge:COMMANDS",
+        "inspect a graph, its sentences, vectors and embeddings",
+    ),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "hub": ("hub:HUB", "share policies and studies on the Hugging Face Hub"),
 }
@@ -37,10 +46,22 @@ work and may return an exit code, or a dict of such definitions by name.
 """
 
 DOORS = {
-    "ask": ("asking.command:Ask", "ask a trained agent a question that a graph answers"),
-    "answer": ("asking.command:AnswerCommand", "answer a question about objects by a graph alone"),
-    "export": ("deploy.command:Export", "write a trained policy as ONNX, with contract and runner"),
-    "serve": ("deploy.command:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
+    "ask": (
+        "asking.command:Ask",
+        "ask a trained agent a question that a graph answers",
+    ),
+    "answer": (
+        "asking.command:AnswerCommand",
+        "answer a question about objects by a graph alone",
+    ),
+    "export": (
+        "deploy.command:Export",
+        "write a trained policy as ONNX, with contract and runner",
+    ),
+    "serve": (
+        "deploy.command:Serve",
+        "serve a trained policy to robots over WebSocket (openpi)",
+    ),
     "ros": (
         "deploy.command:Ros",
         "drive a robot over ROS 2, with safety rules before every motion",
@@ -50,7 +71,10 @@ DOORS = {
         "benchmark.command:COMMANDS",
         "score any policy on frozen episodes, beside controls",
     ),
-    "doctor": ("own_robot.command:Doctor", "check this installation, or a robot of your own"),
+    "doctor": (
+        "own_robot.command:Doctor",
+        "check this installation, or a robot of your own",
+    ),
 }
 """The same for the commands of the packages above the core, below ``knowarm``.
 
@@ -107,7 +131,9 @@ def _run_command(arguments: list[str]) -> int:
     return 0
 
 
-def _show_warning(show: Callable[..., None], message: Any, category: Any, *where: Any) -> None:
+def _show_warning(
+    show: Callable[..., None], message: Any, category: Any, *where: Any
+) -> None:
     """Print a warning of a user's file on one line, and any other as Python does."""
     if category is DataWarning:
         print(f"knowarm: warning: {printable(str(message))}", file=sys.stderr)
@@ -126,7 +152,10 @@ def with_flags(error: UserError, command: str = "") -> str:
 
     Only `knowarm train` and `knowarm knowledge` have options for parts of an experiment's config.
     """
-    words = [_flag(part, command) if isinstance(part, Argument) else part for part in error.args]
+    words = [
+        _flag(part, command) if isinstance(part, Argument) else part
+        for part in error.args
+    ]
     return "".join(map(str, words))
 
 
@@ -154,7 +183,9 @@ def _parse(name: str, arguments: list[str]) -> Any:
             register(import_path)
     command = find_command(name)
     _, about = ALL[name]
-    return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)
+    return parse_command(
+        command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments
+    )
 
 
 def find_command(name: str) -> Any:
@@ -171,4 +202,6 @@ def find_command(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != door:
             raise
-        raise UserError(f"`knowarm {name}` is not installed here: it needs {door}.") from None
+        raise UserError(
+            f"`knowarm {name}` is not installed here: it needs {door}."
+        ) from None

@@ -32,11 +32,22 @@ from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
 from knowarm.study.driver import OnStatus, open_study, request_stop, retry, run_study
 from knowarm.study.executor import RunKey
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
-from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
+from knowarm.study.status import (
+    RunStatus,
+    runs_beside,
+    seconds_left,
+    study_status,
+    totals,
+)
 
 EVERY_S = 60.0  # time between two plain lines without a change
 PAUSED = ("stalled", "stopped", "paused")  # begun, and not going on
-STYLES = {"running": "cyan", "failed": "red", "done": "green", **dict.fromkeys(PAUSED, "yellow")}
+STYLES = {
+    "running": "cyan",
+    "failed": "red",
+    "done": "green",
+    **dict.fromkeys(PAUSED, "yellow"),
+}
 BAD = ("failed", "damaged")  # states that need an action of the user
 
 
@@ -143,7 +154,10 @@ class StudyShow:
         """Print it."""
         if self.study is None:
             studies = map(read_study, SHIPPED)
-            rows = [[shipped.name, len(shipped.runs()), shipped.about] for shipped in studies]
+            rows = [
+                [shipped.name, len(shipped.runs()), shipped.about]
+                for shipped in studies
+            ]
             print_table("Studies", ["study", "runs", "about"], rows)
             return
         study = read_study(self.study, of=self.of)
@@ -157,7 +171,9 @@ class StudyShow:
         print_table(title, ["experiment", "steps"], steps.items())
         for evaluation in study.evaluations:
             seeds = counted(evaluation.seeds, "seed")
-            print(f"Evaluated on {evaluation.episodes:,} episodes of {seeds}: {evaluation.folder}")
+            print(
+                f"Evaluated on {evaluation.episodes:,} episodes of {seeds}: {evaluation.folder}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +201,9 @@ class StudyRun:
         """Run the study."""
         study = read_study(self.study, of=self.of)
         chosen = {"kind": self.executor, "at_once": self.at_once, "cores": self.cores}
-        changes: dict[str, Any] = {name: v for name, v in chosen.items() if v is not None}
+        changes: dict[str, Any] = {
+            name: v for name, v in chosen.items() if v is not None
+        }
         where = replace(study.where, **changes)
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
         out = self.out
@@ -205,17 +223,23 @@ class StudyRun:
             if status.state in BAD:
                 print(state_line(status))
         if any(status.step for status in statuses):
-            print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
+            print(
+                f"Wrote {write_report([out], out / 'report.html')}: open it in a browser."
+            )
         states = {status.state for status in statuses}
         if states <= {"done"}:
             print(f"Complete: {out}")
             return
         if states <= {"done", "paused"}:
             print(f"Paused at step {self.until_step:,} of each run: {out}")
-            print("Run the same command with a larger --until-step, or without, to continue.")
+            print(
+                "Run the same command with a larger --until-step, or without, to continue."
+            )
             return
         if "failed" in states:
-            print(f"Let failed runs resume with: knowarm study retry {out}, then the same command.")
+            print(
+                f"Let failed runs resume with: knowarm study retry {out}, then the same command."
+            )
         if "damaged" in states:
             print("Repair or remove what is damaged, then run the same command again.")
         if states.isdisjoint(BAD):
@@ -249,7 +273,11 @@ class Status(FolderCommand, TableCommand):
             if status.detail and status.state in (*BAD, *PAUSED):
                 print(state_line(status))
         runs = [asdict(status) for status in statuses]
-        return {"study": study.name, **totals(statuses, study.where.cores), "runs": runs}
+        return {
+            "study": study.name,
+            **totals(statuses, study.where.cores),
+            "runs": runs,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

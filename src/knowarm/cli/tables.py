@@ -55,7 +55,9 @@ def print_meeting(meeting: Mapping[str, Sequence[str]]) -> None:
     print_table("Policy and graph", ["objects", "count", "names"], rows)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]
+) -> None:
     """Print a table; numbers are right-aligned, floats have three decimals, from 10 one.
 
     Cells wrap between words only, and not at all where they are a ``Text`` with ``no_wrap``.
@@ -68,7 +70,9 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]
         console.print(table, crop=False)
 
 
-def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) -> list[Table]:
+def lay_out(
+    columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int
+) -> list[Table]:
     """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
     headings = [Text(printable(name)) for name in columns]
     cells = [list(map(_cell, row)) for row in rows]
@@ -84,7 +88,9 @@ def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) ->
         table = Table(width=_total(widths))
         for i, width in zip(block, widths, strict=True):
             is_number = rows and all(isinstance(row[i], int | float) for row in rows)
-            table.add_column(headings[i], justify="right" if is_number else "left", width=width)
+            table.add_column(
+                headings[i], justify="right" if is_number else "left", width=width
+            )
         for row in cells:
             table.add_row(*(row[i] for i in block))
         tables.append(table)
@@ -179,7 +185,9 @@ def check_output(path: Path | None, option: str = "--json") -> None:
     with writing(path, f"Choose another path for {option}."):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not path.is_file():
-            path.open("a", encoding="utf-8").close()  # a device, or an error of the system
+            path.open(
+                "a", encoding="utf-8"
+            ).close()  # a device, or an error of the system
         else:
             TemporaryFile(dir=path.parent).close()
 

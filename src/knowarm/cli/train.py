@@ -117,10 +117,16 @@ class Train:
 
             path = run_path(command.runs, command.config)
             if not path.exists():
-                raise UserError(f"There is no run to resume in {path}: leave out --resume.")
-            command = parse_over(override_experiment(RunFolder.open(path).experiment(), values))
+                raise UserError(
+                    f"There is no run to resume in {path}: leave out --resume."
+                )
+            command = parse_over(
+                override_experiment(RunFolder.open(path).experiment(), values)
+            )
         else:
-            names = [word.partition("=")[0].lstrip("-").replace("-", "_") for word in words]
+            names = [
+                word.partition("=")[0].lstrip("-").replace("-", "_") for word in words
+            ]
             check_graphs(command.config, [*flatten(values), *names])
         own = ""
         for flag, (variable, _) in OWN.items():
@@ -154,11 +160,15 @@ class Train:
                 print(f"Paused at step {result.step:,} of {total} and saved: {path}")
                 print(f"Resume with: {self.again}")
                 return 0
-            print(f"Stopped at step {result.step:,} and saved. Resume with: {self.again}")
+            print(
+                f"Stopped at step {result.step:,} and saved. Resume with: {self.again}"
+            )
             return 130
         print(f"Trained for {result.step:,} steps: {path}")
         if result.best_return is not None:
-            success = read_json(run.folder.checkpoints / "best" / "meta.json")["facts"]["success"]
+            success = read_json(run.folder.checkpoints / "best" / "meta.json")["facts"][
+                "success"
+            ]
             print(
                 f"Best interim evaluation: success {100 * success:.0f} %, "
                 f"return {result.best_return:.1f}, at step {result.best_step:,}"
@@ -166,7 +176,9 @@ class Train:
             if result.best_step == 0:
                 print("That is the untrained network: none after it was better.")
         print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(path))}{self.own}")
-        print(f"Compare runs with: knowarm report {shlex.quote(str(self.runs))}{self.own}")
+        print(
+            f"Compare runs with: knowarm report {shlex.quote(str(self.runs))}{self.own}"
+        )
         return 0
 
 
@@ -183,7 +195,9 @@ class Demo:
         """Run the demo; return the exit code."""
         from knowarm.report import write_report
 
-        print(f"Trains two agents for {self.steps:,} steps each, evaluates them, writes a report.")
+        print(
+            f"Trains two agents for {self.steps:,} steps each, evaluates them, writes a report."
+        )
         with StopRequest() as should_stop:
             runs = demo(self.out, steps=self.steps, should_stop=should_stop)
         if runs is None:

@@ -106,14 +106,18 @@ class View:
             "ignore_roll": self.ignore_roll,
             "success_angle_deg": self.angle_deg,
         }
-        changes: dict[str, Any] = {name: value for name, value in options.items() if value}
+        changes: dict[str, Any] = {
+            name: value for name, value in options.items() if value
+        }
         env = ArmVectorEnv(replace(config, **changes), 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
         films = []
         knowledge = []
         for number in range(len(episodes)):
-            film = record_episode(agent, env, episodes[number : number + 1], axes=self.axes)
+            film = record_episode(
+                agent, env, episodes[number : number + 1], axes=self.axes
+            )
             films.append(film)
             if self.rrd is not None:
                 knowledge.append(self._knowledge(agent, film[0].policy))
@@ -126,7 +130,9 @@ class View:
             write_strip(self.strip, films)
             print(f"Wrote {self.strip}")
         if self.rrd is not None:
-            write_rrd(self.rrd, films, joints=env.scene.joint_names, knowledge=knowledge)
+            write_rrd(
+                self.rrd, films, joints=env.scene.joint_names, knowledge=knowledge
+            )
             print(f"Wrote {self.rrd}")
         if page is not None:
             write_page(page, f"KnowArm: {env.scene.robot.name}, {self.agent}", films)
@@ -150,14 +156,20 @@ class View:
                 raise UserError(f"{robot} is a run: knowarm view --agent {robot}")
             config = EnvConfig(robot=robot, task=self.task)
             return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
-        from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds
+        from knowarm.experiment.evaluate import (
+            check_fits,
+        )  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
         trained = load_agent(self.agent, seed=self.seed)
         config = trained.config.env
-        if self.robot is not None and find_robot(self.robot) != find_robot(config.robot):
+        if self.robot is not None and find_robot(self.robot) != find_robot(
+            config.robot
+        ):
             robots = f"robot {config.robot!r}, not on {self.robot!r}"
-            raise UserError(f"The run {self.agent} was trained on {robots}: leave out the robot.")
+            raise UserError(
+                f"The run {self.agent} was trained on {robots}: leave out the robot."
+            )
 
         def make(env: ArmVectorEnv) -> AgentProtocol:
             check_fits(trained, env, knows_task=False)

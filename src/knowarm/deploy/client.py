@@ -79,7 +79,9 @@ class Client:
             link = connect(self._url, compression=None, max_size=MOST_BYTES)
             about = contextlib.ExitStack().enter_context(link).recv(METADATA_S)
         except (OSError, WebSocketException, ValueError) as error:
-            raise UserError(f"No policy server answers at {self._url}: {error}.") from None
+            raise UserError(
+                f"No policy server answers at {self._url}: {error}."
+            ) from None
         if isinstance(about, str):  # no metadata
             raise UserError(f"The policy server at {self._url} refuses: {about:.300}")
         with contextlib.suppress(ValueError, TypeError, KeyError):  # of another library
@@ -94,10 +96,17 @@ class Client:
             link.send(pack(observation))
             answer = link.recv(ANSWER_S)
         except (OSError, WebSocketException) as error:
-            raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
+            raise UserError(
+                f"The policy server at {self._url} has gone: {error}."
+            ) from None
         try:
             targets = np.asarray(unpack(answer)["actions"], np.float64)[0]
-        except (ValueError, TypeError, KeyError, IndexError):  # a line of text, or no such array
+        except (
+            ValueError,
+            TypeError,
+            KeyError,
+            IndexError,
+        ):  # a line of text, or no such array
             targets = np.array(np.nan)
         if targets.shape != observation[STATE].shape or not np.isfinite(targets).all():
             raise UserError(

@@ -60,7 +60,9 @@ class Export(OfRun):
         more = " and more" if len(rows) > 3 else ""
         print(f"knowledge.npy: vectors of {', '.join(rows[:3])}{more}.")
         if not contract["success"]:
-            print(f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success.")
+            print(
+                f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +90,8 @@ class Serve(OfRun):
             resize=self.resize,
         )
         print(
-            f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
+            f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.",
+            flush=True,
         )
         server.run()
 
@@ -142,7 +145,9 @@ class Record:
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--env.task` takes the name of a task."""
-        return parse_with_task(cls, prog, arguments, agent=tyro.MISSING, to=tyro.MISSING)
+        return parse_with_task(
+            cls, prog, arguments, agent=tyro.MISSING, to=tyro.MISSING
+        )
 
     def run(self) -> None:
         """Play, write and say how many episodes succeeded."""
@@ -165,4 +170,6 @@ class Record:
             camera=self.camera,
             joint_map=self.joint_map,
         )
-        print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")
+        print(
+            f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded."
+        )

@@ -67,7 +67,9 @@ class Deployment:
             self.contract,
             self.knowledge,
             torch_model(self.policy, INPUTS),
-            None if recognition is None else torch_model(recognition, RECOGNITION_INPUTS),
+            None
+            if recognition is None
+            else torch_model(recognition, RECOGNITION_INPUTS),
         )
 
 
@@ -152,7 +154,9 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     return Deployment(PolicyStep(trained.policy), step, table, contract, scene)
 
 
-def export(trained: TrainedAgent, folder: Path, joint_map: Path | None = None) -> Deployment:
+def export(
+    trained: TrainedAgent, folder: Path, joint_map: Path | None = None
+) -> Deployment:
     """Write models, knowledge table, contract and runner; return what was exported.
 
     Raises:

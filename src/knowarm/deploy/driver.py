@@ -26,7 +26,12 @@ Targets = NDArray[np.float64]
 EARLIEST = 0.8  # Shortest time between two targets, in control periods
 SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
 JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
-ENCODINGS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
+ENCODINGS = {
+    "rgb8": [0, 1, 2],
+    "bgr8": [2, 1, 0],
+    "rgba8": [0, 1, 2],
+    "bgra8": [2, 1, 0],
+}
 """Channels red, green and blue of a pixel, by the encodings of ROS that are read."""
 FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 
@@ -37,10 +42,16 @@ class Safety:
 
     max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
     patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
-    wait_s: float = 60.0  # The same before the first step, while robot and camera start [s]
-    following_steps: float = 4.0  # Largest distance of a target from the joint's angle, in MPI
+    wait_s: float = (
+        60.0  # The same before the first step, while robot and camera start [s]
+    )
+    following_steps: float = (
+        4.0  # Largest distance of a target from the joint's angle, in MPI
+    )
     confirm_steps: int = 5  # First steps that a person confirms one by one
-    max_steps: int | None = None  # Length of the episode; None takes that of the training
+    max_steps: int | None = (
+        None  # Length of the episode; None takes that of the training
+    )
     dry_run: bool = False  # Print the steps and send nothing
 
     def __post_init__(self) -> None:
@@ -58,7 +69,9 @@ class Topics:
     compressed: bool = False  # Images are sensor_msgs/CompressedImage: JPEG or PNG
     joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
     trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
-    positions: str = ""  # If given, std_msgs/Float64MultiArray to it instead of trajectories
+    positions: str = (
+        ""  # If given, std_msgs/Float64MultiArray to it instead of trajectories
+    )
     stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
     use_clock: bool = False  # Take the time from /clock, as simulators publish it
 
@@ -104,7 +117,10 @@ class Driver:
         self.end = ""
         self.completed = False
         self.steps = 0
-        self._inputs: dict[str, Any] = {"image": "not yet seen", "joint angles": "not yet seen"}
+        self._inputs: dict[str, Any] = {
+            "image": "not yet seen",
+            "joint angles": "not yet seen",
+        }
         self._before: dict[str, Any] = {}  # the runner's state before the proposal
         self._proposal: Targets | None = None
         self._is_confirmed = False
@@ -113,12 +129,18 @@ class Driver:
         self._proposed_at = -np.inf
         self._sent_at = -np.inf
         self._held_since = np.inf
-        self._felt: tuple[Targets, float] | None = None  # the last angles and their stamp
-        self._seen: dict[int, Targets] = {}  # hash of every image, and the angles at its first time
+        self._felt: tuple[Targets, float] | None = (
+            None  # the last angles and their stamp
+        )
+        self._seen: dict[
+            int, Targets
+        ] = {}  # hash of every image, and the angles at its first time
         rows = contract["knowledge"]["rows"]
         is_constant = len(rows) == 1
         if knowledge not in rows and not (is_constant and knowledge is None):
-            raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
+            raise UserError(
+                f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}."
+            )
         runner.is_started = False
 
     def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
@@ -130,18 +152,24 @@ class Driver:
         if self._resize:
             image = shrunk(image, size)
         if image.shape != (size, size, 3) or image.dtype != np.uint8:
-            self._inputs["image"] = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+            self._inputs["image"] = (
+                f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+            )
         elif image.min() == image.max():
             self._inputs["image"] = "shows a single colour"
         else:
             self._inputs["image"] = (image, stamp_s)
 
-    def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
+    def feel(
+        self, names: Sequence[str], positions: Sequence[float], stamp_s: float
+    ) -> None:
         """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored."""
         readings = dict(zip(names, positions, strict=False))
         if readings.keys().isdisjoint(self._map.moved):
             return  # of a gripper or another robot
-        angles = self._map.from_real([readings.get(name, np.nan) for name in self.joint_names])
+        angles = self._map.from_real(
+            [readings.get(name, np.nan) for name in self.joint_names]
+        )
         unknown = np.array(self._map.moved)[~np.isfinite(angles)]
         if len(unknown):
             self._inputs["joint angles"] = f"lack a number for {', '.join(unknown)}"
@@ -150,7 +178,9 @@ class Driver:
         self._felt = (angles, stamp_s)
         most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
         if (abs(angles - before) > most).any():
-            self._inputs["joint angles"] = "jump; does another robot publish these joints?"
+            self._inputs["joint angles"] = (
+                "jump; does another robot publish these joints?"
+            )
         else:
             self._inputs["joint angles"] = (angles, stamp_s)
 
@@ -174,11 +204,18 @@ class Driver:
         before = self._ticked_at
         self._ticked_at = steady
         if before is not None and not 0 <= steady - before <= longest:
-            self.stop(f"stopped: {steady - before:.1f} s passed between two control periods")
+            self.stop(
+                f"stopped: {steady - before:.1f} s passed between two control periods"
+            )
         if self.end or steady - self._sent_at < EARLIEST * self.period_s:
             return None
-        if self._proposal is not None and steady - self._proposed_at > self.safety.patience_s:
-            vars(self._runner).update(self._before)  # what is confirmed must be what is seen now
+        if (
+            self._proposal is not None
+            and steady - self._proposed_at > self.safety.patience_s
+        ):
+            vars(self._runner).update(
+                self._before
+            )  # what is confirmed must be what is seen now
             self._proposal = None
         problem = obstacle or self._old_input(now_s) or self._frozen()
         if not problem:
@@ -211,7 +248,9 @@ class Driver:
         if not runner.is_started:
             joints = dict(zip(self._names, angles.tolist(), strict=True))
             runner.reset(Start(joints, self._knowledge))
-        if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
+        if (
+            self.safety.dry_run
+        ):  # nothing follows the targets, so each step starts where the arm is
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
         self._previous = runner.targets[0].copy()
         self._is_confirmed = False
@@ -226,7 +265,9 @@ class Driver:
         moves = zip(self._names, targets - self._previous, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
-        if not (is_dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
+        if not (
+            is_dry or self._is_confirmed or self.steps >= self.safety.confirm_steps
+        ):
             self.status += "; Enter moves, anything else stops"
             return None
         self.status = f"dry run, {self.status}" if is_dry else "moving"
@@ -252,7 +293,9 @@ class Driver:
             if -most <= age <= most:
                 continue
             if age < 0:
-                return f"{name} more than {most:g} s in the future; synchronize the clocks"
+                return (
+                    f"{name} more than {most:g} s in the future; synchronize the clocks"
+                )
             return f"{name} more than {most:g} s old"
         return ""
 
@@ -275,7 +318,9 @@ class Driver:
             (is_fast, f"faster than {most / self.period_s:g} / s"),
         ):
             if is_broken.any():
-                raise ValueError(f"{', '.join(np.array(self._names)[is_broken])}: {text}")
+                raise ValueError(
+                    f"{', '.join(np.array(self._names)[is_broken])}: {text}"
+                )
 
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
@@ -285,7 +330,9 @@ class Driver:
         position = self._gripper(targets)
         if ((position >= self._box_lower) & (position <= self._box_upper)).all():
             return ""
-        return f"the gripper would leave the workspace, to {position.round(2).tolist()} m"
+        return (
+            f"the gripper would leave the workspace, to {position.round(2).tolist()} m"
+        )
 
 
 def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:

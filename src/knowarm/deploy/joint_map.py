@@ -45,7 +45,9 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             limits[name] = tuple(model.joint(name).range)
             held.setdefault(name, float(model.joint(name).qpos0[0]))
     slides = _slides(scene)
-    same = {name: RealJoint() for name in scene.joint_names if name not in robot.joint_map}
+    same = {
+        name: RealJoint() for name in scene.joint_names if name not in robot.joint_map
+    }
     entries = []
     for joint, real in {**robot.joint_map, **same}.items():
         scale, zero = _unit(joint, real.unit, *map(float, limits[joint]))

@@ -27,7 +27,9 @@ def unpack(data: bytes | str) -> Any:
     try:
         return msgpack.unpackb(data, object_hook=_unpack_array)
     except Exception as error:  # NumPy and msgpack raise many types
-        raise ValueError(f"the message is no msgpack map of numbers and arrays: {error}") from error
+        raise ValueError(
+            f"the message is no msgpack map of numbers and arrays: {error}"
+        ) from error
 
 
 def _pack_array(value: Any) -> Any:
@@ -39,7 +41,11 @@ def _pack_array(value: Any) -> Any:
             b"shape": value.shape,
         }
     if isinstance(value, np.generic):
-        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+        return {
+            b"__npgeneric__": True,
+            b"data": value.item(),
+            b"dtype": value.dtype.str,
+        }
     return list(value)
 
 
@@ -49,7 +55,9 @@ def _unpack_array(value: dict[Any, Any]) -> Any:
     name = value[b"dtype"]
     shape = value.get(b"shape", ())
     if not _DTYPE.fullmatch(name) or min(shape, default=0) < 0:
-        raise ValueError(f"arrays of dtype {name!r:.20} and shape {shape!r:.40} are not read")
+        raise ValueError(
+            f"arrays of dtype {name!r:.20} and shape {shape!r:.40} are not read"
+        )
     dtype = np.dtype(name)
     if b"__npgeneric__" in value:
         return dtype.type(value[b"data"])

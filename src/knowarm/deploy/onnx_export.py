@@ -35,10 +35,17 @@ class PolicyStep(nn.Module):
         self.policy = policy
 
     def forward(
-        self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
+        self,
+        image: Tensor,
+        knowledge: Tensor,
+        h: Tensor,
+        c: Tensor,
+        episode_start: Tensor,
     ) -> tuple[Tensor, ...]:
         """Compute one step."""
-        logits, value, (h, c) = self.policy.step(image, knowledge, (h, c), episode_start)
+        logits, value, (h, c) = self.policy.step(
+            image, knowledge, (h, c), episode_start
+        )
         return logits.argmax(-1), logits, value, h, c
 
     def example(self) -> tuple[Tensor, ...]:
@@ -69,7 +76,9 @@ def export_onnx(
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """
     batch = torch.export.Dim("batch", min=2)  # of the trace; ONNX plays 1 as well
-    log = logging.getLogger("torch.onnx")  # warns of torchvision's operators, which no model has
+    log = logging.getLogger(
+        "torch.onnx"
+    )  # warns of torchvision's operators, which no model has
     level = log.level
     log.setLevel(logging.ERROR)
     try:
@@ -90,7 +99,9 @@ def export_onnx(
     assert program is not None
     for tensor in program.model.graph.inputs:
         sizes = tensor.shape or (0,)
-        assert not isinstance(sizes[0], int), f"{tensor.name} was exported for one batch size only"
+        assert not isinstance(sizes[0], int), (
+            f"{tensor.name} was exported for one batch size only"
+        )
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
     program.model.metadata_props.update(about or {})

@@ -104,14 +104,18 @@ def record(
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise UserError(f"{folder} is not empty; give a new folder for the dataset.")
+            raise UserError(
+                f"{folder} is not empty; give a new folder for the dataset."
+            )
         return writer.write(agent, episodes)
 
 
 class _Writer:
     """Writes a dataset file by file; only one file's frames are in memory."""
 
-    def __init__(self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None) -> None:
+    def __init__(
+        self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None
+    ) -> None:
         self.env = env
         self.folder = folder
         self.image = image
@@ -153,7 +157,10 @@ class _Writer:
         joints = np.array([])
         for moment in play_steps(agent, env, chunk):
             if moment.actions is None:  # before the first step
-                played = [(env.running.instruct(i), defaultdict(list)) for i in range(len(chunk))]
+                played = [
+                    (env.running.instruct(i), defaultdict(list))
+                    for i in range(len(chunk))
+                ]
             else:
                 targets = self.joint_map.to_real(env.joint_targets)
                 for i in np.flatnonzero(moment.played):
@@ -185,10 +192,14 @@ class _Writer:
         columns["frame_index"] = frames
         columns["episode_index"] = np.full(length, len(self.rows))
         columns["index"] = self.frames + frames
-        columns["task_index"] = np.full(length, self.tasks.setdefault(text, len(self.tasks)))
+        columns["task_index"] = np.full(
+            length, self.tasks.setdefault(text, len(self.tasks))
+        )
         images = columns[self.image]
         files = [encode(image, "PNG", compress_level=1) for image in images]
-        arrays: dict[str, Any] = {self.image: [{"bytes": data, "path": None} for data in files]}
+        arrays: dict[str, Any] = {
+            self.image: [{"bytes": data, "path": None} for data in files]
+        }
         colours = count_colours(images)
         self.colours += colours
         row = {
@@ -217,7 +228,9 @@ class _Writer:
 
     def _schema(self) -> pa.Schema:
         """Return the columns, with the metadata by which Hugging Face's datasets decodes images."""
-        fields = [pa.field(self.image, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
+        fields = [
+            pa.field(self.image, pa.struct({"bytes": pa.binary(), "path": pa.string()}))
+        ]
         features: dict[str, Any] = {self.image: {"_type": "Image"}}
         for name, kind in _VECTORS.items():
             length = len(self.vectors[name]["names"])
@@ -276,7 +289,9 @@ class _Writer:
         """Compute the statistics of the whole dataset from its files."""
         stats = {self.image: image_statistics(self.colours, self.frames)}
         for name in (*_VECTORS, *_SCALARS):
-            column = pq.read_table(self.folder / "data", columns=[name])[name].combine_chunks()
+            column = pq.read_table(self.folder / "data", columns=[name])[
+                name
+            ].combine_chunks()
             values = column.flatten() if name in _VECTORS else column
             array = values.to_numpy(zero_copy_only=False).reshape(len(column), -1)
             stats[name] = statistics(array)
@@ -287,7 +302,9 @@ def statistics(values: Any) -> dict[str, list[Any]]:
     """Compute a column's statistics per element as LeRobot names them."""
     array: NDArray[np.float64] = np.asarray(values, np.float64)
     array = array.reshape(len(array), -1)
-    stats = {key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")}
+    stats = {
+        key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")
+    }
     quantiles = np.quantile(array, [*QUANTILES.values()], 0).tolist()
     stats.update(zip(QUANTILES, quantiles, strict=True))
     stats["count"] = [len(array)]

@@ -47,7 +47,11 @@ class DriverNode(Node):
         quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
         for qos in (QoSProfile(depth=1), latest):
             self.create_subscription(
-                Empty, topics.stop, lambda _: driver.stop(stop), qos, event_callbacks=quiet
+                Empty,
+                topics.stop,
+                lambda _: driver.stop(stop),
+                qos,
+                event_callbacks=quiet,
             )
         if not driver.safety.dry_run:
             kind = Float64MultiArray if self._sends_positions else JointTrajectory
@@ -72,7 +76,9 @@ class DriverNode(Node):
         if isinstance(image, CompressedImage):
             pixels = decompressed(data)
         else:
-            pixels = decoded(image.encoding, image.height, image.width, image.step, data)
+            pixels = decoded(
+                image.encoding, image.height, image.width, image.step, data
+            )
         self.driver.see(pixels, _stamp(image))
 
     def _feel(self, state: Any) -> None:
@@ -98,7 +104,9 @@ class DriverNode(Node):
         point = JointTrajectoryPoint(positions=targets)
         whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
         point.time_from_start = Duration(sec=whole, nanosec=part)
-        return JointTrajectory(joint_names=list(self.driver.joint_names), points=[point])
+        return JointTrajectory(
+            joint_names=list(self.driver.joint_names), points=[point]
+        )
 
 
 def _stamp(message: Any) -> float:

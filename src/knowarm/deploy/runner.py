@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 
 FORMAT = "knowarm-contract-2"
-Model = Callable[[dict[str, np.ndarray]], Sequence[np.ndarray]]  # named inputs to outputs in order
+Model = Callable[
+    [dict[str, np.ndarray]], Sequence[np.ndarray]
+]  # named inputs to outputs in order
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
 
 
@@ -26,7 +28,9 @@ class Start:
     """Start of an episode, or of n: numbers and names are arrays (n,) then."""
 
     joints: Mapping[str, Any]  # Joint angles by name [rad]
-    names: Any = None  # Row of the contract's knowledge; not read where there is only one
+    names: Any = (
+        None  # Row of the contract's knowledge; not read where there is only one
+    )
 
 
 class JointMap:
@@ -38,18 +42,25 @@ class JointMap:
     """
 
     def __init__(self, joints: Mapping[str, Any]) -> None:
-        same = [{"joint": n, "name": n, "scale": 1.0, "offset": 0.0} for n in joints["names"]]
+        same = [
+            {"joint": n, "name": n, "scale": 1.0, "offset": 0.0}
+            for n in joints["names"]
+        ]
         real = joints.get("real") or same
         self.names = tuple(joint["name"] for joint in real)
         column = {joint["joint"]: number for number, joint in enumerate(real)}
         self._columns = [column[name] for name in joints["names"]]
         self.moved = tuple(self.names[number] for number in self._columns)
         self._offset = np.array([joint["offset"] for joint in real], float)
-        self._scale = np.array([real[number]["scale"] for number in self._columns], float)
+        self._scale = np.array(
+            [real[number]["scale"] for number in self._columns], float
+        )
         is_finite = np.isfinite(self._offset).all() and np.isfinite(self._scale).all()
         is_invertible = self._scale.all()
         if not is_finite or not is_invertible or len(set(self.names)) < len(real):
-            raise ValueError("joints.real has names twice, or numbers that are not finite or 0")
+            raise ValueError(
+                "joints.real has names twice, or numbers that are not finite or 0"
+            )
 
     def to_real(self, angles: Any) -> np.ndarray:
         """Convert the policy's joint angles (..., J) [rad] to values of the real arm (..., R)."""
@@ -103,7 +114,9 @@ class Runner:
         folder = Path(folder)
         contract = json.loads((folder / "contract.json").read_text("utf-8"))
         if not isinstance(contract, dict) or contract.get("format") != FORMAT:
-            raise ValueError(f"{folder} has no contract of the format {FORMAT}; export again")
+            raise ValueError(
+                f"{folder} has no contract of the format {FORMAT}; export again"
+            )
         files = ["policy.onnx", "knowledge.npy"]
         if contract["recognition"]:
             files.append("recognition.onnx")
@@ -125,7 +138,9 @@ class Runner:
         above = angles > self.lower - RESTING_RAD
         below = angles < self.upper + RESTING_RAD
         if not (above & below).all():
-            raise ValueError(f"joint angles {angles.tolist()} are not finite and within the limits")
+            raise ValueError(
+                f"joint angles {angles.tolist()} are not finite and within the limits"
+            )
         rows = self._knowledge_rows(batch, len(angles))
         self.targets = angles.clip(self.lower, self.upper)
         self._knowledge = self._table[rows]
@@ -143,7 +158,9 @@ class Runner:
         names = np.atleast_1d(batch.names).tolist()
         unknown = [name for name in names if name not in rows]
         if unknown:
-            raise ValueError(f"knowledge must be a row such as {rows[0]!r}, got {unknown[0]!r}")
+            raise ValueError(
+                f"knowledge must be a row such as {rows[0]!r}, got {unknown[0]!r}"
+            )
         if len(names) != episodes:
             raise ValueError(f"{episodes} episodes start, and {len(names)} have names")
         return [rows.index(name) for name in names]
@@ -156,10 +173,14 @@ class Runner:
         size = self.contract["camera"]["size"]
         shape = (len(self.targets), size, size, 3)
         if image.shape != shape or image.dtype != np.uint8:
-            raise ValueError(f"image must be {shape} uint8, got {image.shape} {image.dtype}")
+            raise ValueError(
+                f"image must be {shape} uint8, got {image.shape} {image.dtype}"
+            )
         if self._first and self._recognition is not None:
             # The network recognizes objects once, in the first image: later the arm hides some.
-            (self._knowledge,) = self._recognition({"image": image, "query": self._knowledge})
+            (self._knowledge,) = self._recognition(
+                {"image": image, "query": self._knowledge}
+            )
         inputs = {
             "image": image,
             "knowledge": self._knowledge,
@@ -172,7 +193,9 @@ class Runner:
         self._h = h
         self._c = c
         self._first = False
-        self.targets = (self.targets + self.increments[levels]).clip(self.lower, self.upper)
+        self.targets = (self.targets + self.increments[levels]).clip(
+            self.lower, self.upper
+        )
         return levels
 
     def _check_outputs(self, levels: np.ndarray, h: np.ndarray, c: np.ndarray) -> None:
@@ -181,13 +204,17 @@ class Runner:
             raise ValueError(f"the policy gives levels {levels.shape} {levels.dtype}")
         last = len(self.increments) - 1
         if levels.min() < 0 or levels.max() > last or not np.isfinite([h, c]).all():
-            raise ValueError(f"the policy gives levels beyond 0 to {last}, or no finite state")
+            raise ValueError(
+                f"the policy gives levels beyond 0 to {last}, or no finite state"
+            )
 
 
 def _check_files(folder: Path, names: list[str], digests: Mapping[str, str]) -> None:
     """Raise `ValueError` unless a folder holds the exported files, unchanged."""
     if set(digests) != set(names):
-        raise ValueError(f"{folder} must state digests of {', '.join(names)}; export again")
+        raise ValueError(
+            f"{folder} must state digests of {', '.join(names)}; export again"
+        )
     for name in names:
         file = folder / name
         data = file.read_bytes() if file.is_file() else b""
@@ -200,12 +227,18 @@ def _load_model(folder: Path, name: str, contract: Mapping[str, Any]) -> Model:
     import onnxruntime
 
     session = onnxruntime.InferenceSession(folder / name)
-    if session.get_modelmeta().custom_metadata_map.get("contract") != fingerprint(contract):
-        raise ValueError(f"{folder / 'contract.json'} is not that of {name}; export again")
+    if session.get_modelmeta().custom_metadata_map.get("contract") != fingerprint(
+        contract
+    ):
+        raise ValueError(
+            f"{folder / 'contract.json'} is not that of {name}; export again"
+        )
     inputs = [tensor.name for tensor in session.get_inputs()]
 
     def model(values: dict[str, np.ndarray]) -> Sequence[np.ndarray]:
-        outputs: Sequence[np.ndarray] = session.run(None, {name: values[name] for name in inputs})
+        outputs: Sequence[np.ndarray] = session.run(
+            None, {name: values[name] for name in inputs}
+        )
         return outputs
 
     return model
@@ -239,9 +272,13 @@ def check(contract: Mapping[str, Any], knowledge: np.ndarray) -> None:
     _require(min(sizes) > 0, "periods, steps and sizes are larger than 0")
     _require(len(set(names)) == len(names) > 0, "the names of the joints differ")
     _require(
-        lower.shape == upper.shape == (len(names),), "every joint has a lower and an upper limit"
+        lower.shape == upper.shape == (len(names),),
+        "every joint has a lower and an upper limit",
     )
-    _require(np.all(lower < upper) and box.shape == (2, 3), "lower limits lie below upper ones")
+    _require(
+        np.all(lower < upper) and box.shape == (2, 3),
+        "lower limits lie below upper ones",
+    )
     largest = np.abs(increments).max(initial=0)
     _require(largest <= joints["mpi"] * (1 + 1e-6), "no action exceeds mpi")
     is_named = len(set(rows)) == len(rows) == len(knowledge) > 0
@@ -250,4 +287,6 @@ def check(contract: Mapping[str, Any], knowledge: np.ndarray) -> None:
 
 def _require(is_right: Any, what: str) -> None:
     if not is_right:
-        raise ValueError(f"the contract is damaged: it must hold that {what}; export again")
+        raise ValueError(
+            f"the contract is damaged: it must hold that {what}; export again"
+        )

@@ -65,7 +65,12 @@ class _Listener(socket.socket):
                 connection, address = super().accept()
                 break
             except OSError as error:
-                if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
+                if error.errno not in (
+                    errno.EMFILE,
+                    errno.ENFILE,
+                    errno.ENOBUFS,
+                    errno.ENOMEM,
+                ):
                     raise
                 time.sleep(0.1)
         others = [other for other in self._open if other.fileno() >= 0]
@@ -104,7 +109,9 @@ class PolicyServer:
                 "clients connect through SSH."
             )
         if key is not None and not KEY.fullmatch(key):
-            raise UserError("The key must have at least 16 characters: ASCII, and no spaces.")
+            raise UserError(
+                "The key must have at least 16 characters: ASCII, and no spaces."
+            )
         self._make_runner = make_runner
         self._key = key
         self._is_closed = False
@@ -139,7 +146,9 @@ class PolicyServer:
         try:
             self._server.serve_forever()
             if not self._is_closed:
-                raise UserError(f"The system stopped listening on port {self.port}: start again.")
+                raise UserError(
+                    f"The system stopped listening on port {self.port}: start again."
+                )
         finally:
             self.close()
 
@@ -156,18 +165,28 @@ class PolicyServer:
             reason = refusal(request.path, request.headers)
             if reason:
                 return connection.respond(403, f"{reason}\n")
-        sent = "".join(request.headers.get_all("Authorization")).encode(errors="replace")
-        if self._key is None or hmac.compare_digest(sent, f"Api-Key {self._key}".encode()):
+        sent = "".join(request.headers.get_all("Authorization")).encode(
+            errors="replace"
+        )
+        if self._key is None or hmac.compare_digest(
+            sent, f"Api-Key {self._key}".encode()
+        ):
             return None
-        return connection.respond(401, "The key is missing or wrong: Authorization: Api-Key KEY\n")
+        return connection.respond(
+            401, "The key is missing or wrong: Authorization: Api-Key KEY\n"
+        )
 
     def _handle(self, connection: ServerConnection) -> None:
         """Serve one connection to its end; an error is one text frame, then the connection ends."""
         client = _address(connection)
         with contextlib.suppress(ConnectionClosed):
             if not self._seats.acquire(blocking=False):
-                log.warning("%s refused: %d clients are connected", client, MOST_CONNECTIONS)
-                connection.send(f"The server has {MOST_CONNECTIONS} clients; try again later.")
+                log.warning(
+                    "%s refused: %d clients are connected", client, MOST_CONNECTIONS
+                )
+                connection.send(
+                    f"The server has {MOST_CONNECTIONS} clients; try again later."
+                )
                 connection.close(1013, "too many clients")
                 return
             log.info("%s connected", client)
@@ -198,9 +217,13 @@ class PolicyServer:
                 raise ValueError("an observation must be a map")
             name = observation.get(ENVIRONMENT)
             if not isinstance(name, int | str | np.integer | None):
-                raise ValueError(f"{ENVIRONMENT!r} must be a number or text, got {name!r:.40}")
+                raise ValueError(
+                    f"{ENVIRONMENT!r} must be a number or text, got {name!r:.40}"
+                )
             if name not in episodes and len(episodes) == MOST_ENVIRONMENTS:
-                raise ValueError(f"a connection has at most {MOST_ENVIRONMENTS} of {ENVIRONMENT!r}")
+                raise ValueError(
+                    f"a connection has at most {MOST_ENVIRONMENTS} of {ENVIRONMENT!r}"
+                )
             with self._computing:
                 if not episodes:
                     episodes[name] = first
@@ -248,7 +271,9 @@ class Episode:
             raise ValueError(f"the observation lacks the array {IMAGE!r}")
         if self._resize or observation.get(RESIZE) in (True,):
             image = shrunk(image, runner.contract["camera"]["size"])
-        starts = not runner.is_started or observation.get(RESET) in (True,)  # also of NumPy
+        starts = not runner.is_started or observation.get(RESET) in (
+            True,
+        )  # also of NumPy
         prompt = observation.get(PROMPT)
         if starts or (prompt is not None and prompt != self._prompt):
             question = self._read(prompt)
@@ -278,7 +303,9 @@ class Episode:
             raise ValueError(f"{STATE!r} must be a list of numbers: {error}") from error
         if len(values) != len(joint_map.names):
             names = ", ".join(joint_map.names)
-            raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(values)}")
+            raise ValueError(
+                f"{STATE!r} must hold {names} as an episode starts, got {len(values)}"
+            )
         angles = joint_map.from_real(values).tolist()
         return dict(zip(self.runner.joint_names, angles, strict=True))
 

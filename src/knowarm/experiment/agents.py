@@ -20,7 +20,9 @@ from knowarm.knowledge.vectors.placebos import (
 from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
 
-Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
+Role = Literal[
+    "baseline", "knowledge", "capacity_control", "content_control", "privileged"
+]
 """Purpose of an agent in a comparison:
 
 - ``baseline``: no knowledge vector;
@@ -62,7 +64,12 @@ _privileged = partial(_agent, "privileged")
 
 def _control(about: str, knows: Any, source: Placebo, **fields: Any) -> Agent:
     """Return a content control: all choices but the source stay, so that the shape is equal."""
-    return _agent("content_control", f"control of {about}", replace(knows, source=source), **fields)
+    return _agent(
+        "content_control",
+        f"control of {about}",
+        replace(knows, source=source),
+        **fields,
+    )
 
 
 def _zeros(about: str, knows: Any, **fields: Any) -> Agent:
@@ -75,7 +82,9 @@ def _fused(subject: str, knows: Knows, **how: str) -> dict[str, Agent]:
     """Return agents with a subject's knowledge, the baseline's LSTM size and other fusions."""
     return {
         f"{subject}-{fusion.replace('_', '-')}": _subject(
-            f"as {subject}, {about}", knows, policy=PolicyConfig(fusion=fusion, hidden="fixed")
+            f"as {subject}, {about}",
+            knows,
+            policy=PolicyConfig(fusion=fusion, hidden="fixed"),
         )
         for fusion, about in how.items()
     }
@@ -88,7 +97,9 @@ _TARGET_PLUS = replace(_FULL_PLUS, kind="target")
 _QUERY = Vector(kind="query", **vars(QUERY))
 _GROUNDED = Grounded(**vars(QUERY))
 _WORDS = replace(_GROUNDED, hops=0, colour_share=None)
-_ANSWERS = replace(_GROUNDED, kind="answers", grounding=GroundingConfig(naming_coef=1.0))
+_ANSWERS = replace(
+    _GROUNDED, kind="answers", grounding=GroundingConfig(naming_coef=1.0)
+)
 _ANALOGY = GraphEmbedding(model="analogy")
 _HOW = {
     "before_fc": "concatenated before the fully connected layer",
@@ -110,37 +121,56 @@ AGENTS: dict[str, Agent] = {
         "object types only (paper)", replace(_FULL, detail="partial"), colour="c-green"
     ),
     "full+": _subject(
-        "as full, with an embedding that keeps facets apart", _FULL_PLUS, colour="c-navy"
+        "as full, with an embedding that keeps facets apart",
+        _FULL_PLUS,
+        colour="c-navy",
     ),
     "analogy": _subject(
         "as full, from ANALOGY embeddings (the paper's first choice)",
         replace(_FULL, source=_ANALOGY, relation_words=False),
     ),
     "target": _privileged(
-        "the slot of the episode's own object and colour (privileged)", _TARGET, colour="c-gold"
+        "the slot of the episode's own object and colour (privileged)",
+        _TARGET,
+        colour="c-gold",
     ),
-    "target+": _privileged("as target, with the embedding of full+ (privileged)", _TARGET_PLUS),
+    "target+": _privileged(
+        "as target, with the embedding of full+ (privileged)", _TARGET_PLUS
+    ),
     "target-zeros": _zeros("target and target+: their shape", _TARGET),
-    "target-random": _control("target: one random vector per facet", _TARGET, RandomVectors()),
+    "target-random": _control(
+        "target: one random vector per facet", _TARGET, RandomVectors()
+    ),
     "target-shuffled": _control(
         "target: from a graph with permuted tails", _TARGET, ShuffledGraph()
     ),
-    "target-onehot": _control("target: the index of the facet, no meaning", _TARGET, OneHot()),
-    "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
-    "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
+    "target-onehot": _control(
+        "target: the index of the facet, no meaning", _TARGET, OneHot()
+    ),
+    "target-random+": _control(
+        "target+, as target-random", _TARGET_PLUS, RandomVectors()
+    ),
+    "target-shuffled+": _control(
+        "target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()
+    ),
     "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
     "zeros": _zeros("full and full+: their shape", _FULL, colour="c-grey"),
     "random": _control(
         "full: its shape and norm, random", _FULL, RandomVectors(), colour="c-purple"
     ),
     "shuffled": _control(
-        "full: from a graph with permuted tails", _FULL, ShuffledGraph(), colour="c-pink"
+        "full: from a graph with permuted tails",
+        _FULL,
+        ShuffledGraph(),
+        colour="c-pink",
     ),
     "onehot": _control("full: one-hot slots", _FULL, OneHot(), colour="c-teal"),
     "random+": _control("full+, as random", _FULL_PLUS, RandomVectors()),
     "shuffled+": _control("full+, as shuffled", _FULL_PLUS, ShuffledGraph()),
     "onehot+": _control("full+, as onehot", _FULL_PLUS, OneHot()),
-    "wrong-object": _control("full: each slot describes another object", _FULL, WrongObject()),
+    "wrong-object": _control(
+        "full: each slot describes another object", _FULL, WrongObject()
+    ),
     "learned": _agent(
         "content_control",
         "control: the vector is learned with the policy",
@@ -173,12 +203,18 @@ AGENTS: dict[str, Agent] = {
         colour="c-gold",
     ),
     "subgraph": _subject(
-        "the subgraph around the values of the query", _GROUNDED, policy=_FIXED, colour="c-blue"
+        "the subgraph around the values of the query",
+        _GROUNDED,
+        policy=_FIXED,
+        colour="c-blue",
     ),
     **_fused(
         "subgraph",
         _QUERY,
-        **{name: f"{about}, without a grounding network" for name, about in _HOW.items()},
+        **{
+            name: f"{about}, without a grounding network"
+            for name, about in _HOW.items()
+        },
         before_lstm="concatenated before the LSTM as in the paper, without a grounding network",
         similarity="weighting places by similarity, without a grounding network",
     ),
@@ -192,11 +228,16 @@ AGENTS: dict[str, Agent] = {
         "ANALOGY embeddings of the values of the query",
         replace(_WORDS, source=_ANALOGY, centring=False),
         policy=_FIXED,
-        asks=("choose",),  # the graph of the purpose task has no colours and objects to embed
+        asks=(
+            "choose",
+        ),  # the graph of the purpose task has no colours and objects to embed
         colour="c-navy",
     ),
     "query-zeros": _zeros(
-        "agents with knowledge of the query: their shape", _GROUNDED, policy=_FIXED, colour="c-grey"
+        "agents with knowledge of the query: their shape",
+        _GROUNDED,
+        policy=_FIXED,
+        colour="c-grey",
     ),
     "query-onehot": _control(
         "agents with knowledge of the query: the index of each condition",
@@ -226,7 +267,10 @@ AGENTS: dict[str, Agent] = {
         colour="c-brown",
     ),
     "answers-shuffled": _control(
-        "answers: from a graph with permuted tails", _ANSWERS, ShuffledGraph(), policy=_FIXED
+        "answers: from a graph with permuted tails",
+        _ANSWERS,
+        ShuffledGraph(),
+        policy=_FIXED,
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""
@@ -263,4 +307,6 @@ def controls_of(subject: str, role: Role) -> list[str]:
             fields.append("slot_norm")
         return all(getattr(other, name) == getattr(own, name) for name in fields)
 
-    return [name for name, other in AGENTS.items() if other.role == role and matches(other)]
+    return [
+        name for name, other in AGENTS.items() if other.role == role and matches(other)
+    ]

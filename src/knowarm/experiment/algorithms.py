@@ -54,7 +54,10 @@ class Algorithm:
 
 
 def _make_ppo(
-    config: PPOConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
+    config: PPOConfig,
+    policy: "Policy",
+    make_env: "Callable[..., TorchVectorEnv]",
+    **options: Any,
 ) -> "Trainer":
     from knowarm.learn import PPOTrainer
 
@@ -75,7 +78,10 @@ def _make_distil(
 
 
 def _make_a3c(
-    config: A3CConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
+    config: A3CConfig,
+    policy: "Policy",
+    make_env: "Callable[..., TorchVectorEnv]",
+    **options: Any,
 ) -> "Trainer":
     from knowarm.learn import A3CTrainer, FixedScheduleA3CTrainer
 
@@ -93,7 +99,10 @@ ALGORITHMS: dict[str, Algorithm] = {
             epochs=1,
             minibatches=8,
             privileged=PrivilegedConfig(
-                critic=True, auxiliary_coef=1.0, threshold_factor=3.0, threshold_decrease=0.05
+                critic=True,
+                auxiliary_coef=1.0,
+                threshold_factor=3.0,
+                threshold_decrease=0.05,
             ),
         ),
         make_trainer=_make_ppo,

@@ -66,7 +66,9 @@ def make_trainer(
         policy,
         seed=config.seed,
         make_env=partial(knowledge.make_env, config.env),
-        make_evaluate=partial(interim_evaluation, config.env, config.interim, knowledge),
+        make_evaluate=partial(
+            interim_evaluation, config.env, config.interim, knowledge
+        ),
         **options,
     )
 

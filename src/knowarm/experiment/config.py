@@ -49,7 +49,9 @@ class StopWhen:
 
     def __post_init__(self) -> None:
         if not 0 < self.success <= 1:
-            raise UserError(f"stop_when.success must lie above 0 and up to 1, got {self.success}.")
+            raise UserError(
+                f"stop_when.success must lie above 0 and up to 1, got {self.success}."
+            )
         at_least(self, 1, "evaluations", where="stop_when.")
 
     def met_at(self, curve: Iterable[tuple[int, float]]) -> int | None:
@@ -89,7 +91,9 @@ class ExperimentConfig:
     """Choices of the policy network."""
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
-        metadata=registered(lambda: [type(e.config) for e in algorithms().values()], "algorithm"),
+        metadata=registered(
+            lambda: [type(e.config) for e in algorithms().values()], "algorithm"
+        ),
     )
     """The learning algorithm and its hyperparameters."""
     interim: InterimConfig = field(default_factory=InterimConfig)
@@ -110,11 +114,15 @@ class ExperimentConfig:
     @property
     def evaluate_every(self) -> int:
         """Environment steps between two interim evaluations, of which there are ten or more."""
-        return min(self.interim.every_steps, max(1, self.total_steps // MIN_EVALUATIONS))
+        return min(
+            self.interim.every_steps, max(1, self.total_steps // MIN_EVALUATIONS)
+        )
 
     @property
     def learner(self) -> str:
         """Name of the algorithm in the registry, or of its trainer if it has none."""
         entry = algorithms().get(self.algorithm_name)
         trainer = self.algorithm.name
-        return self.algorithm_name if entry and entry.config.name == trainer else trainer
+        return (
+            self.algorithm_name if entry and entry.config.name == trainer else trainer
+        )

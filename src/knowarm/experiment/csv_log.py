@@ -20,7 +20,11 @@ class CsvLog:
     """
 
     def __init__(
-        self, path: Path, *, keep_to_step: int | None = None, drop_steps: Collection[int] = ()
+        self,
+        path: Path,
+        *,
+        keep_to_step: int | None = None,
+        drop_steps: Collection[int] = (),
     ):
         self._path = path
         self._columns: list[str] = []
@@ -41,7 +45,10 @@ class CsvLog:
             rows = read_csv(self._path) if self._columns else []
             self._columns += new_columns
             self._rewrite(rows)
-        with writing(self._path), self._path.open("a", newline="", encoding="utf-8") as file:
+        with (
+            writing(self._path),
+            self._path.open("a", newline="", encoding="utf-8") as file,
+        ):
             csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
 
     def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -50,7 +57,9 @@ class CsvLog:
             temporary.open("w", newline="", encoding="utf-8") as file,
         ):
             if self._columns:
-                writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
+                writer = csv.DictWriter(
+                    file, self._columns, restval="", lineterminator="\n"
+                )
                 writer.writeheader()
                 writer.writerows(rows)
 
@@ -83,7 +92,11 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         if data and "step" not in (reader.fieldnames or ["step"]):
             raise ValueError("its first line names no column step")
         return [
-            {name: cell for name, cell in row.items() if name is not None and cell is not None}
+            {
+                name: cell
+                for name, cell in row.items()
+                if name is not None and cell is not None
+            }
             for row in reader
         ]
 

@@ -16,9 +16,13 @@ STEPS = 80_000
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
 
 
-def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -> list[Path] | None:
+def demo(
+    folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]
+) -> list[Path] | None:
     """Train, resume and evaluate both agents; return the run folders, or None if stopped."""
-    from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
+    from knowarm.experiment.evaluate import (
+        evaluate,
+    )  # imports torch, which takes seconds
     from knowarm.experiment.load import load_agent
     from knowarm.experiment.run import run_path, train
     from knowarm.experiment.run_folder import RunFolder
@@ -31,7 +35,9 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
             old = RunFolder.open(path).experiment().total_steps
             if old != steps:
                 problem = f"{folder} holds a demo of {old} steps, got {steps}"
-                raise UserError(f"{problem}. Continue it with {old} steps, or give another folder.")
+                raise UserError(
+                    f"{problem}. Continue it with {old} steps, or give another folder."
+                )
         run = train(config, folder, resume=is_started, should_stop=should_stop)
         if run.result.reason == "stopped":
             return None

@@ -12,7 +12,12 @@ import numpy as np
 
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import EvaluationConfig, Played, Subject, step_columns
+from knowarm.experiment.evaluation import (
+    EvaluationConfig,
+    Played,
+    Subject,
+    step_columns,
+)
 from knowarm.experiment.knows import answers_by_graph, reason_by, row_names
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
@@ -81,7 +86,9 @@ class EvaluationResult:
         if folder is None:
             folder = self.folder
         if folder is None:
-            raise UserError("This evaluation belongs to no run: pass a folder to write it to.")
+            raise UserError(
+                "This evaluation belongs to no run: pass a folder to write it to."
+            )
         folder = Path(folder)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -142,7 +149,9 @@ def evaluate(
     """
     config = override(config or EvaluationConfig(), overrides)
     agent, trained = _loaded(agent, config)
-    subject = config.prepare(_subject(trained, env_config, own_folder=write and not config.label))
+    subject = config.prepare(
+        _subject(trained, env_config, own_folder=write and not config.label)
+    )
     if trained is not None and trained.which != "best":
         config = replace(config, label=f"{config.folder}-{trained.which}")
     task = subject.env.task
@@ -209,11 +218,15 @@ def _loaded(
     return agent.agent, agent
 
 
-def _subject(trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder: bool) -> Subject:
+def _subject(
+    trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder: bool
+) -> Subject:
     """Return what is evaluated before the conditions of the test apply."""
     if trained is None:
         if env is None:
-            raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
+            raise UserError(
+                "This agent has no task of its own: pass env_config=EnvConfig(...)."
+            )
         return Subject(env=env)
     if own_folder and env not in (None, trained.config.env):
         raise UserError(
@@ -280,7 +293,10 @@ def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) ->
     env_sizes = (env.scene.num_joints, env.config.image_size)
     compared: dict[str, Any] = {"joints, image size": (sizes, env_sizes)}
     if trained.policy.uses_knowledge and not knows_task:
-        compared["knowledge of"] = (row_names(trained.config.env), row_names(env.config))
+        compared["knowledge of"] = (
+            row_names(trained.config.env),
+            row_names(env.config),
+        )
     for name, (of_agent, of_env) in compared.items():
         if of_agent != of_env:
             raise UserError(
@@ -290,7 +306,10 @@ def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) ->
 
 
 def episode_columns(
-    subject: Subject, result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
+    subject: Subject,
+    result: EpisodeResults,
+    env: ArmVectorEnv,
+    config: EvaluationConfig,
 ) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.parquet``, (n,) each."""
     count = len(result.length)
@@ -324,7 +343,9 @@ def episode_columns(
     return columns
 
 
-def _ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) -> np.ndarray:
+def _ever_within(
+    result: EpisodeResults, distance_m: float, angle_deg: float
+) -> np.ndarray:
     """Return (N,) bool: success with the wider angle.
 
     Until an episode meets the wider threshold, both thresholds give the same steps.
@@ -339,8 +360,13 @@ def _ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) ->
 def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:
     """Draw the fixed episodes: equal shares of each evaluation seed, in order."""
     share = config.episodes // config.seeds
-    lists = [evaluation_episodes(env.config, share, config.seed + i) for i in range(config.seeds)]
+    lists = [
+        evaluation_episodes(env.config, share, config.seed + i)
+        for i in range(config.seeds)
+    ]
     columns = {}
     for column in dataclasses.fields(Episodes):
-        columns[column.name] = np.concatenate([getattr(part, column.name) for part in lists])
+        columns[column.name] = np.concatenate(
+            [getattr(part, column.name) for part in lists]
+        )
     return Episodes(**columns)

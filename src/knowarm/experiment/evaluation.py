@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
-from knowarm.config import above_zero, at_least, check_values, file_name, fraction, registered
+from knowarm.config import (
+    above_zero,
+    at_least,
+    check_values,
+    file_name,
+    fraction,
+    registered,
+)
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning, read_known_graph
@@ -80,7 +87,9 @@ class BaseTest:
         """Return the environment that was played as the summary stores it."""
         return env
 
-    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def columns(
+        self, env: EnvConfig, episodes: Mapping[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """Return further columns of the episodes that were played."""
         return {}
 
@@ -137,7 +146,9 @@ class SplitTest(BaseTest):
         check_graph(subject.config, env)
         return replace(subject, env=env, graph=edited_graph)
 
-    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def columns(
+        self, env: EnvConfig, episodes: Mapping[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """Where the graph is edited, return whether the chosen object answered before."""
         if env.task.asked.edited_graph(facets_of(env)) is None:
             return {}
@@ -288,7 +299,10 @@ class Played:
 
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
-    "step": ("int32", "step of the episode, from 1; the row holds the values after the step"),
+    "step": (
+        "int32",
+        "step of the episode, from 1; the row holds the values after the step",
+    ),
     "distance_m": ("float32", "distance of gripper and grasp point [m]"),
     "angle_deg": ("float32", "geodesic angle between gripper and grasp frame [deg]"),
     "reward": ("float32", "reward of the step"),
@@ -386,11 +400,15 @@ class BlindProbe(BaseProbe):
 
         def misinform(batch: Batch) -> Batch:
             names = list(map(str, islice(told, batch.size)))
-            names += batch.names[len(names) :].tolist()  # the last batch repeats its last episode
+            names += batch.names[
+                len(names) :
+            ].tolist()  # the last batch repeats its last episode
             return replace(batch, names=np.array(names))
 
         if len(asked):
-            result = play(InformedAgent(played.agent, misinform), played.env, chosen[asked])
+            result = play(
+                InformedAgent(played.agent, misinform), played.env, chosen[asked]
+            )
             right = played.result.infos["is_right_object"][asked].astype(float)
             gain = right - result.infos["is_right_object"]
             findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
@@ -442,7 +460,8 @@ class EvaluationConfig:
     test: tuple[AnyCondition, ...] = ()
     """Conditions that differ from training, in the order in which they apply."""
     probes: tuple[BaseProbe, ...] = field(
-        default=(StepsProbe(), FilmsProbe(), BlindProbe()), metadata=registered(probe_types)
+        default=(StepsProbe(), FilmsProbe(), BlindProbe()),
+        metadata=registered(probe_types),
     )
     """What is recorded and measured besides the outcome of the episodes."""
     label: str | None = None
@@ -486,7 +505,9 @@ class EvaluationConfig:
     @property
     def films(self) -> int:
         """Number of episodes, from the first, whose images are kept."""
-        counts = [probe.episodes for probe in self.probes if isinstance(probe, FilmsProbe)]
+        counts = [
+            probe.episodes for probe in self.probes if isinstance(probe, FilmsProbe)
+        ]
         return max(counts, default=0)
 
     def prepare(self, subject: Subject) -> Subject:
@@ -499,7 +520,9 @@ class EvaluationConfig:
                 )
             subject = condition.prepare(subject)
         judged = replace(
-            subject.env, success_distance_m=self.distance_m, success_angle_deg=self.angle_deg
+            subject.env,
+            success_distance_m=self.distance_m,
+            success_angle_deg=self.angle_deg,
         )
         return replace(subject, env=judged)
 

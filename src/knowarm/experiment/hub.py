@@ -48,14 +48,18 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
         api.create_repo(repo_id, private=private, exist_ok=True)
         operations = []
         for name, content in contents.items():
-            operations.append(hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=content))
+            operations.append(
+                hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=content)
+            )
         commit = api.create_commit(
             repo_id, operations=operations, commit_message="Upload with KnowArm"
         )
     return str(commit.repo_url)
 
 
-def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None = None) -> Path:
+def pull_from_hub(
+    repo_id: str, *, revision: str | None = None, to: Path | None = None
+) -> Path:
     """Download a repository, or take it from the cache; return its folder.
 
     Only what a run or a pack consists of is downloaded; its size is not limited.
@@ -65,7 +69,9 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
     with _access(repo_id) as hub:
-        if to is not None:  # without a connection any folder that exists would be returned
+        if (
+            to is not None
+        ):  # without a connection any folder that exists would be returned
             hub.HfApi().repo_info(repo_id, revision=revision)
         single_files = [f"*{suffix}" for suffix in FILES]
         folder = hub.snapshot_download(
@@ -77,7 +83,9 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
     return Path(folder)
 
 
-def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any) -> TrainedAgent:
+def from_pretrained(
+    repo_id: str, *, revision: str | None = None, **options: Any
+) -> TrainedAgent:
     """Load a trained agent from the Hub; ``options`` are those of `load_agent`."""
     return load_agent(pull_from_hub(repo_id, revision=revision), **options)
 
@@ -100,10 +108,17 @@ def _access(repo_id: str) -> Iterator[Any]:
             401: "Log in with `hf auth login`, or check the name.",
             403: "Your token may not write there.",
             404: "Check owner, name and revision.",
-        }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
-        first = str(error).strip().partition("\n")[0]  # what follows may repeat the token
+        }.get(
+            status or 0,
+            "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.",
+        )
+        first = (
+            str(error).strip().partition("\n")[0]
+        )  # what follows may repeat the token
         reason = one_line(Exception(first or type(error).__name__))
-        raise UserError(f"The Hub did not serve {repo_id}: {reason}. {remedy}") from error
+        raise UserError(
+            f"The Hub did not serve {repo_id}: {reason}. {remedy}"
+        ) from error
 
 
 def _card(repo_id: str, text: str) -> str:

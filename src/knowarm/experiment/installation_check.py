@@ -49,7 +49,9 @@ def _checked(name: str, check: Callable[[], str]) -> Check:
         return Check(name=name, ok=True, found=check())
     except Exception as error:  # whatever is broken is reported, not raised
         remedy = "Install knowarm in a new virtual environment, see README.md."
-        return Check(name=name, ok=False, found=f"{type(error).__name__}: {error}", remedy=remedy)
+        return Check(
+            name=name, ok=False, found=f"{type(error).__name__}: {error}", remedy=remedy
+        )
 
 
 def _versions() -> str:
@@ -77,7 +79,9 @@ def _world() -> str:
         images, _, _, _, infos = env.step(agent.act({"image": images}))
     is_moving = infos["angle"].mean() < before
     if np.ptp(images) <= 50 or not is_moving:
-        raise UserError("the simulation runs, but the image is uniform or the arm does not move")
+        raise UserError(
+            "the simulation runs, but the image is uniform or the arm does not move"
+        )
     return "simulation and ray caster work, without OpenGL"
 
 

@@ -208,7 +208,9 @@ class Grounded(KnowledgeConfig):
         if self.kind == "grounded":
             from knowarm.perception.agent import FrameRecognition
 
-            return replace(knowledge, recognition=FrameRecognition(network, knowledge.table))
+            return replace(
+                knowledge, recognition=FrameRecognition(network, knowledge.table)
+            )
         from knowarm.perception.answering import AnswerGrounding
 
         facets = network.spec.facets
@@ -234,11 +236,15 @@ class Grounded(KnowledgeConfig):
         """
         if graph is None:
             graph = read_graph(self.graph)
-        graph = self.source.change_graph(graph, self.source.draw_seed(self.seed, run_seed))
+        graph = self.source.change_graph(
+            graph, self.source.draw_seed(self.seed, run_seed)
+        )
         queries = asked(env).queries
         if reasoning == "graph-shuffled":
             graph = shuffle_tails(graph, derive_seed(run_seed, "placebos"))
-        elif reasoning == "colours":  # no facts are known: only a query's colour restricts
+        elif (
+            reasoning == "colours"
+        ):  # no facts are known: only a query's colour restricts
             queries = tuple(Query(_seen_conditions(query)) for query in queries)
         is_known = described(graph, [name for name, _ in facets])
         columns = np.flatnonzero(is_known)
@@ -323,5 +329,7 @@ def asked(env: EnvConfig) -> QuestionTable:
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
     """Return which names a graph describes."""
-    is_described = {name: graph.described(name) is not None for name in dict.fromkeys(names)}
+    is_described = {
+        name: graph.described(name) is not None for name in dict.fromkeys(names)
+    }
     return [is_described[name] for name in names]

@@ -37,8 +37,12 @@ class TrainedAgent:
     config: ExperimentConfig  #: What it was trained with.
     folder: RunFolder  #: The run.
     step: int  #: Environment steps it was trained for.
-    which: Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
-    _is_new: bool | None = field(default=None, init=False)  # whether the next step is the first
+    which: (
+        Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
+    )
+    _is_new: bool | None = field(
+        default=None, init=False
+    )  # whether the next step is the first
     _names: np.ndarray | None = field(default=None, init=False)
 
     def reset(self, batch: Batch | Mapping[str, Any]) -> None:
@@ -79,7 +83,9 @@ class TrainedAgent:
         Raises:
             UserError: no episodes have started, or another number; the image is another one.
         """
-        seen = observations["image"] if isinstance(observations, Mapping) else observations
+        seen = (
+            observations["image"] if isinstance(observations, Mapping) else observations
+        )
         images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
         if self._is_new:
             names = self._names
@@ -99,7 +105,9 @@ class TrainedAgent:
     def threshold(self, level: float) -> float:
         """Return the likelihood from which its network takes an object for a possible answer."""
         assert self.network is not None
-        return calibrated_threshold(self.network, self.config.env, level, self.config.seed)
+        return calibrated_threshold(
+            self.network, self.config.env, level, self.config.seed
+        )
 
     def with_knowledge(self, knowledge: Knowledge, **options: Any) -> PolicyAgent:
         """Return an agent with this policy and other knowledge; options as its class."""
@@ -145,7 +153,9 @@ def load_agent(
     config = folder.experiment()
     table = folder.knowledge()
     stored = folder.provenance().policy
-    checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
+    checkpoint = (
+        None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
+    )
     with reading(folder.provenance_path, "Restore the file."):
         choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
@@ -153,7 +163,9 @@ def load_agent(
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])
-        arrays = {name: torch.from_numpy(value) for name, value in checkpoint.policy.items()}
+        arrays = {
+            name: torch.from_numpy(value) for name, value in checkpoint.policy.items()
+        }
         try:
             policy.load_state_dict(arrays)
         except RuntimeError as error:  # names or shapes differ
@@ -175,7 +187,9 @@ def load_agent(
         network = given_network(config, perception)
     elif config.knows.grounding is not None:
         network = stored_network(config, folder)
-    knowledge = config.knows.known(config.env, config.seed, table=table, network=network)
+    knowledge = config.knows.known(
+        config.env, config.seed, table=table, network=network
+    )
     generator = torch.Generator().manual_seed(seed)
     agent = knowledge.make_agent(policy, greedy=greedy, generator=generator)
     return TrainedAgent(agent, policy, table, network, config, folder, step, which)

@@ -46,12 +46,16 @@ class TrainingProgress:
             self._bar = Progress(
                 TextColumn("{task.description}", style="bold", markup=False),
                 BarColumn(),
-                TextColumn("{task.completed:,.0f}/{task.total:,.0f} {task.fields[rate]}"),
+                TextColumn(
+                    "{task.completed:,.0f}/{task.total:,.0f} {task.fields[rate]}"
+                ),
                 TimeRemainingColumn(),
                 TextColumn("{task.fields[figures]}"),
                 console=self._console,
             )
-            self._task = self._bar.add_task(self._label, total=self._total, rate="", figures="")
+            self._task = self._bar.add_task(
+                self._label, total=self._total, rate="", figures=""
+            )
             self._bar.start()
         return self
 
@@ -74,26 +78,39 @@ class TrainingProgress:
             rate = (step - self._first_step) / elapsed
         speed = f"{rate:,.0f} steps/s" if rate else ""
         if self._bar is not None:
-            self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
+            self._bar.update(
+                self._task, completed=step, rate=speed, figures=self._figures
+            )
         elif now - self._last_line_time >= LINE_S:
             self._last_line_time = now
             left = max(self._total - step, 0)
             remaining = f"{left / rate / 60:.1f} min left" if rate else ""
             share = min(100 * step / self._total, 100)
-            figures = (f"{step:,} steps ({share:.1f} %)", speed, remaining, self._figures)
+            figures = (
+                f"{step:,} steps ({share:.1f} %)",
+                speed,
+                remaining,
+                self._figures,
+            )
             self.line(", ".join(filter(None, figures)))
 
-    def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
+    def evaluation(
+        self, step: int, results: Mapping[str, float], is_best: bool
+    ) -> None:
         """Print the result of an interim evaluation."""
         success = f"success {100 * results['success']:.0f} %"
         self._figures = f"{success} in the last evaluation"
         best = ", best so far" if is_best else ""
-        self.line(f"evaluation at {step:,}: return {results['return_mean']:.1f}, {success}{best}")
+        self.line(
+            f"evaluation at {step:,}: return {results['return_mean']:.1f}, {success}{best}"
+        )
 
     def line(self, text: str) -> None:
         """Print a line above the bar, or to stderr without one."""
         line = f"{self._label}: {text}"
-        with suppress(OSError):  # the terminal has closed; training goes on, or saves and stops
+        with suppress(
+            OSError
+        ):  # the terminal has closed; training goes on, or saves and stops
             if self._bar is not None:
                 self._bar.console.print(line, highlight=False, markup=False)
             else:
@@ -154,4 +171,6 @@ class RunLogs:
         with writing(self._folder.tensorboard):
             for name, value in row.items():
                 if name != "step" and math.isfinite(value):
-                    self._tensorboard.add_scalar(f"{group}/{name}", value, int(row["step"]))
+                    self._tensorboard.add_scalar(
+                        f"{group}/{name}", value, int(row["step"])
+                    )

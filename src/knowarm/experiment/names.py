@@ -16,7 +16,13 @@ from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS, unknown_robot
-from knowarm.world.tasks import DEFAULT_TASK, combinations, find_task, split_name, task_names
+from knowarm.world.tasks import (
+    DEFAULT_TASK,
+    combinations,
+    find_task,
+    split_name,
+    task_names,
+)
 from knowarm.world.tasks.sampling import Colours
 from knowarm.world.tasks.task import Task
 
@@ -75,7 +81,9 @@ class ExperimentName:
 
         An error for a part that is missing or unknown lists the nearest names.
         """
-        robots = [name for name in (*ROBOTS, *KNOWN_ARMS) if text.startswith(f"{name}-")]
+        robots = [
+            name for name in (*ROBOTS, *KNOWN_ARMS) if text.startswith(f"{name}-")
+        ]
         robot = max(robots, key=len, default=DEFAULT_ROBOT)
         after_robot = text.removeprefix(f"{robot}-")
         endings = [name for name in algorithms() if after_robot.endswith(f"-{name}")]
@@ -96,9 +104,13 @@ class ExperimentName:
         if not robots and agent not in AGENTS and tail.endswith(tuple(AGENTS)):
             robot = head  # one that is unknown
             agent = tail
-        name = cls(robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm)
+        name = cls(
+            robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm
+        )
         if str(name) not in (text, f"{robot}-{text}"):
-            raise UserError(f"The experiment {text!r} is named {str(name)!r}; give this name.")
+            raise UserError(
+                f"The experiment {text!r} is named {str(name)!r}; give this name."
+            )
         return name
 
     def config(self, **overrides: Any) -> ExperimentConfig:
@@ -111,7 +123,9 @@ class ExperimentName:
             policy |= algorithm.grounded
         if knows.scope == "query" and task.asked.graph is not None:
             # described by the graph of the questions
-            knows = override(knows, {"graph": task.asked.graph, "aliases": QUERY.aliases})
+            knows = override(
+                knows, {"graph": task.asked.graph, "aliases": QUERY.aliases}
+            )
         config = ExperimentConfig(
             name=str(self),
             agent=self.agent,

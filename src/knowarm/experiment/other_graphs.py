@@ -84,7 +84,9 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
 
 
 def meeting(
-    graph: KnowledgeGraph, objects: Collection[str], names: Mapping[str, str] | None = None
+    graph: KnowledgeGraph,
+    objects: Collection[str],
+    names: Mapping[str, str] | None = None,
 ) -> dict[str, list[str]]:
     """Return how the objects that a policy recognizes and those that a graph describes meet.
 

@@ -69,7 +69,9 @@ def _version(package: str) -> str | None:
 
 def _commit() -> str | None:
     try:
-        _git("ls-files", "--error-unmatch", Path(__file__).name)  # else another project's
+        _git(
+            "ls-files", "--error-unmatch", Path(__file__).name
+        )  # else another project's
         commit = _git("rev-parse", "HEAD")
         has_changes = _git("status", "--porcelain", "-uno")
     except (OSError, subprocess.CalledProcessError):
@@ -80,4 +82,6 @@ def _commit() -> str | None:
 def _git(*arguments: str) -> str:
     """Run git in the folder of this file."""
     command = ["git", "-C", str(Path(__file__).parent), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        command, capture_output=True, text=True, check=True
+    ).stdout.strip()

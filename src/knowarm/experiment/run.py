@@ -92,12 +92,18 @@ def train(
                 f"{'; '.join(different.values())}. Resume without these overrides, or pass another "
                 "runs folder or seed to start a new run."
             )
-    network = network_for_training(config, RunFolder(path) if resume else None, perception)
+    network = network_for_training(
+        config, RunFolder(path) if resume else None, perception
+    )
     parts = build(config)
     if network is not None and not resume:
         check_network(config, network, parts.knowledge.table)
-    with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, network, path, resume, should_stop, until_step)
+    with lock_folder(
+        path, remedy="Wait until it ends, stop it, or pass another runs folder."
+    ):
+        return _train_locked(
+            config, parts, network, path, resume, should_stop, until_step
+        )
 
 
 def _train_locked(
@@ -115,7 +121,9 @@ def _train_locked(
     if resume:
         folder.write_experiment(config)
     if continued:
-        parts = replace(parts, knowledge=replace(parts.knowledge, table=folder.knowledge()))
+        parts = replace(
+            parts, knowledge=replace(parts.knowledge, table=folder.knowledge())
+        )
     policy = parts.new_policy(config.seed)
 
     last = config.total_steps
@@ -123,9 +131,15 @@ def _train_locked(
 
     def should_end() -> bool:
         is_paused = pause <= trainer.step < last
-        return is_paused or should_stop() or folder.ended_early_at(config.stop_when) is not None
+        return (
+            is_paused
+            or should_stop()
+            or folder.ended_early_at(config.stop_when) is not None
+        )
 
-    with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
+    with TrainingProgress(
+        f"{config.name}/{config.seed}", config.total_steps
+    ) as progress:
         for line in announcements(parts, policy):
             progress.line(line)
         grounding = config.knows.grounding
@@ -142,7 +156,9 @@ def _train_locked(
                 should_stop=should_stop,
             )
             if network is None:
-                stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
+                stopped = TrainingResult(
+                    step=0, reason="stopped", best_return=None, best_step=None
+                )
                 return Run(folder, stopped)
         logs = RunLogs(folder, progress)
         knowledge = config.knows.known(
@@ -154,9 +170,13 @@ def _train_locked(
             knowledge,
             evaluate_every=config.evaluate_every,
             hooks=Hooks(
-                on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
+                on_metrics=logs.metrics,
+                on_evaluation=logs.evaluation,
+                should_stop=should_end,
             ),
-            checkpoints=CheckpointStore(folder.checkpoints, description(config, policy)),
+            checkpoints=CheckpointStore(
+                folder.checkpoints, description(config, policy)
+            ),
             checkpoint_every=config.checkpoint_every_steps,
             failure_folder=folder.path / "failure",
         )
@@ -208,7 +228,9 @@ def announcements(parts: Parts, policy: Policy) -> list[str]:
             "network can only use as a bias; compare with the controls (knowarm list)"
         )
     if embedding.privileged:
-        lines.append("the knowledge identifies the episode's target: privileged information")
+        lines.append(
+            "the knowledge identifies the episode's target: privileged information"
+        )
     if embedding.note:
         lines.append(embedding.note)
     return lines
@@ -218,7 +240,9 @@ def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
     """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
     choices = to_dict(policy.resolved_config)
     del choices["wide"]
-    del choices["actor_gain"]  # of the initial weights only; checkpoints of before do not name it
+    del choices[
+        "actor_gain"
+    ]  # of the initial weights only; checkpoints of before do not name it
     return {
         "robot": config.env.robot,
         "agent": config.agent,
@@ -244,7 +268,10 @@ def _describe(
         network.write(folder.path / PERCEPTION_FILE)
     about = provenance(
         parameter_counts=policy.parameter_counts(),
-        policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
+        policy={
+            "config": to_dict(policy.resolved_config),
+            "shape": to_dict(policy.shape),
+        },
         facets=facets_of(config.env),
         knowledge=embedding and embedding.describe(),
         perception=perception,

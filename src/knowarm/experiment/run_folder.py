@@ -123,7 +123,9 @@ class RunFolder:
     @property
     def has_checkpoint(self) -> bool:
         """Whether training can resume; a damaged checkpoint counts."""
-        return any((self.checkpoints / name).is_dir() for name in ("latest", "previous"))
+        return any(
+            (self.checkpoints / name).is_dir() for name in ("latest", "previous")
+        )
 
     def evaluation(self, label: str) -> Path:
         """Folder of one post-training evaluation."""
@@ -164,7 +166,9 @@ class RunFolder:
         begun = read_json(self.config_path) if self.config_path.exists() else {}
         names: dict[str, str] = {}  # of the originals, by copy
         with_inputs(begun, lambda name: names.setdefault(str(self._copy(name)), name))
-        values = with_inputs(to_dict(config), lambda name: self._keep(names.get(name, name)))
+        values = with_inputs(
+            to_dict(config), lambda name: self._keep(names.get(name, name))
+        )
         write_json(self.config_path, {"format": FORMAT, **values})
 
     def _keep(self, name: str) -> str:
@@ -210,7 +214,11 @@ class RunFolder:
         """Environment steps that a run took of those it was to take; all, if it does not say."""
         config = self.experiment()
         total = config.total_steps
-        return total if config.stop_when else min(total, self.checkpoint_fact("step", total))
+        return (
+            total
+            if config.stop_when
+            else min(total, self.checkpoint_fact("step", total))
+        )
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""
@@ -241,7 +249,9 @@ class RunFolder:
         if different:
             resumed = (*stored.resumed, {"step": step, **now})
             write_json(self.provenance_path, to_dict(replace(stored, resumed=resumed)))
-        return "; ".join(f"{name} {old} | {new}" for name, (old, new) in different.items())
+        return "; ".join(
+            f"{name} {old} | {new}" for name, (old, new) in different.items()
+        )
 
     def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""
@@ -258,7 +268,11 @@ class RunFolder:
         remedy = "Restore the file or train again."
         with reading(self.knowledge_path, remedy):
             table = read_arrays(self.knowledge_path, remedy=remedy)["table"]
-            if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
+            if (
+                table.ndim != 2
+                or table.dtype != np.float32
+                or not np.isfinite(table).all()
+            ):
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
 
@@ -282,12 +296,16 @@ def network_for_training(
     return network
 
 
-def check_network(config: ExperimentConfig, network: GroundingNetwork, table: np.ndarray) -> None:
+def check_network(
+    config: ExperimentConfig, network: GroundingNetwork, table: np.ndarray
+) -> None:
     """Check that a given network compares the places of an image with an agent's vectors.
 
     One that is given the answers of a graph compares none.
     """
-    if answers_by_graph(config.knows) or np.array_equal(network.knowledge.numpy(), table):
+    if answers_by_graph(config.knows) or np.array_equal(
+        network.knowledge.numpy(), table
+    ):
         return
     raise UserError(
         "The given grounding network was trained with other knowledge of the queries than the "

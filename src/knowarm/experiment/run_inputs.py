@@ -32,7 +32,9 @@ def input_files(name: str) -> dict[str, Path | bytes]:
     if name.endswith(SUFFIX):
         return description_files(path)
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    return {str(file.relative_to(path.parent)): file for file in files if file.is_file()}
+    return {
+        str(file.relative_to(path.parent)): file for file in files if file.is_file()
+    }
 
 
 def copy_input(name: str, copy: Path) -> None:

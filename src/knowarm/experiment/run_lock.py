@@ -52,7 +52,9 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
         refuse_links(path)
         lock.acquire()
     except Timeout as error:
-        raise FolderInUseError(f"{path} is in use by {_holder(path)}. {remedy}") from error
+        raise FolderInUseError(
+            f"{path} is in use by {_holder(path)}. {remedy}"
+        ) from error
     except OSError as error:
         raise UserError(
             f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
@@ -94,7 +96,9 @@ class StopRequest:
     def __enter__(self) -> "StopRequest":
         """Install the handlers."""
         numbers = [signal.SIGINT, signal.SIGTERM]
-        hangup = getattr(signal, "SIGHUP", None)  # Windows has none, and nohup ignores it
+        hangup = getattr(
+            signal, "SIGHUP", None
+        )  # Windows has none, and nohup ignores it
         if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
             numbers.append(hangup)
         for number in numbers:

@@ -73,24 +73,65 @@ def _asks(episodes: Columns) -> Interval:
     return share_of(episodes["visible_answers"] != 1)
 
 
-_failure: dict[str, Any] = {"format": "number3", "among": lambda episodes: ~episodes["success"]}
+_failure: dict[str, Any] = {
+    "format": "number3",
+    "among": lambda episodes: ~episodes["success"],
+}
 
 MEASURES = (
     Measure("episodes", "episodes", "return", "count", format="integer"),
     Measure("success", "success", "success", about="distance and angle at one step"),
-    Measure("success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True),
+    Measure(
+        "success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True
+    ),
     Measure("accuracy", "accuracy", "accurate", about="final distance only"),
     Measure("return_mean", "mean return", "return", "mean", format="number1"),
-    Measure("return_std", "std of return", "return", "std", format="number1", detail=True),
-    Measure("length_mean", "steps", "length", "mean", format="number1"),
-    Measure("length_std", "std of steps", "length", "std", format="number1", detail=True),
-    Measure("failure_distance_mean", "failure dist. [m]", "distance_m", "average", **_failure),
-    Measure("failure_distance_std", "its std [m]", "distance_m", "std", **_failure, detail=True),
-    Measure("failure_distance_max", "its max [m]", "distance_m", "max", **_failure, detail=True),
     Measure(
-        "distance_mean", "distance [m]", "distance_m", "average", format="number3", detail=True
+        "return_std", "std of return", "return", "std", format="number1", detail=True
     ),
-    Measure("angle_mean", "angle [deg]", "angle_deg", "average", format="number1", detail=True),
+    Measure("length_mean", "steps", "length", "mean", format="number1"),
+    Measure(
+        "length_std", "std of steps", "length", "std", format="number1", detail=True
+    ),
+    Measure(
+        "failure_distance_mean",
+        "failure dist. [m]",
+        "distance_m",
+        "average",
+        **_failure,
+    ),
+    Measure(
+        "failure_distance_std",
+        "its std [m]",
+        "distance_m",
+        "std",
+        **_failure,
+        detail=True,
+    ),
+    Measure(
+        "failure_distance_max",
+        "its max [m]",
+        "distance_m",
+        "max",
+        **_failure,
+        detail=True,
+    ),
+    Measure(
+        "distance_mean",
+        "distance [m]",
+        "distance_m",
+        "average",
+        format="number3",
+        detail=True,
+    ),
+    Measure(
+        "angle_mean",
+        "angle [deg]",
+        "angle_deg",
+        "average",
+        format="number1",
+        detail=True,
+    ),
     Measure("choice_chance", "chance", "chance", "average"),
     Measure(
         "choice_corrected",
@@ -115,9 +156,13 @@ MEASURES = (
         about="new of new and old answers",
     ),
     Measure("saw_no_answer", "saw no answer", "visible_answers", equals=0),
-    Measure("saw_several_answers", "saw several", "visible_answers", compute=_saw_several),
+    Measure(
+        "saw_several_answers", "saw several", "visible_answers", compute=_saw_several
+    ),
     Measure("coverage", "right one among the candidates", "covered"),
-    Measure("questions", "asks", "covered", compute=_asks, about="not exactly one candidate"),
+    Measure(
+        "questions", "asks", "covered", compute=_asks, about="not exactly one candidate"
+    ),
     # A probe computes these; no column holds them.
     Measure("difference", "agent minus this [points]", format="points"),
     Measure(
@@ -242,7 +287,9 @@ class Summary:
         check_values(self.groups, where="groups")
         missing = [name for name in NEEDED if name not in self.numbers]
         if missing:
-            raise UserError(f"numbers of the summary {self.label} lack {', '.join(missing)}.")
+            raise UserError(
+                f"numbers of the summary {self.label} lack {', '.join(missing)}."
+            )
 
     def __getitem__(self, name: str) -> float:
         """Return a number of all episodes, without its interval."""
@@ -261,7 +308,9 @@ class Summary:
     def interval(self, name: str, group: str = "", value: str = "") -> Interval:
         """Return a number with its interval over episodes, of no width if it has none."""
         number = self.of(group, value)[name]
-        return number if isinstance(number, Interval) else Interval(number, number, number)
+        return (
+            number if isinstance(number, Interval) else Interval(number, number, number)
+        )
 
     @classmethod
     def read(cls, folder: Path) -> "Summary":
@@ -270,7 +319,9 @@ class Summary:
         values = read_json(path, remedy=AGAIN)
         with reading(path, AGAIN):
             if values.get("format") != FORMAT:
-                raise ValueError(f"format {values.get('format')!r}, this version reads {FORMAT}")
+                raise ValueError(
+                    f"format {values.get('format')!r}, this version reads {FORMAT}"
+                )
             return from_dict(cls, values)
 
 
@@ -282,16 +333,28 @@ EPISODE_COLUMNS = {
     "return": ("float64", "sum of the rewards, not discounted"),
     "length": ("int32", "steps until success or the time limit"),
     "distance_m": ("float64", "distance of gripper and grasp point at the end [m]"),
-    "angle_deg": ("float64", "geodesic angle between gripper and grasp frame at the end [deg]"),
+    "angle_deg": (
+        "float64",
+        "geodesic angle between gripper and grasp frame at the end [deg]",
+    ),
     "success": ("bool", "distance and angle within the thresholds at the same step"),
-    "accurate": ("bool", "distance within the threshold at the end: the paper's accuracy"),
+    "accurate": (
+        "bool",
+        "distance within the threshold at the end: the paper's accuracy",
+    ),
     "success_wide": ("bool", "distance and the wider angle threshold met at some step"),
 }
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
 
 FURTHER_COLUMNS = {
-    "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
-    "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
+    "chose_old_answer": (
+        "bool",
+        "whether it answered the query before the graph was edited",
+    ),
+    "visible_answers": (
+        "int64",
+        "objects in the first image that answer, as the agent sees it",
+    ),
     "covered": ("bool", "whether the right object is among those that may answer"),
 }
 """Further columns of some evaluations; tasks and probes add their own."""
@@ -323,14 +386,20 @@ def episode_types(
 
 
 def write_table(
-    path: Path, columns: Mapping[str, np.ndarray], described: Mapping[str, tuple[str, str]]
+    path: Path,
+    columns: Mapping[str, np.ndarray],
+    described: Mapping[str, tuple[str, str]],
 ) -> None:
     """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
     fields = []
     arrays = []
     for name, (kind, meaning) in described.items():
         is_text = kind == "string"
-        arrow = pa.dictionary(pa.int32(), pa.string()) if is_text else pa.type_for_alias(kind)
+        arrow = (
+            pa.dictionary(pa.int32(), pa.string())
+            if is_text
+            else pa.type_for_alias(kind)
+        )
         fields.append(pa.field(name, arrow, metadata={"meaning": meaning}))
         arrays.append(pa.array(columns[name]).cast(arrow))
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))

@@ -23,7 +23,16 @@ COLUMN = 190
 """Widths [px]: beside a label, between columns."""
 SPOKEN = 60
 """Facts in the description for screen readers."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7f5fb0", "#8c564b")
+COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#b8860b",
+    "#56b4e9",
+    "#7f5fb0",
+    "#8c564b",
+)
 """One per root; the first six are Okabe and Ito's, which colour-blind readers can tell apart."""
 GREY = "#8a8a8a"
 
@@ -58,7 +67,9 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
     colour of the root they come from.
     """
     if not len(graph.nodes):
-        raise UserError("The graph is empty, so there is nothing to draw. Give other objects.")
+        raise UserError(
+            "The graph is empty, so there is nothing to draw. Give other objects."
+        )
     if len(graph.nodes) > MAX_ENTITIES:
         raise UserError(
             f"The graph has {len(graph.nodes):,} entities; a drawing holds at most "
@@ -66,7 +77,9 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
         )
     facts = list[_Fact]()
     for head, relation, tail in graph.triples.tolist():
-        facts.append((head, label_of(graph.relation_names[relation], graph.labels), tail))
+        facts.append(
+            (head, label_of(graph.relation_names[relation], graph.labels), tail)
+        )
     beside = _neighbours(facts)
     boxes = _columns(graph, beside, [graph.entity_id(name) for name in roots])
     markup = [
@@ -94,7 +107,9 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
             )
         )
         middle = box.x + box.width / 2
-        markup.append(label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink))
+        markup.append(
+            label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink)
+        )
     spoken = list[str]()
     for head, words, tail in facts[:SPOKEN]:
         spoken.append(f"{boxes[head].label} {words} {boxes[tail].label}")
@@ -119,7 +134,9 @@ def _neighbours(facts: Sequence[_Fact]) -> _Neighbours:
     return beside
 
 
-def _columns(graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]) -> dict[int, _Box]:
+def _columns(
+    graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]
+) -> dict[int, _Box]:
     """Return every entity's box: its distance from the roots, and the relation that reaches it."""
     if not roots:
         roots = np.setdiff1d(graph.nodes, graph.tails).tolist()
@@ -150,12 +167,16 @@ def _add_columns(
         for entity in frontier:
             for words, other in beside[entity]:
                 if other not in boxes:
-                    boxes[other] = _box(graph, other, column, words, boxes[entity].colour)
+                    boxes[other] = _box(
+                        graph, other, column, words, boxes[entity].colour
+                    )
                     reached.append(other)
         frontier = sorted(reached)
 
 
-def _box(graph: KnowledgeGraph, entity: int, column: int, group: str, colour: str) -> _Box:
+def _box(
+    graph: KnowledgeGraph, entity: int, column: int, group: str, colour: str
+) -> _Box:
     return _Box(label_of(graph.names[entity], graph.labels), column, group, colour)
 
 
@@ -166,7 +187,11 @@ def _headings(boxes: dict[int, _Box], beside: _Neighbours) -> list[str]:
         columns[box.column].append(entity)
 
     def order(entity: int) -> tuple[str, float, str]:
-        return boxes[entity].group, _barycentre(boxes, beside, entity), boxes[entity].label
+        return (
+            boxes[entity].group,
+            _barycentre(boxes, beside, entity),
+            boxes[entity].label,
+        )
 
     headings = list[str]()
     x = 24.0
@@ -179,7 +204,9 @@ def _headings(boxes: dict[int, _Box], beside: _Neighbours) -> list[str]:
             if box.group != group:
                 group = box.group
                 y += GAP
-                headings.append(label(x, y - 5, group, fill="#666", font_style="italic"))
+                headings.append(
+                    label(x, y - 5, group, fill="#666", font_style="italic")
+                )
             box.x = x
             box.y = y
             y += ROW

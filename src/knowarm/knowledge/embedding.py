@@ -15,7 +15,13 @@ from knowarm.errors import Argument, UserError
 from knowarm.knowledge.config import EmbeddingFacts, KnowledgeConfig, Scope
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.slots import ConditionSlots, Described, FacetSlots, graph_parts, slots_of
+from knowarm.knowledge.slots import (
+    ConditionSlots,
+    Described,
+    FacetSlots,
+    graph_parts,
+    slots_of,
+)
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Facet,
@@ -97,7 +103,9 @@ class Embedding:
             dim=self.dim,
             norm=self.norm,
             note=self.note,
-            slot_norms=tuple(np.linalg.norm(self.matrix.astype(float), axis=1).tolist()),
+            slot_norms=tuple(
+                np.linalg.norm(self.matrix.astype(float), axis=1).tolist()
+            ),
             coverage=self.coverage.describe(),
             sentences=dict(zip(names, self.sentences, strict=True)),
             constant=self.constant,
@@ -172,10 +180,15 @@ class QueryEmbedding(Embedding):
             UserError: no slot describes a condition.
         """
         slots = dict(zip(self.slots, self.matrix, strict=True))
-        new = set(chain.from_iterable(query.conditions for query in queries)) - slots.keys()
+        new = (
+            set(chain.from_iterable(query.conditions for query in queries))
+            - slots.keys()
+        )
         if new:
             names = sorted(condition.name for condition in new)
-            raise UserError(f"No slot describes {', '.join(names)}: embed the queries first.")
+            raise UserError(
+                f"No slot describes {', '.join(names)}: embed the queries first."
+            )
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
             first = 0
@@ -214,7 +227,9 @@ def scene_embedding(
         (2, 50)
     """
     slots = slots_of(config, facets)
-    return SceneEmbedding(slots=slots, **_embed(config, FacetSlots(slots), graph, run_seed))
+    return SceneEmbedding(
+        slots=slots, **_embed(config, FacetSlots(slots), graph, run_seed)
+    )
 
 
 def query_embedding(
@@ -269,12 +284,15 @@ def _embed(
         matrix = _vectors(config, described, coverage)
         if not source.content_free:
             sentences = tuple(
-                " ".join(part.label for part in labels.sentence) for labels in described.slots
+                " ".join(part.label for part in labels.sentence)
+                for labels in described.slots
             )
     matrix = source.change_vectors(matrix, seed)
     if source.real is not source and not source.content_free:
         # A placebo with another content has slots as long as those of the source that it copies.
-        real = _embed(replace(config, source=source.real), slots, graph, run_seed=0)["matrix"]
+        real = _embed(replace(config, source=source.real), slots, graph, run_seed=0)[
+            "matrix"
+        ]
         wanted = np.linalg.norm(real, axis=1, keepdims=True)
         length = np.linalg.norm(matrix, axis=1, keepdims=True)
         factor = np.divide(wanted, length, out=np.zeros_like(wanted), where=length > 0)
@@ -288,7 +306,9 @@ def _embed(
     }
 
 
-def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) -> np.ndarray:
+def _vectors(
+    config: KnowledgeConfig, described: Described, coverage: Coverage
+) -> np.ndarray:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
     parts = list(chain.from_iterable(labels.sentence for labels in described.slots))
     everything = list[SentencePart]()
@@ -318,12 +338,18 @@ def _vectors(config: KnowledgeConfig, described: Described, coverage: Coverage) 
     rows = list[np.ndarray]()
     for sentence, value, rest in described.slots:
         labels = sentence if config.colour_share is None else rest
-        vector = pool([lookup.find(part, coverage) for part in labels], config.pooling, centre)
+        vector = pool(
+            [lookup.find(part, coverage) for part in labels], config.pooling, centre
+        )
         if value is not None and config.colour_share is not None:
-            value_vector = pool([lookup.find(value, coverage)], config.pooling, value_centre)
+            value_vector = pool(
+                [lookup.find(value, coverage)], config.pooling, value_centre
+            )
             length = np.linalg.norm(vector)
             share = config.colour_share
-            vector = ((1 - share) * _unit(vector) + share * _unit(value_vector)) * length
+            vector = (
+                (1 - share) * _unit(vector) + share * _unit(value_vector)
+            ) * length
         if config.slot_norm is not None:
             vector = _unit(vector) * config.slot_norm
         rows.append(vector)

@@ -40,7 +40,9 @@ class Probe:
     def nearly_same(self) -> list[tuple[str, str, float]]:
         """The pairs of facets that are nearly the same, and their cosine."""
         pairs = np.argwhere(np.triu(self.cosine, 1) >= NEARLY_SAME)
-        return [(self.slots[i], self.slots[j], float(self.cosine[i, j])) for i, j in pairs]
+        return [
+            (self.slots[i], self.slots[j], float(self.cosine[i, j])) for i, j in pairs
+        ]
 
     @property
     def largest(self) -> float:
@@ -120,7 +122,9 @@ def _population(
     coloured = graph.relations == graph.relation_id(config.colour_relation)
     rows = np.flatnonzero(coloured & ~np.isin(graph.heads, task_objects))
     if len(rows) > MOST_OTHERS:
-        rows = np.random.default_rng(config.seed).choice(rows, MOST_OTHERS, replace=False)
+        rows = np.random.default_rng(config.seed).choice(
+            rows, MOST_OTHERS, replace=False
+        )
     population = list(facets)
     for head, _, tail in graph.rows(np.sort(rows)):
         population.append((head, tail))
@@ -138,7 +142,9 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
     return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
 
 
-def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
+def _scores(
+    shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray
+) -> dict[str, float]:
     """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
     if np.isnan(shares[in_task]).all():
         return {}
@@ -149,7 +155,9 @@ def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[
     }
 
 
-def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
+def _single(
+    vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray
+) -> dict[str, float]:
     """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
     targets = np.eye(len(classes))[index]
@@ -182,7 +190,9 @@ def _attributes(
         true = np.zeros((len(objects), len(tails)))
         for row, column in zip(rows, columns, strict=True):
             true[ids == graph.heads[row], column] = 1.0
-        true = true[:, counts > 1]  # a value of a single object cannot be learned from others
+        true = true[
+            :, counts > 1
+        ]  # a value of a single object cannot be learned from others
         shares = np.full(len(objects), np.nan)
         guess = np.full(len(objects), np.nan)
         for name in np.unique(objects[true.any(axis=1)]):
@@ -192,7 +202,9 @@ def _attributes(
             for row, score in zip(np.flatnonzero(held), predicted, strict=True):
                 shares[row] = _share_found(score, true[row])
                 guess[row] = _share_found(frequent, true[row])
-        scores[local_name(graph.relation_names[relation])] = _scores(shares, guess, in_task)
+        scores[local_name(graph.relation_names[relation])] = _scores(
+            shares, guess, in_task
+        )
     return scores
 
 
@@ -211,7 +223,9 @@ def query_agreement(
     Over all pairs of facts, it compares the cosine of their slots with the share of objects that
     satisfy both among those that satisfy either. None if all slots are equally similar.
     """
-    facts = [query for query in asked.queries("none") if not query.conditions[0].is_seen]
+    facts = [
+        query for query in asked.queries("none") if not query.conditions[0].is_seen
+    ]
     embedding = query_embedding(config, facts, run_seed=run_seed, graph=asked.graph)
     cosine = _cosine(embedding.matrix)
     _, first_facets = np.unique(asked.owner, return_index=True)

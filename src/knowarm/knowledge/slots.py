@@ -54,22 +54,30 @@ class FacetSlots:
                 Facet(config.graph_name(name), colour and config.graph_name(colour)),
             )
         subgraphs = list[tuple[KnowledgeGraph, str | None]]()
-        for facet in config.source.change_facets(named, graph, config.colour_relation, seed):
+        for facet in config.source.change_facets(
+            named, graph, config.colour_relation, seed
+        ):
             around = _around(graph, facet.object, config)
             subgraphs.append(facet_subgraph(around, facet, config.colour_relation))
         return graph, subgraphs
 
-    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
+    def describe(
+        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
+    ) -> Described:
         """Return the sentences of the subgraphs, and the colours."""
         graph, subgraphs = self.subgraphs(graph, config, seed)
         colours: list[SentencePart] = []
         if config.detail == "full":  # every colour of the graph
             rows = graph.relations == graph.relation_id(config.colour_relation)
-            colours = [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
+            colours = [
+                entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])
+            ]
         slots = list[SlotLabels]()
         for subgraph, colour in subgraphs:
             labels = _labels_of_slot(sentence_parts(subgraph, config), colour)
-            if labels.value is not None and any(h == t == colour for h, _, t in subgraph):
+            if labels.value is not None and any(
+                h == t == colour for h, _, t in subgraph
+            ):
                 # An object with the name of its colour, such as an orange, keeps its own label.
                 rest = labels.sentence.copy()
                 rest.remove(labels.value)
@@ -87,7 +95,9 @@ class ConditionSlots:
     def __len__(self) -> int:
         return len(self.conditions)
 
-    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
+    def describe(
+        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
+    ) -> Described:
         """Return the labels of each condition, and its value where there are others beside it.
 
         Raises:
@@ -112,7 +122,9 @@ class ConditionSlots:
         return Described(slots, values, graph)
 
 
-def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
+def slots_of(
+    config: KnowledgeConfig, facets: Sequence[ObjectColour]
+) -> tuple[Facet, ...]:
     """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
     if config.detail == "partial":
         names = dict.fromkeys(name for name, _ in facets)
@@ -154,7 +166,9 @@ def _condition_parts(
     return parts
 
 
-def _entity(graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig) -> str | None:
+def _entity(
+    graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig
+) -> str | None:
     """Return the graph's name of a condition's value, or None if the graph does not hold it."""
     entity = graph.find_entity(config.graph_name(condition.value))
     return None if entity is None else graph.names[entity]
@@ -211,7 +225,9 @@ def facet_subgraph(
     return around.rows(np.flatnonzero(kept), nodes=np.array([entity])), colour
 
 
-def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: str) -> int:
+def _colour_row(
+    around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: str
+) -> int:
     """Return the row of the facet's colour fact among the object's colour facts."""
     if facet.colour_number is not None and len(rows):
         return int(rows[facet.colour_number % len(rows)])
@@ -240,7 +256,9 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
     )
 
 
-def _around(graph: KnowledgeGraph, entity: str, config: KnowledgeConfig) -> KnowledgeGraph:
+def _around(
+    graph: KnowledgeGraph, entity: str, config: KnowledgeConfig
+) -> KnowledgeGraph:
     """Select Gamma of an entity."""
     return gamma(
         graph,
@@ -252,7 +270,9 @@ def _around(graph: KnowledgeGraph, entity: str, config: KnowledgeConfig) -> Know
     )
 
 
-def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> list[SentencePart]:
+def sentence_parts(
+    graph: KnowledgeGraph, config: KnowledgeConfig = FULL
+) -> list[SentencePart]:
     """Return the labels of a subgraph in the order of its triples: head, relation, tail names."""
     if not len(graph):
         asked = ", ".join(graph.entities[:8]) or "no entity"
@@ -298,7 +318,10 @@ def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[Sentence
     parts = [entity_part(graph, name) for name in graph.entities]
     if relation_words:
         names = graph.relations_used
-        parts += [SentencePart(name, label_of(name, labels), is_relation=True) for name in names]
+        parts += [
+            SentencePart(name, label_of(name, labels), is_relation=True)
+            for name in names
+        ]
     return parts
 
 

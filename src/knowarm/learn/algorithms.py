@@ -135,7 +135,9 @@ class MinibatchConfig(ScheduleConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        at_least(
+            self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes"
+        )
         above_zero(self, "max_grad_norm")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
@@ -294,7 +296,9 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
     def __post_init__(self) -> None:
         ScheduleConfig.__post_init__(self)
         ThresholdConfig.__post_init__(self)
-        at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
+        at_least(
+            self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps"
+        )
         at_least(self, 0, "vf_coef", "ent_coef")
         above_zero(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
         fraction(self, "gamma", "gae_lambda")
@@ -314,4 +318,6 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
     @property
     def is_fixed(self) -> bool:
         """Whether the schedule is fixed."""
-        return self.schedule == "fixed" or (self.schedule is None and self.envs_per_worker == 1)
+        return self.schedule == "fixed" or (
+            self.schedule is None and self.envs_per_worker == 1
+        )

@@ -120,7 +120,9 @@ class CheckpointStore:
         for part in PARTS:
             arrays: Arrays = getattr(checkpoint, part)
             # safetensors writes the memory of an array whatever its strides are.
-            contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+            contiguous = {
+                name: np.asarray(array, order="C") for name, array in arrays.items()
+            }
             data = save_arrays(contiguous)
             digests[part] = digest(data)
             _write_file(folder / f"{part}.safetensors", data)
@@ -134,7 +136,9 @@ class CheckpointStore:
         _sync(folder)
 
 
-def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) -> Checkpoint:
+def read_checkpoint(
+    folder: Path, description: Mapping[str, Any] | None = None
+) -> Checkpoint:
     """Read a checkpoint folder and verify its digests.
 
     Args:
@@ -150,7 +154,9 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         folder = _former(folder)  # saving ended between two renames
     if not folder.is_dir():
         others = ", ".join(sorted(path.name for path in folder.parent.glob("[!.]*")))
-        raise UserError(f"There is no checkpoint {folder}. Available: {others or 'none'}.")
+        raise UserError(
+            f"There is no checkpoint {folder}. Available: {others or 'none'}."
+        )
     remedy = "The checkpoint is incomplete: restore it or delete it."
     file = folder / "meta.json"
     meta = read_json(file, remedy=remedy)
@@ -182,7 +188,9 @@ def _former(folder: Path) -> Path:
 def select(state: Mapping[str, np.ndarray], prefix: str) -> Arrays:
     """Return the entries whose names start with ``prefix``, without the prefix."""
     return {
-        name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)
+        name.removeprefix(prefix): array
+        for name, array in state.items()
+        if name.startswith(prefix)
     }
 
 
@@ -193,7 +201,9 @@ def prefixed(prefix: str, state: Mapping[str, np.ndarray]) -> Arrays:
 
 def to_arrays(tensors: Mapping[str, Tensor]) -> Arrays:
     """Copy tensors of any device."""
-    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()}
+    return {
+        name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()
+    }
 
 
 def to_tensors(
@@ -208,11 +218,19 @@ def policy_arrays(policy: nn.Module) -> Arrays:
     return to_arrays(policy.state_dict())
 
 
-def _compare(folder: Path, written: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _compare(
+    folder: Path, written: Mapping[str, Any], wanted: Mapping[str, Any]
+) -> None:
     """Raise a `UserError` that shows the differences between two descriptions."""
-    different = [key for key in sorted({*written, *wanted}) if written.get(key) != wanted.get(key)]
+    different = [
+        key
+        for key in sorted({*written, *wanted})
+        if written.get(key) != wanted.get(key)
+    ]
     if different:
-        pairs = "; ".join(f"{k}: {written.get(k)!r} | {wanted.get(k)!r}" for k in different)
+        pairs = "; ".join(
+            f"{k}: {written.get(k)!r} | {wanted.get(k)!r}" for k in different
+        )
         raise UserError(
             f"The checkpoint {folder} belongs to another run (checkpoint | this run): {pairs}. "
             "Resume it with its own settings or choose another run folder."

@@ -71,7 +71,9 @@ def minibatch_loss(
 ) -> Terms:
     """Compute the loss of imitation, and the auxiliary one, over a minibatch."""
     logits, _, features = network(batch)
-    loss = distil_loss(logits, targets["actions"], targets["weights"], config.stay_share)
+    loss = distil_loss(
+        logits, targets["actions"], targets["weights"], config.stay_share
+    )
     terms = {"total": loss, "imitation_loss": loss}
     return network.add_auxiliary(terms, features, targets, config.auxiliary_coef)
 

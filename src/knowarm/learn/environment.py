@@ -126,7 +126,9 @@ class NumpyToTorch:
             )
         self.env = env
         self.num_envs: int = env.num_envs
-        self._table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
+        self._table = (
+            None if table is None else torch.as_tensor(table, dtype=torch.float32)
+        )
 
     @property
     def knowledge(self) -> Tensor:
@@ -231,5 +233,7 @@ class ThresholdCurriculum:
             factor -= self._config.threshold_decrease
         begin, end = LATEST
         remaining = (end - progress) / (end - begin)
-        largest = 1 + (self._config.threshold_factor - 1) * min(max(remaining, 0.0), 1.0)
+        largest = 1 + (self._config.threshold_factor - 1) * min(
+            max(remaining, 0.0), 1.0
+        )
         self.factor = max(1.0, min(factor, largest))

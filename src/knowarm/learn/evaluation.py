@@ -33,7 +33,9 @@ class CompletedEvaluation(NamedTuple):
     """Result of one interim evaluation."""
 
     step: int
-    values: np.ndarray  # (P,) float32, the parameters of the evaluated policy; see `FlatParameters`
+    values: (
+        np.ndarray
+    )  # (P,) float32, the parameters of the evaluated policy; see `FlatParameters`
     results: Metrics
 
 
@@ -64,10 +66,14 @@ class Evaluations:
             context = context or process_context()
             # Parameters do not fit into a pipe: sending them would block while the child starts.
             parameters = sum(p.numel() for p in policy.parameters())
-            self._shared = SharedTensors(context, {"values": ((parameters,), torch.float32)})
+            self._shared = SharedTensors(
+                context, {"values": ((parameters,), torch.float32)}
+            )
             arguments = (policy.maker(), make_evaluate, self._shared)
             self.process = SupervisedProcess(
-                lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
+                lambda restarts: ChildProcess.start(
+                    context, "evaluator", run_evaluator, *arguments
+                )
             )
         elif make_evaluate is not None:
             self._evaluate = make_evaluate()

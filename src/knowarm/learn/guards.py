@@ -26,14 +26,18 @@ class FiniteGuard:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
-    def check(self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]) -> None:
+    def check(
+        self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]
+    ) -> None:
         """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
             if torch.isfinite(value).all():
                 continue
             where = ""
             if self._folder is not None:
-                where = f"; the rollout is saved in {self._save(self._folder, step, batch)}"
+                where = (
+                    f"; the rollout is saved in {self._save(self._folder, step, batch)}"
+                )
             raise NotFiniteError(
                 f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
                 "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
@@ -70,7 +74,10 @@ class FiniteGuard:
     def _save(self, folder: Path, step: int, batch: Mapping[str, Tensor]) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"not-finite-{step}.safetensors"
-        save_file({name: value.detach().cpu().contiguous() for name, value in batch.items()}, path)
+        save_file(
+            {name: value.detach().cpu().contiguous() for name, value in batch.items()},
+            path,
+        )
         return path
 
 
@@ -87,7 +94,9 @@ class HealthMonitor:
         self._largest_reward = 0.0
         self._warned: set[str] = set()
 
-    def watch(self, *, step: int, entropy: float, values: Tensor, rewards: Tensor) -> None:
+    def watch(
+        self, *, step: int, entropy: float, values: Tensor, rewards: Tensor
+    ) -> None:
         """Check one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
         self._largest_reward = max(self._largest_reward, float(rewards.abs().max()))
         largest = float(values.abs().max())

@@ -26,7 +26,12 @@ from knowarm.learn.parallel.processes import (
     process_context,
     stop_all,
 )
-from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs, zeros
+from knowarm.learn.parallel.shared_tensors import (
+    FlatParameters,
+    SharedTensors,
+    TensorSpecs,
+    zeros,
+)
 from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
 from knowarm.policy import MakePolicy, MatmulPrecision, Policy, State
 from knowarm.policy.encoder import orthogonal
@@ -48,7 +53,9 @@ Targets = Mapping[str, Tensor]
 class TrainingNetwork(nn.Module):
     """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
 
-    def __init__(self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0) -> None:
+    def __init__(
+        self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0
+    ) -> None:
         super().__init__()
         self.policy = policy
         self.auxiliary_targets = auxiliary_targets
@@ -101,7 +108,9 @@ def add_gradient(
     The loss has a factor ``weight``: b over the number of environments in the whole minibatch, so
     that the returned terms of the processes add up to those of the minibatch.
     """
-    selected = {name: target.index_select(1, env_ids) for name, target in targets.items()}
+    selected = {
+        name: target.index_select(1, env_ids) for name, target in targets.items()
+    }
     terms = loss(network, rollout.of(env_ids), selected)
     (terms["total"] * weight).backward()
     return {name: term.detach() * weight for name, term in terms.items()}
@@ -170,11 +179,15 @@ def run_learner_worker(
     while True:
         command = connection.recv()
         if isinstance(command, InferCommand):
-            infer_shared(policy, rollout, exchange, command.t, exchange["image"], command.envs)
+            infer_shared(
+                policy, rollout, exchange, command.t, exchange["image"], command.envs
+            )
         else:
             gradient.zero_()
             env_ids = torch.from_numpy(command.env_ids)
-            terms = add_gradient(network, loss, rollout, targets, env_ids, command.weight)
+            terms = add_gradient(
+                network, loss, rollout, targets, env_ids, command.weight
+            )
             exchange["terms"][index, : len(terms)] = torch.stack([*terms.values()])
         connection.send(True)
 
@@ -209,7 +222,9 @@ class Learner:
     ) -> None:
         self.network = network.to(device)
         self.policy = network.policy
-        torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
+        torch.backends.cudnn.allow_tf32 = (
+            False  # float32 means float32 in convolutions, too
+        )
         self.processes = count_processes(config) if device.type == "cpu" else 1
         self._loss = loss
         self._precision = precision
@@ -239,7 +254,10 @@ class Learner:
             "image": ((num_envs, *image), torch.uint8),
             "h": ((num_envs, policy.hidden_size), torch.float32),
             "c": ((num_envs, policy.hidden_size), torch.float32),
-            "logits": ((num_envs, policy.shape.joints, policy.shape.levels), torch.float32),
+            "logits": (
+                (num_envs, policy.shape.joints, policy.shape.levels),
+                torch.float32,
+            ),
         }
         self._context = process_context()
         self._shared = SharedBuffers(
@@ -266,7 +284,9 @@ class Learner:
                 stop_all([worker.child for worker in self._workers])
                 self._workers = []
 
-    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
+    def infer(
+        self, rollout: Rollout, t: int, image: Tensor, state: State
+    ) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
         if self.processes == 1:
             return infer_step(self.policy, rollout, t, image, state)
@@ -289,17 +309,23 @@ class Learner:
         """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         count = len(env_ids)
         first, *others = env_ids.chunk(self.processes)
-        commands = [GradientCommand(chunk.numpy(), len(chunk) / count) for chunk in others]
+        commands = [
+            GradientCommand(chunk.numpy(), len(chunk) / count) for chunk in others
+        ]
         self._send(commands)
         self.gradient.zero_()
         weight = len(first) / count
-        terms = add_gradient(self.network, self._loss, self.rollout, self.targets, first, weight)
+        terms = add_gradient(
+            self.network, self._loss, self.rollout, self.targets, first, weight
+        )
         self._wait(commands)
         # A small minibatch may have fewer chunks than there are processes.
         for index in range(1, 1 + len(commands)):
             exchange = self._shared.exchange
             self.gradient += exchange["gradients"][index]
-            for term, other in zip(terms.values(), exchange["terms"][index], strict=False):
+            for term, other in zip(
+                terms.values(), exchange["terms"][index], strict=False
+            ):
                 term.add_(other)
         return terms
 

@@ -12,7 +12,12 @@ import torch
 from torch import Tensor
 
 from knowarm.learn.algorithms import PPOConfig
-from knowarm.policy.policy import entropy, log_probabilities, log_probability, of_actions
+from knowarm.policy.policy import (
+    entropy,
+    log_probabilities,
+    log_probability,
+    of_actions,
+)
 
 Terms = dict[str, Tensor]
 """Scalar terms of a loss by the name of their metric; ``total`` is minimized."""
@@ -44,7 +49,12 @@ def a3c_loss(
     value = 0.5 * mean((returns - values).square())
     spread = mean(entropy(logits))
     total = policy + vf_coef * value - ent_coef * spread
-    return {"total": total, "policy_loss": policy, "value_loss": value, "entropy": spread}
+    return {
+        "total": total,
+        "policy_loss": policy,
+        "value_loss": value,
+        "entropy": spread,
+    }
 
 
 def ppo_loss(
@@ -95,7 +105,11 @@ def distil_loss(
 
 
 def next_values(
-    values: Tensor, last_values: Tensor, final_values: Tensor, terminated: Tensor, truncated: Tensor
+    values: Tensor,
+    last_values: Tensor,
+    final_values: Tensor,
+    terminated: Tensor,
+    truncated: Tensor,
 ) -> Tensor:
     """Return the value of the state after each step, within the same episode.
 
@@ -107,7 +121,9 @@ def next_values(
     return torch.where(terminated, torch.zeros_like(following), following)
 
 
-def n_step_returns(rewards: Tensor, following: Tensor, done: Tensor, gamma: float) -> Tensor:
+def n_step_returns(
+    rewards: Tensor, following: Tensor, done: Tensor, gamma: float
+) -> Tensor:
     """Compute n-step returns: discounted rewards until episode or rollout ends, then the value.
 
     ``R_t = r_t + gamma R_{t+1}``, with ``following`` in place of ``R_{t+1}`` in the last row and

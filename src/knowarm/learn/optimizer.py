@@ -28,7 +28,9 @@ class Float32Muon(torch.optim.Optimizer):
     long as float32 (docs/lab-notes.md). The update is scaled to the root mean square of Adam's.
     """
 
-    def __init__(self, parameters: Iterable[nn.Parameter], lr: float, iterations: int = 5) -> None:
+    def __init__(
+        self, parameters: Iterable[nn.Parameter], lr: float, iterations: int = 5
+    ) -> None:
         super().__init__(parameters, {"lr": lr})
         self._iterations = iterations
 
@@ -85,7 +87,10 @@ class PolicyOptimizer:
     """
 
     def __init__(
-        self, parameters: Mapping[str, nn.Parameter], config: MinibatchConfig, processes: int = 1
+        self,
+        parameters: Mapping[str, nn.Parameter],
+        config: MinibatchConfig,
+        processes: int = 1,
     ) -> None:
         self._parameters = parameters
         others = dict(parameters)
@@ -143,7 +148,12 @@ def _muon(matrix: nn.Parameter, config: MinibatchConfig) -> torch.optim.Optimize
         return Float32Muon([matrix], lr=config.learning_rate, iterations=3)
     if resolve_precision("auto", matrix.device) == "float32":
         return Float32Muon([matrix], lr=config.learning_rate)
-    return Muon([matrix], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+    return Muon(
+        [matrix],
+        lr=config.learning_rate,
+        weight_decay=0.0,
+        adjust_lr_fn="match_rms_adamw",
+    )
 
 
 PrecisionChoice = Literal["auto"] | MatmulPrecision
@@ -156,5 +166,7 @@ def resolve_precision(choice: PrecisionChoice, device: torch.device) -> MatmulPr
     """
     if choice != "auto":
         return choice
-    is_fast = cpu_has_bfloat16() if device.type == "cpu" else torch.cuda.is_bf16_supported()
+    is_fast = (
+        cpu_has_bfloat16() if device.type == "cpu" else torch.cuda.is_bf16_supported()
+    )
     return "bfloat16" if is_fast else "float32"

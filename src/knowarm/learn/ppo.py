@@ -102,11 +102,20 @@ class MinibatchTrainer(SynchronousTrainer):
             auxiliary_targets = recorder.auxiliary_targets
         network = TrainingNetwork(policy.to(self._device), auxiliary_targets, seed)
         self._head = network.head
-        self._learner = Learner(network, config, loss, targets, self.matmul_precision, self._device)
-        self._collector = Collector(
-            env, policy, seed=seed, final_values=final_values, greedy=greedy, curriculum=curriculum
+        self._learner = Learner(
+            network, config, loss, targets, self.matmul_precision, self._device
         )
-        self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
+        self._collector = Collector(
+            env,
+            policy,
+            seed=seed,
+            final_values=final_values,
+            greedy=greedy,
+            curriculum=curriculum,
+        )
+        self._minibatch_generator = torch_generator(
+            seed, "minibatches", device=self._device
+        )
         parameters = network.parameters_by_name()
         self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
         self._guard = FiniteGuard(self.failure_folder)
@@ -117,7 +126,9 @@ class MinibatchTrainer(SynchronousTrainer):
 
     def collect(self, progress: float) -> None:
         """Fill the rollout, after a fraction ``progress`` of the training."""
-        self._collector.collect(self._learner.rollout, self._learner.infer, recorder=self._recorder)
+        self._collector.collect(
+            self._learner.rollout, self._learner.infer, recorder=self._recorder
+        )
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
@@ -191,12 +202,16 @@ class MinibatchTrainer(SynchronousTrainer):
         for _ in range(config.epochs):
             # Environments stay whole, since a recurrent state passes through all of their steps.
             order = torch.randperm(
-                config.num_envs, generator=self._minibatch_generator, device=self._device
+                config.num_envs,
+                generator=self._minibatch_generator,
+                device=self._device,
             )
             for env_ids in order.chunk(config.minibatches):
                 loss = learner.compute_gradient(env_ids)
                 norm = torch.linalg.vector_norm(learner.gradient)
-                self._guard.check_update(self.policy, loss, norm, self.step, learner.rollout)
+                self._guard.check_update(
+                    self.policy, loss, norm, self.step, learner.rollout
+                )
                 if norm > config.max_grad_norm:
                     learner.gradient.mul_(config.max_grad_norm / norm)
                 self._optimizer.step()
@@ -223,7 +238,9 @@ def minibatch_loss(
         targets["returns"],
         config,
     )
-    return network.add_auxiliary(terms, features, targets, config.privileged.auxiliary_coef)
+    return network.add_auxiliary(
+        terms, features, targets, config.privileged.auxiliary_coef
+    )
 
 
 class PPOTrainer(MinibatchTrainer):
@@ -232,7 +249,13 @@ class PPOTrainer(MinibatchTrainer):
     config: PPOConfig
 
     def __init__(
-        self, config: PPOConfig, policy: Policy, env: TorchVectorEnv, *, seed: int, **options: Any
+        self,
+        config: PPOConfig,
+        policy: Policy,
+        env: TorchVectorEnv,
+        *,
+        seed: int,
+        **options: Any,
     ) -> None:
         aids = config.privileged
         recorder = None
@@ -262,7 +285,9 @@ class PPOTrainer(MinibatchTrainer):
             final_values=self._critic is None,
             **options,
         )
-        self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
+        self._health = HealthMonitor(
+            policy.shape.joints, policy.shape.levels, config.gamma
+        )
 
     def set_targets(self) -> None:
         """Compute advantages and returns, and train the critic."""
@@ -288,8 +313,12 @@ class PPOTrainer(MinibatchTrainer):
         targets["returns"].copy_(advantage + rollout.value)
         # The critic learns last: the advantages need the values from before.
         if recorder is not None and critic is not None:
-            critic.fit(recorder.standardized[0].flatten(0, 1), targets["returns"].flatten())
-        targets["advantage"].copy_((advantage - advantage.mean()) / (advantage.std() + 1e-8))
+            critic.fit(
+                recorder.standardized[0].flatten(0, 1), targets["returns"].flatten()
+            )
+        targets["advantage"].copy_(
+            (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        )
 
     def rewards(self) -> Tensor:
         """Return the rewards of learning, (T, B): with those for progress, and scaled."""
@@ -299,7 +328,9 @@ class PPOTrainer(MinibatchTrainer):
             decrease = recorder.state - recorder.next_state
             progress = torch.zeros_like(reward)
             for name, factor in PROGRESS.items():
-                progress = progress + factor * decrease[..., recorder.columns.index(name)]
+                progress = (
+                    progress + factor * decrease[..., recorder.columns.index(name)]
+                )
             reward = reward + self.config.privileged.progress_coef * progress
         return reward * self.config.reward_scale
 
@@ -317,7 +348,9 @@ class PPOTrainer(MinibatchTrainer):
         metrics["explained_variance"] = explained_variance(values, returns)
         if self._curriculum.is_used:
             metrics["threshold_factor"] = self._curriculum.factor
-            self._curriculum.update(metrics.get("success", 0.0), self.step / total_steps)
+            self._curriculum.update(
+                metrics.get("success", 0.0), self.step / total_steps
+            )
         return metrics
 
     def checkpoint(self) -> Checkpoint:

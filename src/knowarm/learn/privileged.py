@@ -78,9 +78,15 @@ class StateCritic:
         last = nn.Linear(CRITIC_WIDTH, 1)
         orthogonal(first, RELU_GAIN, weights)
         orthogonal(second, RELU_GAIN, weights)
-        orthogonal(last, 0.01, weights)  # so small that the first values are nearly zero
-        self.network = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), last).to(device)
-        self._optimizer = Adam(self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True)
+        orthogonal(
+            last, 0.01, weights
+        )  # so small that the first values are nearly zero
+        self.network = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), last).to(
+            device
+        )
+        self._optimizer = Adam(
+            self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True
+        )
         self._generator = torch_generator(seed, "minibatches", 1, device=device)
 
     @torch.no_grad()
@@ -91,7 +97,9 @@ class StateCritic:
     def fit(self, state: Tensor, returns: Tensor) -> None:
         """Regress the returns (N,) on standardized states (N, D)."""
         for _ in range(CRITIC_EPOCHS):
-            order = torch.randperm(len(state), generator=self._generator, device=state.device)
+            order = torch.randperm(
+                len(state), generator=self._generator, device=state.device
+            )
             for rows in order.chunk(CRITIC_MINIBATCHES):
                 self._optimizer.zero_grad()
                 error = self.network(state[rows]).squeeze(-1) - returns[rows]
@@ -140,7 +148,9 @@ class PrivilegedRecorder:
         self.state = torch.zeros(shape, device=env.device)
         self.next_state = torch.zeros(shape, device=env.device)
         self.standardized = (self.state, self.next_state)
-        self._auxiliary = torch.tensor(auxiliary_columns(self.columns), device=env.device)
+        self._auxiliary = torch.tensor(
+            auxiliary_columns(self.columns), device=env.device
+        )
         self.normalizer = RunningNormalizer(len(self.columns), env.device)
 
     @property
@@ -159,7 +169,10 @@ class PrivilegedRecorder:
     def standardize(self) -> None:
         """Standardize the states of a new rollout."""
         self.normalizer.update(self.state.flatten(0, 1))
-        self.standardized = (self.normalizer(self.state), self.normalizer(self.next_state))
+        self.standardized = (
+            self.normalizer(self.state),
+            self.normalizer(self.next_state),
+        )
 
     def targets(self) -> Tensor:
         """Return the standardized targets of the auxiliary head, (T, B, K)."""
@@ -168,4 +181,8 @@ class PrivilegedRecorder:
 
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
     """Return the indices of the columns that the auxiliary head predicts."""
-    return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
+    return [
+        i
+        for i, name in enumerate(columns)
+        if name.split("/")[0] in AUXILIARY_QUANTITIES
+    ]

@@ -36,7 +36,9 @@ class Rollout:
     reward: Tensor  # (T, B) float32, unscaled
     terminated: Tensor  # (T, B) bool
     truncated: Tensor  # (T, B) bool
-    final_value: Tensor  # (T, B) float32: value of the final observation where truncated, else 0
+    final_value: (
+        Tensor  # (T, B) float32: value of the final observation where truncated, else 0
+    )
     last_value: Tensor  # (B,) float32: value of the observation after the last step
     start_h: Tensor  # (B, H) float32: hidden state before the first step
     start_c: Tensor  # (B, H) float32: cell state before the first step
@@ -62,7 +64,9 @@ class Rollout:
         A truncated episode continues with the value of its final observation, or with 0.
         """
         ended = self.terminated if bootstrap_at_time_limit else self.done
-        return next_values(self.value, self.last_value, self.final_value, ended, self.truncated)
+        return next_values(
+            self.value, self.last_value, self.final_value, ended, self.truncated
+        )
 
     def first(self, steps: int) -> "Rollout":
         """Return a view of the first steps."""
@@ -107,7 +111,12 @@ def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
 
 @torch.no_grad()
 def infer_step(
-    policy: Policy, rollout: Rollout, t: int, image: Tensor, state: State, envs: slice = slice(None)
+    policy: Policy,
+    rollout: Rollout,
+    t: int,
+    image: Tensor,
+    state: State,
+    envs: slice = slice(None),
 ) -> tuple[Tensor, State]:
     """Run the policy for step t of the b environments ``envs``.
 
@@ -167,13 +176,19 @@ class EpisodeStatistics:
     def take(self, where: Tensor | None = None) -> FinishedEpisodes:
         """Return the episodes that ended since the last call, in the steps ``where`` (t, n)."""
         if not self._steps:
-            return FinishedEpisodes(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
+            return FinishedEpisodes(
+                np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool)
+            )
         columns = zip(*self._steps, strict=True)
         self._steps = []
-        done, returns, lengths, success = [torch.stack(rows).cpu().numpy() for rows in columns]
+        done, returns, lengths, success = [
+            torch.stack(rows).cpu().numpy() for rows in columns
+        ]
         if where is not None:
             done = done & where.cpu().numpy()
-        return FinishedEpisodes(returns[done], lengths[done], success[done].astype(bool))
+        return FinishedEpisodes(
+            returns[done], lengths[done], success[done].astype(bool)
+        )
 
     def get_state(self) -> Arrays:
         """Return the sums of the running episodes; requires that `take` was called."""
@@ -259,7 +274,9 @@ class Collector:
             else:
                 rollout.action[t] = sample(logits, self.generator)
             begin = time.perf_counter()
-            self._image, reward, terminated, truncated, infos = self.env.step(rollout.action[t])
+            self._image, reward, terminated, truncated, infos = self.env.step(
+                rollout.action[t]
+            )
             self.environment_s += time.perf_counter() - begin
             rollout.reward[t] = reward
             rollout.terminated[t] = terminated
@@ -305,14 +322,18 @@ class Collector:
         self.statistics = EpisodeStatistics(self.env.num_envs, self.env.device)
         return self._image
 
-    def _add_final_values(self, rollout: Rollout, t: int, cut: Tensor, infos: Infos) -> None:
+    def _add_final_values(
+        self, rollout: Rollout, t: int, cut: Tensor, infos: Infos
+    ) -> None:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
         ids = cut.nonzero().squeeze(1)
         if len(ids):
             image = infos["final_obs"][ids]
             state = (self._state[0][ids], self._state[1][ids])
             start = torch.zeros_like(cut[ids])
-            _, value, _ = self.policy.step(image, rollout.knowledge[t, ids], state, start)
+            _, value, _ = self.policy.step(
+                image, rollout.knowledge[t, ids], state, start
+            )
             rollout.final_value[t, ids] = value
 
     def get_state(self) -> Arrays:

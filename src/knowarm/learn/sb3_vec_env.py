@@ -26,14 +26,18 @@ class SB3VecEnv(VecEnv):
         seed: of the first reset.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None
+    ) -> None:
         if not isinstance(env, VectorEnv):
             raise UserError(
                 f"SB3VecEnv needs a vector environment, got {type(env).__name__}: "
                 'knowarm.make("irb120", num_envs=8).'
             )
         self.env = env  # read by the constructor of VecEnv, for its render_mode
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        super().__init__(
+            env.num_envs, env.single_observation_space, env.single_action_space
+        )
         if seed is not None:
             self.seed(seed)
         self._actions = np.zeros(0)
@@ -59,7 +63,9 @@ class SB3VecEnv(VecEnv):
         Where an episode ends, its info holds ``terminal_observation``, ``TimeLimit.truncated``,
         ``is_success``, and return and length as ``episode``, of which SB3 logs the means.
         """
-        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        observations, rewards, terminated, truncated, infos = self.env.step(
+            self._actions
+        )
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
@@ -88,14 +94,20 @@ class SB3VecEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: Any = None,
+        **method_kwargs: Any,
     ) -> list[Any]:
         """Call a method of the vector environment once; return its result for each index."""
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return self._repeat(result, indices)
 
     def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+        self,
+        wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
+        indices: Any = None,
     ) -> list[bool]:
         """Return for each index whether infos hold what a wrapper adds: true for `Monitor`."""
         return self._repeat(wrapper_class is Monitor, indices)

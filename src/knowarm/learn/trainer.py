@@ -18,7 +18,10 @@ from knowarm.learn.checkpoint import (
     to_tensors,
 )
 from knowarm.learn.evaluation import MAX_PENDING, Evaluations, MakeEvaluate, Metrics
-from knowarm.learn.parallel.shared_tensors import flatten_parameters, unflatten_parameters
+from knowarm.learn.parallel.shared_tensors import (
+    flatten_parameters,
+    unflatten_parameters,
+)
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]
@@ -36,7 +39,9 @@ class Hooks:
 
     on_metrics: Callable[[Metrics], None] = lambda metrics: None
     """Receives one row of metrics per update (PPO) or log interval (A3C)."""
-    on_evaluation: Callable[[int, Metrics, bool], None] = lambda step, results, is_best: None
+    on_evaluation: Callable[[int, Metrics, bool], None] = (
+        lambda step, results, is_best: None
+    )
     """Receives step, results, and whether they are the best so far."""
     should_stop: Callable[[], bool] = lambda: False
     """Called between updates; true saves a checkpoint and ends `Trainer.train`."""
@@ -180,7 +185,9 @@ class Trainer(ABC):
         self._evaluated_step = facts.get("evaluated_step", self._best.step)
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
-            self.pending_evaluations = {int(step): values for step, values in pending.items()}
+            self.pending_evaluations = {
+                int(step): values for step, values in pending.items()
+            }
         self.restore(checkpoint)
 
     @abstractmethod

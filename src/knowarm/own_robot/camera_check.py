@@ -37,7 +37,9 @@ class FittedCamera(NamedTuple):
     residual: float  # Largest error left [image heights]
 
 
-def check_camera(config: EnvConfig, photo: Path, points: Path | None, overlay: Path) -> list[Check]:
+def check_camera(
+    config: EnvConfig, photo: Path, points: Path | None, overlay: Path
+) -> list[Check]:
     """Write a PNG of a photograph's central square over the view of the arm at its start.
 
     ``points`` is a CSV file with ``point`` (a name of `named_points`, or "x y z" [m]), ``x`` and
@@ -80,7 +82,9 @@ def fit_camera(scene: Scene, seen: Floats, places: Floats) -> FittedCamera:
         turned = start * Rotation.from_rotvec(change[3:6])
         local = turned.inv().apply(places - scene.camera_position - change[:3])
         depth = np.maximum(-local[:, 2:], 1e-3) * half_height * np.exp(change[6])
-        weak = 1e-3 * change[6:]  # few points do not tell the field of view from the distance
+        weak = (
+            1e-3 * change[6:]
+        )  # few points do not tell the field of view from the distance
         return np.concatenate([(local[:, :2] / depth - seen).ravel(), weak])
 
     fit = least_squares(errors, np.zeros(7))
@@ -101,12 +105,16 @@ def _read_points(path: Path, known: dict[str, Floats]) -> tuple[Floats, Floats]:
         names = [row["point"] for row in rows]
         for name in names:
             if name not in known and len(name.split()) != 3:
-                raise ValueError(f"unknown point {name!r}; known: {', '.join(known)}, or 'x y z'")
+                raise ValueError(
+                    f"unknown point {name!r}; known: {', '.join(known)}, or 'x y z'"
+                )
         places = np.array([known.get(name, name.split()) for name in names], float)
         pixels = np.array([(row["x"], row["y"]) for row in rows], float)
         is_finite = np.isfinite([pixels.sum(), places.sum()]).all()
         if len(rows) < LEAST_POINTS or not is_finite:
-            raise ValueError(f"{len(rows)} points; give at least {LEAST_POINTS} finite ones")
+            raise ValueError(
+                f"{len(rows)} points; give at least {LEAST_POINTS} finite ones"
+            )
     return pixels, places
 
 
@@ -115,7 +123,9 @@ def _compare(scene: Scene, camera: FittedCamera) -> list[Check]:
     robot = scene.robot
     ahead = camera.rotation.apply([0, 0, -1])
     rightward = camera.rotation.apply([1, 0, 0])
-    distance_m = np.linalg.norm(np.subtract(robot.camera_look_at_m, robot.camera_position_m))
+    distance_m = np.linalg.norm(
+        np.subtract(robot.camera_look_at_m, robot.camera_position_m)
+    )
     look_at = camera.position + distance_m * ahead
     shift_m = float(np.linalg.norm(camera.position - scene.camera_position))
     turn = Rotation.from_matrix(scene.camera_matrix).inv() * camera.rotation

@@ -76,7 +76,9 @@ class Doctor(TableCommand):
             names_of: dict[str, list[str]] = {}
             for check in failed:
                 names_of.setdefault(check["remedy"], []).append(check["name"])
-            remedies = [f"{', '.join(names)}: {remedy}" for remedy, names in names_of.items()]
+            remedies = [
+                f"{', '.join(names)}: {remedy}" for remedy, names in names_of.items()
+            ]
             raise UserError(
                 f"{len(failed)} of {len(values['checks'])} checks failed. {' '.join(remedies)}"
             )
@@ -90,7 +92,9 @@ class Doctor(TableCommand):
         checks = list[Check]()
         for check in results:
             if not checks:  # a robot's draft is printed before
-                print(f"Checks of the {what}; what runs for the first time is compiled:")
+                print(
+                    f"Checks of the {what}; what runs for the first time is compiled:"
+                )
             checks.append(check)
             verdict = "ok" if check.ok else "FAILED"
             print(printable(f"{verdict:<6}  {check.name}: {check.found}"), flush=True)
@@ -109,7 +113,9 @@ class Doctor(TableCommand):
             return f"objects of robot {robot}", self._check_robot(robot)
         if self.robot is not None:
             return f"robot {robot}", self._check_robot(robot)
-        from knowarm.experiment.installation_check import check_installation  # imports torch
+        from knowarm.experiment.installation_check import (
+            check_installation,
+        )  # imports torch
 
         self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
         return "installation", check_installation(self.runs)
@@ -118,15 +124,22 @@ class Doctor(TableCommand):
         """Check a description, after drafting it where the robot is a bare model file."""
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
-            yield from self._check(robot, self.angle_deg, self.ignore_roll, self.distance_m)
+            yield from self._check(
+                robot, self.angle_deg, self.ignore_roll, self.distance_m
+            )
             return
         new = self.write
         if new is not None and (new.suffix != SUFFIX or new.exists()):
-            raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
+            raise UserError(
+                f"--write must name a {SUFFIX} file that does not exist, got {new}."
+            )
         with TemporaryDirectory() as folder:
             file = new or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
             model, note = as_mjcf(
-                Path(robot), file.with_suffix(""), arguments=self.xacro, packages=self.package
+                Path(robot),
+                file.with_suffix(""),
+                arguments=self.xacro,
+                packages=self.package,
             )
             targets = self.targets or EnvConfig().targets
             draft = draft_robot(model, targets, read_overrides(self.set))

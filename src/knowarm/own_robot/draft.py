@@ -79,7 +79,9 @@ class Draft:
     robot: Robot  # The description
     fields: dict[str, Any]  # Its fields as they are written to TOML
     how: dict[str, str]  # What was chosen and why, by topic
-    success_angle_deg: float  # Orientation tolerance of the task that the arm can do [deg]
+    success_angle_deg: (
+        float  # Orientation tolerance of the task that the arm can do [deg]
+    )
     ignore_roll: bool  # Whether that task ignores the rotation about the approach axis
     distance_m: float  # Distance within which an evaluation counts success [m]
 
@@ -160,7 +162,9 @@ def read_overrides(settings: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]) -> Draft:
+def draft_robot(
+    path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
+) -> Draft:
     """Draft the description of the arm in an MJCF file, which should reach objects.
 
     Targets are names or TOML files; overrides are fields of ``Robot`` that are not drafted.
@@ -175,7 +179,9 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         base = place_base(scene, _is_free(model, values["joints"][0]))
         values |= base
         if base:
-            how["base"] = "turned or shifted so that the arm stands at the origin and faces x"
+            how["base"] = (
+                "turned or shifted so that the arm stands at the origin and faces x"
+            )
     x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
 
     @cache  # compiling many meshes takes seconds
@@ -186,21 +192,31 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         heights = [z]
         if not is_placed:
             low = lowest_fixed_m(scene_at(z))
-            heights = [z + change for change in HEIGHTS_M if change >= 0 or low + change > 0]
+            heights = [
+                z + change for change in HEIGHTS_M if change >= 0 or low + change > 0
+            ]
         layout = find_layout(scene_at, heights, overrides)
     except UserError as error:
         tried = "; ".join(f"{topic}: {text}" for topic, text in how.items())
-        raise UserError(f"{error} Tried: {tried or 'the given joints and TCP'}.") from None
+        raise UserError(
+            f"{error} Tried: {tried or 'the given joints and TCP'}."
+        ) from None
     _add_rectangle(layout, values, how)
-    values = _view(build(values), layout, values, how, is_home_given="home" in overrides)
+    values = _view(
+        build(values), layout, values, how, is_home_given="home" in overrides
+    )
     scene = build(values)
     lag = servo_lag(scene)
     if lag >= MAX_LAG_RAD and "servo_frequency_hz" not in overrides:
         values["servo_frequency_hz"], best = best_frequency(scene)
-        how["servos"] = f"{best:.4f} rad from their targets; {lag:.4f} rad at the usual 7 Hz"
+        how["servos"] = (
+            f"{best:.4f} rad from their targets; {lag:.4f} rad at the usual 7 Hz"
+        )
     robot = _robot(path, values)
     distance_m = round(SCALE * float(np.linalg.norm(robot.rectangle_half_size_m)), 2)
-    most_m = EVALUATION_M if layout.angle_deg <= EASY_DEG else EnvConfig.success_distance_m
+    most_m = (
+        EVALUATION_M if layout.angle_deg <= EASY_DEG else EnvConfig.success_distance_m
+    )
     draft = Draft(
         robot=robot,
         fields=values,
@@ -228,7 +244,9 @@ def _arm(
         values = {"joints": list(gripper.joints), **gripper.fields}
         how["arm"] = gripper.how
     if "tcp_site" in overrides and "tcp_body" not in overrides:
-        values = {name: value for name, value in values.items() if not name.startswith("tcp_")}
+        values = {
+            name: value for name, value in values.items() if not name.startswith("tcp_")
+        }
     values |= overrides
     values.setdefault("home", _rest(model, values["joints"]))
     return values
@@ -254,7 +272,9 @@ def _add_rectangle(layout: Layout, values: dict[str, Any], how: dict[str, str]) 
     """Add the fields of a layout that are not given."""
     scene = layout.scene
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
-    values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))
+    values.setdefault(
+        "start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3))
+    )
     values["base_position_m"] = rounded(scene.robot.base_position_m)
     values.setdefault("rectangle_centre_m", rounded(layout.centre_m))
     values.setdefault("rectangle_half_size_m", rounded(layout.half_size_m))
@@ -288,7 +308,9 @@ def _view(
         values["home"] = rounded(home.joints)
         how["home"] = home.text
         step = values.setdefault("mpi_rad", round(home.travel / STEPS, 3))
-        how["actions"] = f"{home.travel / step:.0f} steps of mpi_rad to the farthest grasp"
+        how["actions"] = (
+            f"{home.travel / step:.0f} steps of mpi_rad to the farthest grasp"
+        )
     return view | values
 
 
@@ -331,4 +353,6 @@ def _wide_scene(path: Path, targets: Sequence[str], values: dict[str, Any]) -> S
 
 
 def _robot(path: Path, values: Mapping[str, Any]) -> Robot:
-    return from_dict(Robot, {"name": path.stem, **values, "mjcf": path}, where=str(path))
+    return from_dict(
+        Robot, {"name": path.stem, **values, "mjcf": path}, where=str(path)
+    )

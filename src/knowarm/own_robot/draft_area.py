@@ -33,10 +33,14 @@ def find_area(
             file = Path(folder) / f"{skill.area}{number}.toml"
             file.write_text(describe(file, areas={skill.area: area}), "utf-8")
             try:
-                success = oracle_success(EnvConfig(robot=str(file), task=Task(skill=skill)))
+                success = oracle_success(
+                    EnvConfig(robot=str(file), task=Task(skill=skill))
+                )
             except UserError as error:
                 return {}, f"not possible: {error}"
             best = max(best, (success, area), key=lambda pair: pair[0])
             if best[0] >= ENOUGH:
                 break
-    return best[1], f"the oracle succeeds in {100 * best[0]:.0f} % of the episodes in its area"
+    return best[
+        1
+    ], f"the oracle succeeds in {100 * best[0]:.0f} % of the episodes in its area"

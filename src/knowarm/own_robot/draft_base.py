@@ -76,7 +76,9 @@ def _faced_deg(ahead: Floats) -> float:
 def lowest_fixed_m(scene: Scene) -> float:
     """Return the least height of the parts of a robot that no joint moves, at most; inf if none."""
     model = scene.model
-    return _lowest_m(scene, robot_parts(scene) & (model.body_weldid[model.geom_bodyid] == 0))
+    return _lowest_m(
+        scene, robot_parts(scene) & (model.body_weldid[model.geom_bodyid] == 0)
+    )
 
 
 def _lowest_m(scene: Scene, parts: Mask) -> float:

@@ -16,10 +16,18 @@ GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNO
 SITE_WORDS = ("tcp", "pinch", "grasp", "grip", "ee", "end", "tool", "attach", "flange")
 """Sites at the tool centre point have one of these words in their name, best first."""
 
-FIRST_FINGER = 3  # A joint is taken for a finger's after at least so many joints of the arm
-ARM_JOINTS = 4  # Several moving parts, of which one has at least so many joints, may be arms
-ARM_SHARE = 0.5  # Arms are at least so long, relative to what carries them; fingers are shorter
-JAW_SHARE = 0.5  # A fixed part that reaches at least so far along a moving one is its other jaw
+FIRST_FINGER = (
+    3  # A joint is taken for a finger's after at least so many joints of the arm
+)
+ARM_JOINTS = (
+    4  # Several moving parts, of which one has at least so many joints, may be arms
+)
+ARM_SHARE = (
+    0.5  # Arms are at least so long, relative to what carries them; fingers are shorter
+)
+JAW_SHARE = (
+    0.5  # A fixed part that reaches at least so far along a moving one is its other jaw
+)
 JAW_TRAVEL_M = 0.1  # The last part of an arm slides farther than a jaw
 _MOVABLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
@@ -98,7 +106,9 @@ def _joint_count(model: mujoco.MjModel, body: int) -> int:
 
 def _is_gripper(model: mujoco.MjModel, body: int) -> bool:
     """Return whether a joint of a body is named as a gripper's."""
-    return any(GRIPPER_WORDS.search(model.joint(j).name) for j in joints_of(model, [body]))
+    return any(
+        GRIPPER_WORDS.search(model.joint(j).name) for j in joints_of(model, [body])
+    )
 
 
 def _arm_joints(model: mujoco.MjModel, body: int) -> list[int]:
@@ -138,9 +148,13 @@ def _finger(data: mujoco.MjData, body: int) -> str:
     inside = subtree(model, body)
     for group in couplings(model):
         bodies = model.jnt_bodyid[group].tolist()
-        others = [b for b in bodies if b not in inside and body not in subtree(model, b)]
+        others = [
+            b for b in bodies if b not in inside and body not in subtree(model, b)
+        ]
         if others and body in bodies:
-            return f"joints of several parts are coupled ({joint_name(model, group[0])!r})"
+            return (
+                f"joints of several parts are coupled ({joint_name(model, group[0])!r})"
+            )
     joints = joints_of(model, inside)
     if len(joints) > 1:
         return ""
@@ -151,7 +165,9 @@ def _finger(data: mujoco.MjData, body: int) -> str:
     if not joints:
         return ""
     joint = joints[0]
-    is_short = model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
+    is_short = (
+        model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
+    )
     if is_slide(model, joint) and is_short:
         return f"the last part slides by less than {JAW_TRAVEL_M} m"
     is_jaw = _is_jaw(data, joint, geoms_of(model, inside), geoms_of(model, before))
@@ -219,7 +235,9 @@ def polyline_m(points: Sequence[Floats] | Floats) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def extent(data: mujoco.MjData, geoms: Integers, direction: Floats, origin: Floats) -> float:
+def extent(
+    data: mujoco.MjData, geoms: Integers, direction: Floats, origin: Floats
+) -> float:
     """Return how far geoms reach from a point in a direction [m]."""
     middle, half = np.split(data.model.geom_aabb[geoms], 2, axis=1)
     local = direction @ data.geom_xmat[geoms].reshape(-1, 3, 3)

@@ -24,7 +24,9 @@ from knowarm.own_robot.draft_chain import (
     tool_sites,
 )
 
-AGREEING_COSINE = 0.7  # From this cosine on a site's z axis counts as the approach direction
+AGREEING_COSINE = (
+    0.7  # From this cosine on a site's z axis counts as the approach direction
+)
 TOOL_M = 0.05  # Distance of the tool centre point in front of an arm that ends at its flange [m]
 
 
@@ -33,7 +35,9 @@ class Gripper:
     """What was found of the arm and its tool centre point (TCP)."""
 
     joints: tuple[str, ...]  # Names of the arm's joints, base to tip
-    fields: dict[str, Any]  # Fields of the description: ``tcp_...``, ``fingers``, ``held_joints``
+    fields: dict[
+        str, Any
+    ]  # Fields of the description: ``tcp_...``, ``fingers``, ``held_joints``
     how: str  # How the joints and the TCP were chosen
 
 
@@ -71,7 +75,9 @@ def _names(model: mujoco.MjModel, joints: Sequence[int]) -> list[str]:
     return [model.joint(j).name for j in joints]
 
 
-def _tcp_fields(data: mujoco.MjData, last: int, hand: int) -> tuple[dict[str, Any], str]:
+def _tcp_fields(
+    data: mujoco.MjData, last: int, hand: int
+) -> tuple[dict[str, Any], str]:
     """Return the fields of TCP and fingers of a hand after the last joint, and their source."""
     model = data.model
     inside = subtree(model, hand)
@@ -99,9 +105,13 @@ def _tcp_fields(data: mujoco.MjData, last: int, hand: int) -> tuple[dict[str, An
     mujoco.mju_mat2Quat(quaternion, (rotation.T @ frame).ravel())
     taken = [model.site(s).name for s in range(model.nsite)]
     fields = {
-        "tcp_site": next(name for name in ("tcp", "knowarm_tcp", "tcp_") if name not in taken),
+        "tcp_site": next(
+            name for name in ("tcp", "knowarm_tcp", "tcp_") if name not in taken
+        ),
         "tcp_body": model.body(hand).name,
-        "tcp_position_m": tuple(np.round(rotation.T @ (point - data.xpos[hand]), 5).tolist()),
+        "tcp_position_m": tuple(
+            np.round(rotation.T @ (point - data.xpos[hand]), 5).tolist()
+        ),
         "tcp_quaternion": tuple(np.round(quaternion, 6).tolist()),
     }
     return fields | fingers, source
@@ -142,8 +152,13 @@ def _approach(
     centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
     middle = centres.mean(axis=0)
     out = middle - origin
-    if not fingers:  # the mesh of a flange may extend backward; what it carries continues the wrist
-        out += data.xpos[bodies[-1]] - data.xpos[model.body_parentid[model.jnt_bodyid[last]]]
+    if (
+        not fingers
+    ):  # the mesh of a flange may extend backward; what it carries continues the wrist
+        out += (
+            data.xpos[bodies[-1]]
+            - data.xpos[model.body_parentid[model.jnt_bodyid[last]]]
+        )
     if np.linalg.norm(out) < 1e-6:
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.

@@ -20,9 +20,13 @@ HOME_OFFSET_RAD = 1.3
 HOME_CANDIDATES = 600
 """Number of poses tried."""
 
-NEAREST_DEG = 55.0  # Least and greatest wanted angle between the start pose and a grasp [deg]
+NEAREST_DEG = (
+    55.0  # Least and greatest wanted angle between the start pose and a grasp [deg]
+)
 FARTHEST_DEG = 130.0
-TRAVEL_RAD = 1.75  # Wanted largest travel of a joint from the start pose to a grasp [rad]
+TRAVEL_RAD = (
+    1.75  # Wanted largest travel of a joint from the start pose to a grasp [rad]
+)
 STEPS = 25  # Steps that the farthest grasp should take: half an episode, as for the shipped robots
 HOMES = 8  # Number of start poses
 DIFFERENT_RAD = 0.4  # Least difference of some joint between two of them
@@ -75,7 +79,9 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     )
     homes: list[Home] = []
     for i in np.argsort(penalty):
-        if all(np.abs(poses[i] - other.joints).max() > DIFFERENT_RAD for other in homes):
+        if all(
+            np.abs(poses[i] - other.joints).max() > DIFFERENT_RAD for other in homes
+        ):
             text = (
                 f"gripper {z[i] - support:.2f} m above the support, "
                 f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "

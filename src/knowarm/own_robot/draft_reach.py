@@ -14,20 +14,30 @@ from knowarm.own_robot.poses import sample_joints, sample_tips
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
-YAWS_DEG = (180.0, -135.0, 135.0, -90.0, 90.0)  # Directions of the targets that are tried [deg]
+YAWS_DEG = (
+    180.0,
+    -135.0,
+    135.0,
+    -90.0,
+    90.0,
+)  # Directions of the targets that are tried [deg]
 LARGEST = np.array([0.18, 0.4])
 """Half-sizes of the rectangle, relative to the reach: those of the shipped robots."""
 
 RECTANGLES = tuple(product((1.0, 0.75, 0.5), (0.6, 0.5, 0.7)))
 """Sizes relative to the largest, and distances of the centre relative to the reach, best first."""
 
-NODES = np.array(list(product((0, -1, 1), (0, -1, 1))))  # Places in a rectangle; its centre first
+NODES = np.array(
+    list(product((0, -1, 1), (0, -1, 1)))
+)  # Places in a rectangle; its centre first
 STARTS = 16  # Random joint angles from which solutions are searched at the centre
 TOLERANCES_DEG = {False: (15.0,), True: (15.0, 30.0, 45.0, 60.0, 90.0)}
 """Success angles from the strictest to the easiest, by whether the roll is ignored."""
 
 MARGIN_DEG = 2.0  # Least distance of a solution from the success angle
-DISTANCE_M = 0.03  # Distance from the grasp point within which a place counts as reached [m]
+DISTANCE_M = (
+    0.03  # Distance from the grasp point within which a place counts as reached [m]
+)
 SPREAD_RAD = 2.5  # Greatest wanted difference of a joint between two grasps
 
 
@@ -73,7 +83,9 @@ def reach_m(scene: Scene) -> float:
 
 
 def find_layout(
-    scene_at: Callable[[float], Scene], heights: Sequence[float], given: Mapping[str, Any]
+    scene_at: Callable[[float], Scene],
+    heights: Sequence[float],
+    given: Mapping[str, Any],
 ) -> Layout:
     """Search base height, rectangle and directions of the targets for the strictest task.
 
@@ -188,7 +200,9 @@ def _branches(
         name = list(counts)[k]
         counts[name] = max(counts[name], int(near[i].sum()))
         if near[i].all():
-            branches[k].append(Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i]))
+            branches[k].append(
+                Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i])
+            )
     return branches
 
 

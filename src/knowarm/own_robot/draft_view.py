@@ -69,7 +69,9 @@ def choose_view(
     return best
 
 
-def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> dict[str, Any]:
+def _frame(
+    scene: Scene, home: Home, direction: Floats, fovy_deg: float
+) -> dict[str, Any]:
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     data = scene.at(home.joints)
     top = scene.grasp_position[:, 2].max() * 1.2
@@ -114,7 +116,8 @@ def _shown(scene: Scene, home: Home, view: Mapping[str, Any]) -> tuple[float, fl
     simulation = place_targets(scene, home.joints, rectangle_places(scene.robot, NODES))
     images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
     least = min(
-        different_pixels(images.targets([k]), images.empty).min() for k in range(len(scene.targets))
+        different_pixels(images.targets([k]), images.empty).min()
+        for k in range(len(scene.targets))
     )
     robot = images.robot_pixels()[0]
     return float(least), float(robot) / EnvConfig.image_size**2

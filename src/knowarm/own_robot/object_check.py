@@ -24,7 +24,9 @@ from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import find_task
 from knowarm.world.tasks.skills.ik import InverseKinematics
 
-PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
+PLACES = (
+    4  # Positions per side of the grid over the rectangle at which objects are checked
+)
 EPISODES = 60  # That the oracle plays
 MIN_ORACLE = 0.8  # Its least success
 MIN_DIFFERENT = 6
@@ -43,7 +45,9 @@ def check_objects(
     scene cannot be built.
     """
     try:
-        config = EnvConfig(robot=robot, task=find_task(task), targets=tuple(targets), **options)
+        config = EnvConfig(
+            robot=robot, task=find_task(task), targets=tuple(targets), **options
+        )
         scene = load_scene(config.robot, config.targets, area=_area(config))
     except UserError as error:
         return [Check("scene", False, str(error), "Correct what that line names.")]
@@ -152,7 +156,9 @@ def _difference(a: Images, b: Images) -> float:
     return float(np.median(different_pixels(a, b)))
 
 
-def _check_least(kind: str, pairs: list[tuple[float, str]], nothing: str, remedy: str) -> Check:
+def _check_least(
+    kind: str, pairs: list[tuple[float, str]], nothing: str, remedy: str
+) -> Check:
     """Check that the two of a kind that differ in the fewest pixels differ enough."""
     pixels, pair = min(pairs, default=(np.inf, ""))
     return Check(

@@ -26,7 +26,9 @@ DIFFERENCE = 25
 class SceneImages:
     """Draws a simulation's n copies of a scene as the policy sees them: (n, H, W, 3) each."""
 
-    def __init__(self, scene: Scene, simulation: MujocoSimulator, config: EnvConfig) -> None:
+    def __init__(
+        self, scene: Scene, simulation: MujocoSimulator, config: EnvConfig
+    ) -> None:
         self._scene = scene
         self._simulation = simulation
         self._renderer = make_renderer(scene, config, config.image_size)
@@ -47,11 +49,17 @@ class SceneImages:
 
     def _draw(self, colours: NDArray[np.float32]) -> Images:
         simulation = self._simulation
-        return self._renderer.draw(simulation.geom_position, simulation.geom_matrix, colours)
+        return self._renderer.draw(
+            simulation.geom_position, simulation.geom_matrix, colours
+        )
 
 
 def draw_once(
-    scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
+    scene: Scene,
+    config: EnvConfig,
+    data: mujoco.MjData,
+    colours: NDArray[np.float32],
+    side: int,
 ) -> Image.Image:
     """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high."""
     renderer = make_renderer(scene, config, side, 1)
@@ -60,7 +68,11 @@ def draw_once(
 
 
 def draw_large(
-    scene: Scene, config: EnvConfig, data: mujoco.MjData, colours: NDArray[np.float32], side: int
+    scene: Scene,
+    config: EnvConfig,
+    data: mujoco.MjData,
+    colours: NDArray[np.float32],
+    side: int,
 ) -> Image.Image:
     """Draw one image with full meshes, which is faster than simplifying them first."""
     return draw_once(scene, replace(config, mesh_detail="full"), data, colours, side)

@@ -27,7 +27,9 @@ from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
 SAMPLES = 100  # Episodes per check
-MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics
+MIN_REACHABLE = (
+    0.99  # Least fraction of target positions with a solution of the inverse kinematics
+)
 MOVING_SHARE = 0.9
 """Share of the time limit in which a solution has to be reached; servos lag behind."""
 
@@ -109,7 +111,9 @@ def _check_scene(scene: Scene) -> Check:
     names = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         kind = "body" if isinstance(element, mujoco.MjsBody) else "floor"
-        names.append(f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}")
+        names.append(
+            f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}"
+        )
         part.delete(element)
     if names:
         found += f"; left out of {robot.mjcf.name}: {', '.join(names)}"
@@ -125,12 +129,18 @@ def check_joints(scene: Scene) -> Check:
     file = _read_file(robot).compile()
     named = {*robot.joints, *robot.held_joints}
     ranges = []
-    for name, low, high in zip(robot.joints, scene.joint_lower, scene.joint_upper, strict=True):
+    for name, low, high in zip(
+        robot.joints, scene.joint_lower, scene.joint_upper, strict=True
+    ):
         limited = scene.model.joint(ROBOT_PREFIX + name).limited[0]
         note = "" if limited else " (no range in the file)"
         ranges.append(f"{name} [{low:.2f}, {high:.2f}]{note}")
     found = ", ".join(ranges)
-    body = file.body(robot.tcp_body).id if robot.tcp_body else file.site(robot.tcp_site).bodyid[0]
+    body = (
+        file.body(robot.tcp_body).id
+        if robot.tcp_body
+        else file.site(robot.tcp_site).bodyid[0]
+    )
     still: list[str] = []
     while body:
         names = [joint_name(file, j) for j in joints_of(file, [body])]
@@ -215,7 +225,9 @@ def _check_reach(env: ArmVectorEnv) -> Check:
     matrix = env.running.goal_matrix
     solution = solver.solve(position, matrix, start)
     reached = _reached(scene, env.config, start, solution)
-    if reached.any():  # the branch of the nearest place that is reached may also reach the others
+    if (
+        reached.any()
+    ):  # the branch of the nearest place that is reached may also reach the others
         distance = np.linalg.norm(position[:, None] - position[reached], axis=2)
         near = solution.joints[reached][distance.argmin(axis=1)]
         follow = InverseKinematics.of_task(scene, env.running, starts=1)
@@ -227,20 +239,29 @@ def _check_reach(env: ArmVectorEnv) -> Check:
     return check_reach(scene, env.config, 0, episodes.position, start, solution, remedy)
 
 
-def _steps(scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution) -> Floats:
+def _steps(
+    scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution
+) -> Floats:
     """Return the number of largest steps from joint angles to solutions, (n,)."""
     largest = joint_increments(scene.robot, config).max()
     return np.asarray(np.abs(solution.joints - start).max(axis=1) / largest)
 
 
-def _reached(scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution) -> Mask:
+def _reached(
+    scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution
+) -> Mask:
     """Return which places are reached within the thresholds, without contact and in time."""
     reached = solution.within(config.success_distance_m, config.success_angle_deg)
-    in_time = _steps(scene, config, start, solution) <= MOVING_SHARE * config.max_episode_steps
+    in_time = (
+        _steps(scene, config, start, solution)
+        <= MOVING_SHARE * config.max_episode_steps
+    )
     return reached & in_time
 
 
-def check_agents(config: EnvConfig, distance_m: float = EVALUATION_M) -> Iterator[Check]:
+def check_agents(
+    config: EnvConfig, distance_m: float = EVALUATION_M
+) -> Iterator[Check]:
     """Play the oracle, whose way must be short enough to learn, and a fixed list of actions.
 
     The list is judged with the thresholds of an evaluation, whose distance is given [m], the oracle
@@ -314,7 +335,9 @@ def check_reach(
             f"{angle:.0f} deg; {steps:.0f} steps of at most {most:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
-    source = " (target_yaws_deg)" if object_of(name) in scene.robot.target_yaws_deg else ""
+    source = (
+        " (target_yaws_deg)" if object_of(name) in scene.robot.target_yaws_deg else ""
+    )
     return Check(
         f"reach of {name}",
         share >= MIN_REACHABLE,

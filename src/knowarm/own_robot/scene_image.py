@@ -38,7 +38,9 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
         both.save(temporary)
 
 
-def _draw_lines(scene: Scene, data: mujoco.MjData, corners: Floats, image: Image.Image) -> None:
+def _draw_lines(
+    scene: Scene, data: mujoco.MjData, corners: Floats, image: Image.Image
+) -> None:
     """Draw the rectangle and the gripper's approach over an image of the scene."""
     tip = data.site_xpos[scene.tcp_site]
     approach = data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]

@@ -48,7 +48,11 @@ class _Part(NamedTuple):
 
 
 def as_mjcf(
-    path: Path, folder: Path, *, arguments: Sequence[str] = (), packages: Sequence[str] = ()
+    path: Path,
+    folder: Path,
+    *,
+    arguments: Sequence[str] = (),
+    packages: Sequence[str] = (),
 ) -> tuple[Path, str]:
     """Return the MJCF file of a robot's file, and what was done to convert it ("" for MJCF).
 
@@ -73,7 +77,9 @@ def as_mjcf(
     if root is None or root.tag != "robot":
         return path, ""
     if folder.exists():
-        raise UserError(f"The folder {folder} for the converted model exists; remove or rename it.")
+        raise UserError(
+            f"The folder {folder} for the converted model exists; remove or rename it."
+        )
     notes = [f"converted from {path.name}", *_repair_inertias(root)]
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
@@ -84,7 +90,9 @@ def as_mjcf(
         try:
             file.write_text(_compile(file), encoding="utf-8")
         except (ValueError, mujoco.FatalError) as error:
-            raise UserError(f"{path} cannot be converted: {one_line(error)}. Correct it.") from None
+            raise UserError(
+                f"{path} cannot be converted: {one_line(error)}. Correct it."
+            ) from None
         with writing(folder):
             shutil.copytree(temporary, folder)
     return folder / name, "; ".join(notes)
@@ -97,7 +105,9 @@ def _compile(file: Path) -> str:
         if mesh.name.startswith("visual"):
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     if any(geom.group == VISUAL_GROUP for geom in spec.geoms):
-        for geom in spec.geoms:  # images show what a viewer of URDF does, safety boxes not
+        for (
+            geom
+        ) in spec.geoms:  # images show what a viewer of URDF does, safety boxes not
             geom.group = geom.group or COLLISION_GROUP
     for body in spec.bodies[1:]:  # frames without shape, such as tool0
         if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
@@ -112,7 +122,9 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
     for text in values:
         name, _, value = text.partition(sign)
         if not name or not value:
-            raise UserError(f"{option} must have the form name{sign}value, got {text!r}.")
+            raise UserError(
+                f"{option} must have the form name{sign}value, got {text!r}."
+            )
         pairs[name] = value
     return pairs
 
@@ -200,7 +212,9 @@ def _add_inertia(link: ElementTree.Element) -> None:
     if link.find("collision") is None:
         inertial = ElementTree.SubElement(link, "inertial")
         ElementTree.SubElement(inertial, "mass", value=str(LEAST_KG))
-        ElementTree.SubElement(inertial, "inertia", _attributes(np.diag(3 * [LEAST_INERTIA])))
+        ElementTree.SubElement(
+            inertial, "inertia", _attributes(np.diag(3 * [LEAST_INERTIA]))
+        )
 
 
 def _repair_inertia(inertia: ElementTree.Element, mass: ElementTree.Element) -> bool:
@@ -300,11 +314,15 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
 
         import_module("collada")  # with which trimesh reads COLLADA
     parts = []
-    with reading(source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."):
+    with reading(
+        source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."
+    ):
         groups: dict[str | None, list[Any]] = {}
         for mesh in trimesh.load_scene(source).dump():
             if isinstance(mesh, trimesh.Trimesh):
-                metres = re.match(r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", ""))
+                metres = re.match(
+                    r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", "")
+                )
                 mesh.apply_scale(float(metres[1]) if metres else 1.0)
                 groups.setdefault(_rgba(mesh) if colours else None, []).append(mesh)
         if not groups:
@@ -331,7 +349,9 @@ def _rgba(mesh: Any) -> str | None:
     if not mesh.visual.defined:
         return None
     material = getattr(mesh.visual, "material", None) or mesh.visual
-    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    image = getattr(material, "image", None) or getattr(
+        material, "baseColorTexture", None
+    )
     if image is not None:
         colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
     else:

@@ -40,7 +40,9 @@ class FrameRecognition(nn.Module):
         self.network = network
         if knowledge is None:
             knowledge = network.knowledge
-        self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
+        self.register_buffer(
+            "knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone()
+        )
 
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Find the frames (n, 9) in images (n, H, W, 3) uint8 by knowledge of queries (n, D)."""
@@ -55,7 +57,9 @@ class FrameRecognition(nn.Module):
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Score the places of images (n, H, W, 3) uint8, (n, places)."""
-        scores = self.network.cell_scores(self.network.encoder.features(images), knowledge)
+        scores = self.network.cell_scores(
+            self.network.encoder.features(images), knowledge
+        )
         return scores.unflatten(1, (-1, self.network.parts)).amax(2)
 
     def check_fits(self, env: EnvConfig) -> None:
@@ -92,7 +96,11 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
     """
 
     def __init__(
-        self, config: EnvConfig, num_envs: int, recognition: FrameRecognition, **options: Any
+        self,
+        config: EnvConfig,
+        num_envs: int,
+        recognition: FrameRecognition,
+        **options: Any,
     ) -> None:
         recognition.check_fits(config)
         super().__init__(config, num_envs, **options)
@@ -129,7 +137,9 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         if self.has_teacher:
             frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
-            rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
+            rows = (
+                self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
+            )
             frames = self._recognition(images[ids], rows)
         self._perceived = self._perceived.index_copy(0, ids, frames)
         return images

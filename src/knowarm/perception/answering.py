@@ -62,7 +62,9 @@ class AnswerGrounding(FrameRecognition):
         of_facets = places[:, None].expand(-1, by_place.shape[1], -1)
         at_place = by_place.gather(2, of_facets)  # (n, F, m)
         part = self.network.part_of
-        is_same = part[:, None] == part[named][:, None]  # facet is of the named part, (n, F, m)
+        is_same = (
+            part[:, None] == part[named][:, None]
+        )  # facet is of the named part, (n, F, m)
         likelihoods = at_place.masked_fill(~is_same, -torch.inf).softmax(1)
         likelihood = (likelihoods * knowledge[:, :, None]).sum(1)
         answering = knowledge.gather(1, named) >= 0.5

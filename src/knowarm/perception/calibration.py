@@ -42,8 +42,12 @@ def calibrated_threshold(
         seed: of the network's training, which never drew the same images.
     """
     if not 0 < level < 1:
-        raise UserError(f"level is {level}; it must be above 0 and below 1, such as 0.9.")
-    file = cache_file("calibration", IMAGES, version("torch"), env, seed, network.to_bytes())
+        raise UserError(
+            f"level is {level}; it must be above 0 and below 1, such as 0.9."
+        )
+    file = cache_file(
+        "calibration", IMAGES, version("torch"), env, seed, network.to_bytes()
+    )
     arrays = read_arrays(file)
     if arrays is None:
         arrays = {"likelihood": own_likelihoods(network, env, seed)}
@@ -54,7 +58,9 @@ def calibrated_threshold(
 @torch.inference_mode()
 def own_likelihoods(network: GroundingNetwork, env: EnvConfig, seed: int) -> np.ndarray:
     """Return the likelihood of the name of the right object in held-out images, (IMAGES,)."""
-    labels = sample_images(env, network.spec, IMAGES, derive_seed(seed, "perception", STREAM))
+    labels = sample_images(
+        env, network.spec, IMAGES, derive_seed(seed, "perception", STREAM)
+    )
     answers = torch.nn.functional.one_hot(labels.facets[:, 0], len(network.spec.facets))
     grounding = AnswerGrounding(network, answers)
 
@@ -81,7 +87,11 @@ def nearest_place(places: Tensor, pixels: Tensor, image_size: int) -> Tensor:
 
 
 def covered(
-    places: np.ndarray, candidates: np.ndarray, scene: Scene, positions: np.ndarray, image_size: int
+    places: np.ndarray,
+    candidates: np.ndarray,
+    scene: Scene,
+    positions: np.ndarray,
+    image_size: int,
 ) -> np.ndarray:
     """Return whether the object at ``positions`` (n, 2) [m] is a candidate, (n,) bool.
 

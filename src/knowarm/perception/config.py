@@ -53,8 +53,12 @@ class GroundingConfig:
         least = 0 if self.shared_rounds > 0 else 1
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
-            raise UserError(f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ...")
-        at_least(self, 0, "naming_coef", "shared_rounds", "seed", where="GroundingConfig.")
+            raise UserError(
+                f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ..."
+            )
+        at_least(
+            self, 0, "naming_coef", "shared_rounds", "seed", where="GroundingConfig."
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,9 +97,13 @@ class GroundingSpec:
         )
         for what, made, needed in compared:
             if made != needed:
-                text = f"{network} was made for {what} {made}, and this task has {needed}."
+                text = (
+                    f"{network} was made for {what} {made}, and this task has {needed}."
+                )
                 raise UserError(f"{text} {RETRAIN}")
-        unknown = [" ".join(reversed(facet)) for facet in facets if facet not in self.facets]
+        unknown = [
+            " ".join(reversed(facet)) for facet in facets if facet not in self.facets
+        ]
         if unknown:
             text = f"{network} does not know {', '.join(unknown[:5])}, which this task shows."
             raise UserError(f"{text} {RETRAIN}")
@@ -106,7 +114,9 @@ def shown_in(env: EnvConfig) -> set[tuple[str, str]]:
     table = questions_of(env)
     if table is None:
         return set(facets_of(env))
-    return {facet for facet, shown in zip(table.facets, table.shown, strict=True) if shown}
+    return {
+        facet for facet, shown in zip(table.facets, table.shown, strict=True) if shown
+    }
 
 
 def _looks(

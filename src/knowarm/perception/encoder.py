@@ -93,7 +93,9 @@ class PlaceEncoder(nn.Module):
         scores = sums.clamp(min=tiny).log() + largest_object + largest_colour
         return scores[:, *self.facet_parts]
 
-    def facet_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
+    def facet_likelihood(
+        self, features: Tensor, facets: Tensor, places: Tensor
+    ) -> Tensor:
         """Return the log-probability of facets at places, (n, m) float32.
 
         Among all facets at all places; of a code, that of its columns and place.
@@ -112,7 +114,9 @@ class PlaceEncoder(nn.Module):
         at_place = objects[rows, name, places] + colours[rows, colour, places]
         return at_place - scores.logsumexp(1, keepdim=True)
 
-    def _attribute_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
+    def _attribute_likelihood(
+        self, features: Tensor, facets: Tensor, places: Tensor
+    ) -> Tensor:
         """Return the log-probability of place, attributes, kind and colour of facets, (n, m).
 
         Names do not need the kind; learning to tell kinds apart improves the features.
@@ -124,7 +128,9 @@ class PlaceEncoder(nn.Module):
         colours = self.colours(features).flatten(2).log_softmax(1)
         kinds = self.code.shape[1] - self.attributes - 1
         widths = [self.exclusive, self.attributes - self.exclusive, 1, kinds]
-        shape_score, part_score, _, kind_score = objects[rows, :, places].split(widths, 2)
+        shape_score, part_score, _, kind_score = objects[rows, :, places].split(
+            widths, 2
+        )
         shape, parts, _, kind = self.code[name].split(widths, 2)
         of_place = objects[:, self.attributes].log_softmax(1).gather(1, places)
         of_shape = (shape_score.log_softmax(2) * (shape > 0)).sum(2)

@@ -79,11 +79,17 @@ class GroundingNetwork(nn.Module):
         super().__init__()
         self.spec = spec
         self.slots = slots
-        self.encoder = PlaceEncoder(spec.facets, convolutions_of(spec.config.channels), seed)
-        self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
+        self.encoder = PlaceEncoder(
+            spec.facets, convolutions_of(spec.config.channels), seed
+        )
+        self.register_buffer(
+            "knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone()
+        )
         self.register_buffer("position_mean", torch.zeros(3))
         self.register_buffer("position_std", torch.ones(3))
-        parts_of_object = torch.from_numpy(number_parts(spec.facets))  # of the object of each facet
+        parts_of_object = torch.from_numpy(
+            number_parts(spec.facets)
+        )  # of the object of each facet
         self.parts = parts_of_object.shape[1]
         facet = torch.arange(len(parts_of_object))[:, None]
         part_of = (parts_of_object == facet).int().argmax(1)
@@ -152,7 +158,9 @@ class GroundingNetwork(nn.Module):
                 raise ValueError("its table of knowledge does not fit its slots")
             network = cls(spec, table, slots)
             state = network.state_dict()
-            stored = {name: tensors.pop(name.removeprefix(ENCODER), None) for name in state}
+            stored = {
+                name: tensors.pop(name.removeprefix(ENCODER), None) for name in state
+            }
             for name, value in stored.items():
                 if tensors or value is None or value.shape != state[name].shape:
                     raise ValueError("its arrays do not fit the facets that it names")
@@ -182,7 +190,9 @@ class GroundingNetwork(nn.Module):
         """Project the knowledge of queries (Q, K) into the space of the keys: (Q, D)."""
         slots = knowledge.unflatten(1, (self.slots, -1))
         used = (slots != 0).any(2, keepdim=True)  # a slot of zeros is no condition
-        used[:, 0] |= ~used.any(1)  # of a query without conditions, the first slot counts
+        used[:, 0] |= ~used.any(
+            1
+        )  # of a query without conditions, the first slot counts
         of_slots = self.query(slots) * used
         return of_slots.sum(1) / WIDTH**0.5
 
@@ -212,11 +222,15 @@ class GroundingNetwork(nn.Module):
         width = side + 2 * around  # of the features with a border of zeros
         padded = nn.functional.pad(features, (around,) * 4).flatten(2)
         line = torch.arange(1 + 2 * around, device=places.device)
-        neighbours = (line[:, None] * width + line).flatten()  # from the first one, (k,)
+        neighbours = (
+            line[:, None] * width + line
+        ).flatten()  # from the first one, (k,)
         first = places // side * width + places % side
         index = first[..., None] + neighbours  # (n, m, k)
         of_channels = index.flatten(1)[:, None].expand(-1, channels, -1)
-        gathered = padded.gather(2, of_channels).unflatten(2, index.shape[1:])  # (n, C, m, k)
+        gathered = padded.gather(2, of_channels).unflatten(
+            2, index.shape[1:]
+        )  # (n, C, m, k)
         inputs = gathered.transpose(1, 2).flatten(2)  # (n, m, C k)
         half = self.spec.image_size / 2
         where = centres(self.spec.image_size).to(inputs) / half - 1
@@ -224,7 +238,9 @@ class GroundingNetwork(nn.Module):
 
     def standardized(self, position: Tensor, axes: Tensor) -> Tensor:
         """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
-        return torch.cat(((position - self.position_mean) / self.position_std, axes), -1)
+        return torch.cat(
+            ((position - self.position_mean) / self.position_std, axes), -1
+        )
 
     def forward(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of what queries with knowledge (n, K) mean."""

@@ -14,7 +14,12 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
-from knowarm.perception.grounding import GroundingNetwork, Standardize, in_batches, place_of
+from knowarm.perception.grounding import (
+    GroundingNetwork,
+    Standardize,
+    in_batches,
+    place_of,
+)
 from knowarm.perception.images import (
     ImageSampler,
     LabelledImages,
@@ -105,14 +110,18 @@ def train_grounding(
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
-    def losses(stage: _Stage, labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+    def losses(
+        stage: _Stage, labels: LabelledImages, rows: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Compute for some images the loss that is minimized and the one that is reported."""
         features = network.features(labels.images[rows], bfloat16)
         weighted = []
         if stage.asks:
             queries = torch.randperm(len(vectors), generator=generator)[:QUERIES]
             asked = vectors[queries], answers.of(queries)
-            place = network.place_loss(features, labels, rows, *asked, bfloat16=bfloat16)
+            place = network.place_loss(
+                features, labels, rows, *asked, bfloat16=bfloat16
+            )
             weighted.append((1.0, place))
         if stage.recognizes:
             naming, frame = network.recognition_losses(features.float(), labels, rows)
@@ -123,12 +132,23 @@ def train_grounding(
     images_alone = config
     stages = [_Stage("everything", config.rounds, recognizes=True, asks=True)]
     if config.shared_rounds > 0:
-        images_alone = replace(config, rounds=0)  # so that other rounds share the first stage
+        images_alone = replace(
+            config, rounds=0
+        )  # so that other rounds share the first stage
         stages = [
-            _Stage("names and frames", config.shared_rounds, recognizes=True, asks=False),
+            _Stage(
+                "names and frames", config.shared_rounds, recognizes=True, asks=False
+            ),
             _Stage("queries", config.rounds, recognizes=False, asks=True),
         ]
-    depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
+    depends_on: list[object] = [
+        REVISION,
+        version("torch"),
+        bfloat16,
+        env,
+        images_alone,
+        seed,
+    ]
     for number, stage in enumerate(stages):
         if stage.rounds == 0:
             continue
@@ -137,7 +157,12 @@ def train_grounding(
         first = sample_images(env, spec, KEYED_IMAGES, stream)
         depends_on += [stage.rounds, *[tensor.numpy() for tensor in first]]
         if stage.asks:
-            depends_on += [knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()]
+            depends_on += [
+                knowledge,
+                slots,
+                answers.satisfies.numpy(),
+                answers.askable.numpy(),
+            ]
         file = cache_file("grounding", *depends_on)
         parameters = _parameters(network, stage.trained)
         if _copy(read_arrays(file), parameters):
@@ -155,7 +180,9 @@ def train_grounding(
             is_finished = minimize(
                 network,
                 config,
-                partial(_steps, network, sampler, stage, config, partial(losses, stage)),
+                partial(
+                    _steps, network, sampler, stage, config, partial(losses, stage)
+                ),
                 stage.rounds,
                 "grounding, round",
                 report,
@@ -166,7 +193,9 @@ def train_grounding(
             return None
         write_arrays(file, {name: value.numpy() for name, value in parameters.items()})
         progress.file.unlink(missing_ok=True)
-    return train_frame_head(network, env, config, seed=seed, report=report, should_stop=should_stop)
+    return train_frame_head(
+        network, env, config, seed=seed, report=report, should_stop=should_stop
+    )
 
 
 def train_frame_head(
@@ -183,7 +212,9 @@ def train_frame_head(
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
     """
     trained_state = trained.state_dict()
-    network = GroundingNetwork(trained.spec, trained.knowledge, trained.slots, seed=seed)
+    network = GroundingNetwork(
+        trained.spec, trained.knowledge, trained.slots, seed=seed
+    )
     state = network.state_dict()
     for name, value in trained_state.items():
         if not name.startswith("frame."):
@@ -191,7 +222,9 @@ def train_frame_head(
     network.load_state_dict(state)
     inputs_of_head = _parameters(trained, ("encoder.", "position_"))
     arrays = [value.numpy() for value in inputs_of_head.values()]
-    file = cache_file("grounding", REVISION, version("torch"), env, config, seed, *arrays)
+    file = cache_file(
+        "grounding", REVISION, version("torch"), env, config, seed, *arrays
+    )
     head = _parameters(network, ("frame.",))
     if _copy(read_arrays(file), head):
         report(f"grounding network (frame head): read from {file}")
@@ -209,11 +242,15 @@ def train_frame_head(
 
         flat = in_batches(inputs, labels.images, places).flatten(0, 1)
         part = network.part_of[labels.facets].flatten()
-        frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(0, 1)
+        frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(
+            0, 1
+        )
         cast(Standardize, network.frame[0]).fit(flat)
 
         def steps(number: int) -> Iterator[Step]:
-            for rows in torch.randperm(len(flat), generator=generator).split(config.batch):
+            for rows in torch.randperm(len(flat), generator=generator).split(
+                config.batch
+            ):
                 predicted = network.frames_of(flat[rows], part[rows])
                 loss = (predicted - frames[rows]).square().mean()
                 yield len(rows), loss, loss
@@ -221,7 +258,9 @@ def train_frame_head(
         rate = HEAD_RATE * config.learning_rate
         objects = replace(config, images=len(flat), learning_rate=rate)
         name = "frame head, epoch"
-        if not minimize(network, objects, steps, HEAD_EPOCHS, name, report, should_stop):
+        if not minimize(
+            network, objects, steps, HEAD_EPOCHS, name, report, should_stop
+        ):
             return None
     write_arrays(file, {name: value.numpy() for name, value in head.items()})
     return network
@@ -245,7 +284,9 @@ def _steps(
         yield len(rows), *losses(labels, rows)
 
 
-def _progress(file: Path, sampler: ImageSampler, generator: torch.Generator) -> PassProgress:
+def _progress(
+    file: Path, sampler: ImageSampler, generator: torch.Generator
+) -> PassProgress:
     """Return where a stage that is stopped continues, beside the file of its result."""
 
     def get_state() -> dict[str, np.ndarray]:
@@ -258,7 +299,9 @@ def _progress(file: Path, sampler: ImageSampler, generator: torch.Generator) -> 
     return PassProgress(file.with_suffix(".part.npz"), get_state, set_state)
 
 
-def _parameters(network: GroundingNetwork, beginnings: tuple[str, ...]) -> dict[str, Tensor]:
+def _parameters(
+    network: GroundingNetwork, beginnings: tuple[str, ...]
+) -> dict[str, Tensor]:
     """Return the parameters and buffers whose names begin so."""
     state = network.state_dict().items()
     return {name: value for name, value in state if name.startswith(beginnings)}

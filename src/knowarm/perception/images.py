@@ -25,7 +25,9 @@ class LabelledImages(NamedTuple):
 
     images: Tensor  # (N, H, W, 3) uint8
     facets: Tensor  # (N, m) int64, facets of the network
-    queries: Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
+    queries: (
+        Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
+    )
     pixels: Tensor  # (N, m, 2) float32: column and row of the objects [px]
     grasp_position: Tensor  # (N, m, 3) float32 [m], world
     grasp_axes: Tensor  # (N, m, 6) float32: x and z axis of the grasp frames, world
@@ -40,10 +42,14 @@ class QueryAnswers(NamedTuple):
 
     def of(self, queries: Tensor) -> "QueryAnswers":
         """Return the answers to some queries (q,) int64."""
-        return self._replace(satisfies=self.satisfies[queries], askable=self.askable[queries])
+        return self._replace(
+            satisfies=self.satisfies[queries], askable=self.askable[queries]
+        )
 
 
-def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnswers | None:
+def query_answers(
+    env: EnvConfig, facets: tuple[ObjectColour, ...]
+) -> QueryAnswers | None:
     """Return the answers to a task's queries among some facets; None without queries."""
     table = questions_of(env)
     if table is None:
@@ -66,7 +72,9 @@ def _columns_of(
 class ImageSampler:
     """Samples the first images of episodes; their seed and number at once decide which."""
 
-    def __init__(self, env: EnvConfig, spec: GroundingSpec, seed: int, at_once: int = ENVS) -> None:
+    def __init__(
+        self, env: EnvConfig, spec: GroundingSpec, seed: int, at_once: int = ENVS
+    ) -> None:
         self._world = ArmVectorEnv(env, at_once)
         self._first_facets = first_facets(self._world.scene, spec)
         self._seed: int | None = seed
@@ -112,12 +120,16 @@ def axes_of(matrices: np.ndarray) -> np.ndarray:
 def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
     """Return where objects at x and y (..., 2) [m] stand in the image, (..., 2) float32 [px]."""
     raised = target_places(scene, positions) + np.array([0, 0, HEIGHT_M])
-    point = project(scene, raised.reshape(-1, 3))  # right and up from the centre, in half widths
+    point = project(
+        scene, raised.reshape(-1, 3)
+    )  # right and up from the centre, in half widths
     pixels = (1 + point * [1, -1]) / 2 * image_size
     return _float(pixels.reshape(positions.shape))
 
 
-def sample_images(env: EnvConfig, spec: GroundingSpec, count: int, seed: int) -> LabelledImages:
+def sample_images(
+    env: EnvConfig, spec: GroundingSpec, count: int, seed: int
+) -> LabelledImages:
     """Sample the first images of N episodes; arguments as `ImageSampler`."""
     return ImageSampler(env, spec, seed, min(ENVS, count)).sample(count)
 

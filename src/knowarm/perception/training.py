@@ -26,7 +26,9 @@ class PassProgress:
     get_state: Callable[[], dict[str, np.ndarray]]  # of all that draws the steps
     set_state: Callable[[dict[str, np.ndarray]], None]
 
-    def save(self, number: int, module: nn.Module, optimizer: Adam, schedule: OneCycleLR) -> None:
+    def save(
+        self, number: int, module: nn.Module, optimizer: Adam, schedule: OneCycleLR
+    ) -> None:
         """Store the state after a pass."""
         group = optimizer.param_groups[0]
         arrays = {
@@ -57,7 +59,9 @@ class PassProgress:
         optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
         rate, *betas = arrays["rate"].tolist()
         optimizer.param_groups[0].update(lr=rate, betas=tuple(betas))
-        schedule.load_state_dict({**schedule.state_dict(), "last_epoch": int(arrays["step"])})
+        schedule.load_state_dict(
+            {**schedule.state_dict(), "last_epoch": int(arrays["step"])}
+        )
         self.set_state(select(arrays, "draws/"))
         return int(arrays["number"])
 
@@ -78,7 +82,9 @@ def minimize(
     stopped continues after its last whole pass, as if it had not been stopped.
     """
     count = -(-config.images // config.batch) * passes
-    trained = [parameter for parameter in module.parameters() if parameter.requires_grad]
+    trained = [
+        parameter for parameter in module.parameters() if parameter.requires_grad
+    ]
     optimizer = Adam(trained, config.learning_rate)
     schedule = OneCycleLR(optimizer, config.learning_rate, total_steps=max(2, count))
     passes_done = 0

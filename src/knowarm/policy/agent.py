@@ -54,11 +54,15 @@ class PolicyAgent:
         generator: torch.Generator | None = None,
     ) -> None:
         if not greedy and generator is None:
-            raise ValueError("PolicyAgent(greedy=False) needs a generator to sample actions.")
+            raise ValueError(
+                "PolicyAgent(greedy=False) needs a generator to sample actions."
+            )
         self.policy = policy
         self.recognition = recognition
         self.notes = {}
-        self.table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
+        self.table = (
+            None if table is None else torch.as_tensor(table, dtype=torch.float32)
+        )
         self.greedy = greedy
         self.generator = generator
 
@@ -101,7 +105,9 @@ class PolicyAgent:
                 f"The image must be ({size}, {size}, 3) uint8, or n of them, got {image.shape} "
                 f"{image.dtype}: resize it, and keep values of 0 to 255."
             )
-        images = torch.from_numpy(image.copy())  # also of backward views and read-only arrays
+        images = torch.from_numpy(
+            image.copy()
+        )  # also of backward views and read-only arrays
         if self.knowledge is None:
             self.knowledge = self.recognize(images)
         logits, _, self._state = self.policy.step(

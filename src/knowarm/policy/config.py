@@ -98,7 +98,9 @@ class PolicyConfig:
         at_least(self, 1, "features")
         above_zero(self, "pixel_scale", "actor_gain")
         if isinstance(self.hidden, int) and self.hidden < 1:
-            raise UserError(f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}.")
+            raise UserError(
+                f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,7 +84,9 @@ class ImageEncoder(nn.Module):
 
     channels = 32
 
-    def __init__(self, image_size: int, pixel_shift: float = 0.0, pixel_scale: float = 1.0) -> None:
+    def __init__(
+        self, image_size: int, pixel_shift: float = 0.0, pixel_scale: float = 1.0
+    ) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 16, SIDE, stride=STRIDE)
         self.conv2 = nn.Conv2d(16, self.channels, 5, stride=2)
@@ -96,7 +98,9 @@ class ImageEncoder(nn.Module):
         self._blocks = self._side + 2
         self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
         self._pixels: Tensor
-        self.register_buffer("_pixels", patch_pixels(image_size, self._blocks), persistent=False)
+        self.register_buffer(
+            "_pixels", patch_pixels(image_size, self._blocks), persistent=False
+        )
 
     def patches(self, image: Tensor) -> Tensor:
         """Gather the patches of the first convolution: (..., H, W, 3) uint8 -> (..., S, L) uint8.
@@ -169,11 +173,15 @@ class ImageEncoder(nn.Module):
         dtype = hidden.dtype
         weight = self.product_weights().second.to(dtype)
         # The derivative of a ReLU is the sign of its result.
-        d_second = (gradient * features.sign()).view(-1, self._side, self._side, self.channels)
+        d_second = (gradient * features.sign()).view(
+            -1, self._side, self._side, self.channels
+        )
         d_second_bias = d_second.sum((0, 1, 2))
         x = hidden.permute(0, 3, 1, 2)
         d_x = d_second.to(dtype).permute(0, 3, 1, 2)
-        d_blocks = conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
+        d_blocks = (
+            conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
+        )
         d_kernel = d_blocks.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)
         d_first = conv2d_input(x.shape, weight, d_x).mul_(x.sign())
         d_first = d_first.permute(0, 2, 3, 1).reshape(-1, depth)

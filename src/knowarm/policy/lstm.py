@@ -178,7 +178,9 @@ class MaskedLSTM(nn.Module):
         zeros = self.weight_hh.new_zeros(batch, self.hidden)
         return zeros, zeros.clone()
 
-    def step(self, x: Tensor, state: State, episode_start: Tensor) -> tuple[Tensor, State]:
+    def step(
+        self, x: Tensor, state: State, episode_start: Tensor
+    ) -> tuple[Tensor, State]:
         """Advance by one step from inputs (B, inputs) and the state after the previous step.
 
         ``episode_start`` (B,) bool is true where ``x`` is the first input of its episode.
@@ -186,9 +188,13 @@ class MaskedLSTM(nn.Module):
         Returns:
             Hidden state (B, H) and the next state.
         """
-        return self._advance(self._project(x), state, (~episode_start).to(x.dtype)[:, None])
+        return self._advance(
+            self._project(x), state, (~episode_start).to(x.dtype)[:, None]
+        )
 
-    def forward(self, x: Tensor, state: State, episode_start: Tensor) -> tuple[Tensor, State]:
+    def forward(
+        self, x: Tensor, state: State, episode_start: Tensor
+    ) -> tuple[Tensor, State]:
         """Advance by T steps; equals T calls of `step`, on the CPU with a faster backward pass.
 
         Arguments are those of `step` with a leading axis T; ``state`` precedes the first step.
@@ -199,7 +205,9 @@ class MaskedLSTM(nn.Module):
         keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
         projected = self.projected(self._project(x))
         if _has_kernels(self.weight_hh):
-            hidden, h, c = MaskedLSTMFunction.apply(projected, self.weight_hh, *state, keep)
+            hidden, h, c = MaskedLSTMFunction.apply(
+                projected, self.weight_hh, *state, keep
+            )
             return hidden, (h, c)
         outputs = []
         for gates, mask in zip(projected, keep, strict=True):
@@ -207,7 +215,9 @@ class MaskedLSTM(nn.Module):
             outputs.append(output)
         return torch.stack(outputs), state
 
-    def _advance(self, projected: Tensor, state: State, keep: Tensor) -> tuple[Tensor, State]:
+    def _advance(
+        self, projected: Tensor, state: State, keep: Tensor
+    ) -> tuple[Tensor, State]:
         """Advance by one step from the input part of the gates (B, 4H) and a mask (B, 1)."""
         h = state[0] * keep
         c = state[1] * keep
@@ -239,7 +249,12 @@ class MaskedLSTMFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, projected: Tensor, weight_hh: Tensor, h: Tensor, c: Tensor, keep: Tensor
+        ctx: Any,
+        projected: Tensor,
+        weight_hh: Tensor,
+        h: Tensor,
+        c: Tensor,
+        keep: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Run the recursion from the state ``h``, ``c`` (B, H); ``ctx`` is read by `backward`.
 
@@ -273,7 +288,9 @@ class MaskedLSTMFunction(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
+    def backward(
+        ctx: Any, *grads: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
@@ -282,7 +299,16 @@ class MaskedLSTMFunction(torch.autograd.Function):
         d_gates = torch.empty_like(gates[0])
         d_next = dh.clone()
         dc = dc.clone()
-        tensors = (d_next, d_hidden.contiguous(), keep, gates, c_in, c_tanh, d_gates, dc)
+        tensors = (
+            d_next,
+            d_hidden.contiguous(),
+            keep,
+            gates,
+            c_in,
+            c_tanh,
+            d_gates,
+            dc,
+        )
         arrays = [tensor.numpy() for tensor in tensors]
         for t in reversed(range(len(d_projected))):
             backward_step(t, *arrays)

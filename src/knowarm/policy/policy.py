@@ -51,7 +51,9 @@ class Policy(nn.Module):
         UserError: the sizes do not fit each other.
     """
 
-    def __init__(self, config: PolicyConfig, shape: PolicyShape, *, seed: int = 0) -> None:
+    def __init__(
+        self, config: PolicyConfig, shape: PolicyShape, *, seed: int = 0
+    ) -> None:
         super().__init__()
         self.config = config
         self.shape = shape
@@ -61,15 +63,23 @@ class Policy(nn.Module):
         hidden = hidden_size(config, shape)
         knowledge = shape.knowledge_dim
         self.hidden_size = hidden
-        self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
+        self.encoder = ImageEncoder(
+            shape.image_size, config.pixel_shift, config.pixel_scale
+        )
         self.knowledge_encoder: nn.Module = nn.Identity()
         if self.uses_knowledge and config.knowledge_encoder == "learned":
             self.knowledge_encoder = nn.Linear(knowledge, knowledge, bias=False)
-        fusion = FUSIONS[config.fusion](config.features, knowledge, shape.knowledge_slots)
+        fusion = FUSIONS[config.fusion](
+            config.features, knowledge, shape.knowledge_slots
+        )
         self.fusion = fusion
-        self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
+        self.fc = nn.Linear(
+            self.encoder.width + fusion.extra_inputs("fc"), config.features
+        )
         self.memory = MaskedLSTM(config.features + fusion.extra_inputs("lstm"), hidden)
-        self.actor = nn.Linear(hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels)
+        self.actor = nn.Linear(
+            hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels
+        )
         self.critic = nn.Linear(hidden + fusion.extra_inputs("critic"), 1)
         self._has_relu = config.fc_activation == "relu"
         self.matmul_precision: MatmulPrecision = "float32"
@@ -154,7 +164,9 @@ class Policy(nn.Module):
         self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by T steps; see `unroll_with_features`."""
-        logits, values, state, _ = self.unroll_with_features(image, knowledge, state, episode_start)
+        logits, values, state, _ = self.unroll_with_features(
+            image, knowledge, state, episode_start
+        )
         return logits, values, state
 
     def unroll_with_features(

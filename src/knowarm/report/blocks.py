@@ -33,7 +33,9 @@ COLUMNS = {
 """Columns of several tables that are no measures, by key."""
 
 
-def estimate_column(key: str, label: str, format: str = "percent", hint: str = "") -> Column:
+def estimate_column(
+    key: str, label: str, format: str = "percent", hint: str = ""
+) -> Column:
     """Return the column of a number whose values may be intervals."""
     return Column(key, label, format, interval=True, hint=hint)
 
@@ -51,8 +53,12 @@ class DataTable:
     name: str  # stem of the CSV file; unique in a report
     title: str
     columns: Sequence[Column]  # columns, left to right
-    rows: Sequence[Row]  # values and intervals; ``_colour`` holds the palette class of a row
-    sources: Sequence[Path] = ()  # files and folders that the numbers were computed from
+    rows: Sequence[
+        Row
+    ]  # values and intervals; ``_colour`` holds the palette class of a row
+    sources: Sequence[
+        Path
+    ] = ()  # files and folders that the numbers were computed from
     note: str = ""  # how the numbers were computed and what they do not show
 
     @property
@@ -129,7 +135,9 @@ def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Pa
     return paths
 
 
-Tone = Literal["good", "bad", "open", "note"]  # confirmed, refuted, undecided, or a remark
+Tone = Literal[
+    "good", "bad", "open", "note"
+]  # confirmed, refuted, undecided, or a remark
 
 
 @dataclass(frozen=True)
@@ -138,7 +146,9 @@ class Panel:
 
     svg: str  # markup of one ``<svg>``
     title: str = ""  # heading above the drawing
-    only: Literal["", "large", "small"] = ""  # screens it is for, where it has two widths
+    only: Literal["", "large", "small"] = (
+        ""  # screens it is for, where it has two widths
+    )
 
 
 @dataclass(frozen=True)
@@ -148,8 +158,12 @@ class Figure:
     table: DataTable  # the drawn values; its title is the figure's
     caption: str  # how to read the drawings
     panels: Sequence[Panel]  # drawings, side by side where there is room
-    legend: Sequence[tuple[str, str]] = ()  # names, which toggle their series, and classes
-    open_table: bool = False  # whether the table is above the drawings, instead of folded
+    legend: Sequence[
+        tuple[str, str]
+    ] = ()  # names, which toggle their series, and classes
+    open_table: bool = (
+        False  # whether the table is above the drawings, instead of folded
+    )
 
 
 @dataclass(frozen=True)
@@ -175,7 +189,9 @@ class Film:
     """One episode of one agent: selected frames and the animation."""
 
     name: str
-    strip: Sequence[tuple[str, str]]  # data URI of a PNG and its label, per selected step
+    strip: Sequence[
+        tuple[str, str]
+    ]  # data URI of a PNG and its label, per selected step
     moving: str  # data URI of the animated WebP
     poster: str  # data URI of the last frame
     size: tuple[int, int]  # width and height of a frame [px]

@@ -58,7 +58,9 @@ class Box:
     left: float = 46  # margin for the tick labels of the vertical axis
     right: float = 26  # margin
     top: float = 24  # margin for the title of the vertical axis
-    bottom: float = 40  # margin for the tick labels and the title of the horizontal axis
+    bottom: float = (
+        40  # margin for the tick labels and the title of the horizontal axis
+    )
 
     @property
     def x(self) -> tuple[float, float]:
@@ -85,7 +87,9 @@ class Axis:
     """Title and tick labels of an axis."""
 
     title: str  # title, with the unit
-    format: Callable[[float, int], str] = number  # formats a value with a number of decimals
+    format: Callable[[float, int], str] = (
+        number  # formats a value with a number of decimals
+    )
     decimals: int = 0  # fewest decimals; tick labels have as many as their values need
     unit: float = 1.0  # shown number of the value 1: 100 for per cent
     range: tuple[float, float] | None = None  # ends of the axis; None fits the data
@@ -97,7 +101,9 @@ class Axis:
     def labels(self, ticks: Sequence[float]) -> list[str]:
         """Format ticks so that no label is rounded to another value."""
         decimals = self.decimals
-        while decimals < 9 and any(_is_cut(tick * self.unit, decimals) for tick in ticks):
+        while decimals < 9 and any(
+            _is_cut(tick * self.unit, decimals) for tick in ticks
+        ):
             decimals += 1
         return [self.format(tick, decimals) for tick in ticks]
 
@@ -145,10 +151,16 @@ def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     elements = []
     for at, words in y_axis.ticks(y, 4):
         elements.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
-        elements.append(label(left - 6, at + 4, words, class_="tick", text_anchor="end"))
+        elements.append(
+            label(left - 6, at + 4, words, class_="tick", text_anchor="end")
+        )
     for at, words in x_axis.ticks(x, max(4, int((right - left) / 85))):
-        elements.append(element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4))
-        elements.append(label(at, bottom + 17, words, class_="tick", text_anchor="middle"))
+        elements.append(
+            element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4)
+        )
+        elements.append(
+            label(at, bottom + 17, words, class_="tick", text_anchor="middle")
+        )
     elements += [
         element("line", class_="axis", x1=left, x2=right, y1=bottom, y2=bottom),
         label(left - 40, top - 11, y_axis.title, class_="axis-title"),
@@ -167,12 +179,19 @@ class Series:
     y: Floats  # (n,) NaN where there is no value
     band: tuple[Floats, Floats] | None = None  # (n,) its lower and upper end
     faint: Sequence[tuple[Floats, Floats]] = ()  # (x, y) of thin lines, one per seed
-    dashed: bool = False  # whether the line is dashed, which distinguishes it without colour
+    dashed: bool = (
+        False  # whether the line is dashed, which distinguishes it without colour
+    )
     stairs: bool = False  # whether each value holds until the next x
 
 
 def line_chart(
-    series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis, *, box: Box | None = None
+    series: Sequence[Series],
+    name: str,
+    x_axis: Axis,
+    y_axis: Axis,
+    *,
+    box: Box | None = None,
 ) -> str:
     """Draw lines over their bands; the page's script shows the values under the pointer."""
     box = box or Box()
@@ -257,7 +276,9 @@ def histograms(samples: Sequence[Floats]) -> tuple[Floats, list[Floats]]:
         high += 1e-3
     edges = np.linspace(low, high, BINS + 1)
     width = edges[1] - edges[0]
-    return edges, [np.histogram(each, edges)[0] / (each.size * width) for each in samples]
+    return edges, [
+        np.histogram(each, edges)[0] / (each.size * width) for each in samples
+    ]
 
 
 def density_chart(

@@ -41,7 +41,9 @@ NOT_A_RULE = ("probes", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knows.seed"}
 MOST_REFERENCES = 2  # untrained policies of a task, enough to compare with
-OTHER_RULES = "evaluated on other episodes or with other thresholds than most runs of its task"
+OTHER_RULES = (
+    "evaluated on other episodes or with other thresholds than most runs of its task"
+)
 
 
 def collect(paths: Sequence[Path]) -> StudyData:
@@ -60,7 +62,9 @@ def collect(paths: Sequence[Path]) -> StudyData:
     return StudyData(tuple(tasks), tuple(problems))
 
 
-def _grouped(runs: Iterable[RunData], key: Callable[[RunData], str]) -> dict[str, list[RunData]]:
+def _grouped(
+    runs: Iterable[RunData], key: Callable[[RunData], str]
+) -> dict[str, list[RunData]]:
     """Return the runs of each key, in the order of the first of each."""
     groups: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
@@ -87,7 +91,11 @@ def _task(
     if not compared:
         return TaskData(name, title, label, tuple(groups))
     played = _played(compared[0])
-    alike = [reference for reference in references if _played(reference.evaluations[0]) == played]
+    alike = [
+        reference
+        for reference in references
+        if _played(reference.evaluations[0]) == played
+    ]
     return TaskData(name, title, label, tuple(groups), tuple(alike[:MOST_REFERENCES]))
 
 
@@ -109,7 +117,12 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
         role_and_agent = rank(run.config.role, run.config.agent)
-        return role_and_agent[0], -run.config.knows.rank, role_and_agent, run.config.seed
+        return (
+            role_and_agent[0],
+            -run.config.knows.rank,
+            role_and_agent,
+            run.config.seed,
+        )
 
     for run in sorted(runs, key=order):
         agent = run.config.agent
@@ -125,7 +138,9 @@ def _label(runs: list[RunData]) -> str:
     labels = Counter(label for run in runs for label in run.evaluations)
     others = (UNTRAINED, LATEST, HELD_OUT)
     best = sorted(label for label in labels if not label.endswith(others))
-    return max(best, key=lambda label: (labels[label], label == PREFERRED_LABEL), default="")
+    return max(
+        best, key=lambda label: (labels[label], label == PREFERRED_LABEL), default=""
+    )
 
 
 def _played(evaluation: Evaluation) -> tuple[dict[str, Any], str]:
@@ -168,7 +183,9 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
     groups = {}
     for split in SPLITS:
         if split in by_split:
-            common = max(by_split[split], key=lambda agents: sum(map(len, agents.values())))
+            common = max(
+                by_split[split], key=lambda agents: sum(map(len, agents.values()))
+            )
             groups[split] = [
                 SplitGroup(group.name, evaluations, group, split)
                 for group, evaluations in common.items()
@@ -176,10 +193,14 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
     return groups
 
 
-def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) -> list[RunData]:
+def _comparable(
+    runs: list[RunData], label: str, problems: list[FolderProblem]
+) -> list[RunData]:
     """Drop evaluations on other episodes or with other thresholds than most."""
     rules_by_run = {
-        run.path: rules(run.evaluations[label]) for run in runs if label in run.evaluations
+        run.path: rules(run.evaluations[label])
+        for run in runs
+        if label in run.evaluations
     }
     usual = _most_common(rules_by_run.values())
     kept = []
@@ -187,13 +208,17 @@ def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) 
         if rules_by_run.get(run.path, usual) != usual:
             evaluations = dict(run.evaluations)
             folder = evaluations.pop(label).folder
-            problems.append(FolderProblem(folder, OTHER_RULES, "the evaluation is left out"))
+            problems.append(
+                FolderProblem(folder, OTHER_RULES, "the evaluation is left out")
+            )
             run = replace(run, evaluations=evaluations)
         kept.append(run)
     return kept
 
 
-def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> list[RunData]:
+def _one_run_per_seed(
+    runs: list[RunData], problems: list[FolderProblem]
+) -> list[RunData]:
     """Keep, of several runs of one seed, the one with the most steps, then the last by path."""
     chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
@@ -224,7 +249,13 @@ def _title(run: RunData) -> tuple[str, ...]:
     """Return what the titles of a run's task consist of: the robot, its title, and the rest."""
     env = run.config.env
     robot_title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
-    title = (env.robot, robot_title, env.task.title, f"{env.colours} colours", run.config.learner)
+    title = (
+        env.robot,
+        robot_title,
+        env.task.title,
+        f"{env.colours} colours",
+        run.config.learner,
+    )
     return tuple(filter(None, title))
 
 
@@ -235,7 +266,9 @@ def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None
     for path, version in versions.items():
         if version and version != usual:
             what = f"made with knowarm {version}, most runs with {usual}"
-            problems.append(FolderProblem(path, what, "merged: the run format is the same"))
+            problems.append(
+                FolderProblem(path, what, "merged: the run format is the same")
+            )
 
 
 def _most_common(values: Iterable[str]) -> str | None:
@@ -246,7 +279,9 @@ def _most_common(values: Iterable[str]) -> str | None:
 
 def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
-    return json.dumps([_task_env(run.settings["env"]), run.config.learner], sort_keys=True)
+    return json.dumps(
+        [_task_env(run.settings["env"]), run.config.learner], sort_keys=True
+    )
 
 
 def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:
@@ -262,7 +297,9 @@ def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
     settings = _without(run.settings, NOT_A_SETTING)
     env = run.settings["env"] | run.settings["env"]["task"]["asked"]
-    settings["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
+    settings["env"] = {
+        name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env
+    }
     return _without(flatten(settings), DRAWS)
 
 

@@ -23,10 +23,14 @@ class Dot:
     colour: str  # palette class
     value: Interval | None  # the estimate with its interval, or None
     single: Sequence[float] = ()  # values of the training seeds, drawn small
-    ring: float | None = None  # another value for comparison, such as the paper's, drawn as a ring
+    ring: float | None = (
+        None  # another value for comparison, such as the paper's, drawn as a ring
+    )
 
 
-def group_dot(task: TaskData, group: Evaluated, key: str, ring: float | None = None) -> Dot:
+def group_dot(
+    task: TaskData, group: Evaluated, key: str, ring: float | None = None
+) -> Dot:
     """Return the row of one number of a summary: the mean over seeds, and each seed."""
     single = group.scores(key).tolist() if len(group.evaluations) > 1 else []
     return Dot(group.name, task.colours[group.name], group.level(key), single, ring)
@@ -57,13 +61,19 @@ def dot_chart(
     elements = []
     for at, words in axis.ticks(x, max(2, int((end - start) / 70))):
         elements.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
-        elements.append(label(at, bottom + 16, words, class_="tick", text_anchor="middle"))
+        elements.append(
+            label(at, bottom + 16, words, class_="tick", text_anchor="middle")
+        )
     if zero:
         at = x(0)
         elements.append(element("line", class_="zero", x1=at, x2=at, y1=top, y2=bottom))
-    elements.append(label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end"))
+    elements.append(
+        label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end")
+    )
     frame = element("g", *elements, class_="axes", aria_hidden="true")
-    rows = [_dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)]
+    rows = [
+        _dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)
+    ]
     return drawing(box.width, box.height, name, frame, *rows, class_="chart dots")
 
 
@@ -80,23 +90,35 @@ def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
 
 def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     words = dot.name
-    elements = [label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")]
-    elements += [element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single]
+    elements = [
+        label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")
+    ]
+    elements += [
+        element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single
+    ]
     value = dot.value
     if value:
         words += f": {axis.text(value.estimate)}"
         if value.low < value.high:
             start = x(max(value.low, x.low))
             end = x(min(value.high, x.high))
-            elements.append(element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker"))
+            elements.append(
+                element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker")
+            )
             words += f" ({axis.text(value.low)} to {axis.text(value.high)})"
-        elements.append(element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot"))
+        elements.append(
+            element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot")
+        )
     if dot.ring is not None:
         elements.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
-    return element("g", hover(words), *elements, class_=f"row {dot.colour}", data_name=dot.name)
+    return element(
+        "g", hover(words), *elements, class_=f"row {dot.colour}", data_name=dot.name
+    )
 
 
-def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str) -> str:
+def confusion_map(
+    shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str
+) -> str:
     """Draw (R, C) shares in 0..1 as cells: the larger the share, the darker."""
     left = 8 + max(map(text_width, rows))
     below = 8 + max(map(text_width, columns))
@@ -125,6 +147,8 @@ def confusion_map(shares: Floats, rows: Sequence[str], columns: Sequence[str], t
     for j, column in enumerate(columns):
         x = left + (j + 0.5) * size + 4
         turn = f"rotate(-90 {x:.6g} {y:.6g})"
-        elements.append(label(x, y, column, class_="tick", transform=turn, text_anchor="end"))
+        elements.append(
+            label(x, y, column, class_="tick", transform=turn, text_anchor="end")
+        )
     width = left + len(columns) * size
     return drawing(width, bottom + below, title, *elements, class_="chart heat")

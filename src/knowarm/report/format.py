@@ -14,7 +14,15 @@ MISSING = "–"
 MINUS = "\u2212"
 NARROW_SPACE = "\u202f"
 # Palette classes for agents without a colour of their own, in the order in which they are used.
-SPARE_COLOURS = ("c-navy", "c-gold", "c-teal", "c-purple", "c-pink", "c-brown", "c-grey")
+SPARE_COLOURS = (
+    "c-navy",
+    "c-gold",
+    "c-teal",
+    "c-purple",
+    "c-pink",
+    "c-brown",
+    "c-grey",
+)
 
 
 def text(value: Any) -> str:

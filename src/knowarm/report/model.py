@@ -32,7 +32,9 @@ class Evaluation:
         path = self.folder / "episodes.parquet"
         columns = _complete(path, {*EPISODE_COLUMNS, *further})
         if len(columns["episode"]) != self.summary["episodes"]:
-            raise UserError(f"{path} has another number of episodes than the summary. {AGAIN}")
+            raise UserError(
+                f"{path} has another number of episodes than the summary. {AGAIN}"
+            )
         return columns
 
     def joint_angles(self) -> dict[int, np.ndarray]:
@@ -50,7 +52,11 @@ class Evaluation:
         films = {}
         for path in sorted((self.folder / "films").glob("*.webp")):
             name = path.stem
-            if name.isascii() and name.isdigit() and int(name) < self.summary["episodes"]:
+            if (
+                name.isascii()
+                and name.isdigit()
+                and int(name) < self.summary["episodes"]
+            ):
                 films[int(name)] = path
         return films
 
@@ -64,7 +70,9 @@ class Evaluated:
 
     def scores(self, key: str) -> np.ndarray:
         """Return one number of the summary per evaluation, (n,) float64."""
-        return np.array([evaluation.summary[key] for evaluation in self.evaluations], np.float64)
+        return np.array(
+            [evaluation.summary[key] for evaluation in self.evaluations], np.float64
+        )
 
     def level(self, key: str, group: str = "", value: str = "") -> Interval | None:
         """Estimate the mean of one number of the summary over the evaluations.
@@ -87,7 +95,9 @@ class Reference(Evaluated):
 def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
     """Read the columns of a table; refuse missing columns, rows and values."""
     columns = read_table(path)
-    missing = [name for name in sorted(needed) if name not in columns or not len(columns[name])]
+    missing = [
+        name for name in sorted(needed) if name not in columns or not len(columns[name])
+    ]
     if missing:
         raise UserError(f"{path} lacks values of {', '.join(missing)}. {AGAIN}")
     for name, values in columns.items():
@@ -118,8 +128,12 @@ class RunData:
 
     path: Path
     config: ExperimentConfig
-    settings: dict[str, Any]  # the same as JSON values, files of the user by their content
-    provenance: Provenance  # versions, machine, parameter counts, knowledge; empty if missing
+    settings: dict[
+        str, Any
+    ]  # the same as JSON values, files of the user by their content
+    provenance: (
+        Provenance  # versions, machine, parameter counts, knowledge; empty if missing
+    )
     interim: Curve  # columns of ``evaluations.csv``; empty if missing
     metrics: Curve  # columns of ``metrics.csv``; empty if missing
     evaluations: dict[str, Evaluation]  # post-training evaluations by label
@@ -170,7 +184,9 @@ class Group(Evaluated):
     @classmethod
     def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
-        evaluations = [run.evaluations[label] for run in runs if label in run.evaluations]
+        evaluations = [
+            run.evaluations[label] for run in runs if label in run.evaluations
+        ]
         config = runs[0].config
         return cls(name, evaluations, config.agent, config.role, tuple(runs), label)
 
@@ -262,7 +278,9 @@ class TaskData:
         for group in self.groups:
             key = (group.role, group.scope)
             if group.role in ("knowledge", "privileged") and group.has_content:
-                most[key] = max(most.get(key, group), group, key=lambda group: group.detail)
+                most[key] = max(
+                    most.get(key, group), group, key=lambda group: group.detail
+                )
         return tuple(group for group in self.groups if group in most.values())
 
     @cached_property
@@ -277,7 +295,9 @@ class TaskData:
 
         A run that its ``stop_when`` ended counts to ``total_steps``.
         """
-        longest = [max(run.success_until for run in group.runs) for group in self.groups]
+        longest = [
+            max(run.success_until for run in group.runs) for group in self.groups
+        ]
         return float(min(filter(None, longest), default=0.0))
 
 

@@ -65,7 +65,8 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
         report("no post-training evaluation", "missing from the tables of results")
     if run.best_step == 0 and evaluations:
         report(
-            "its best interim evaluation is that of step 0", "the evaluated network is untrained"
+            "its best interim evaluation is that of step 0",
+            "the evaluated network is untrained",
         )
     if 0 < run.steps_done < 0.98 * config.total_steps:
         what = f"stopped after {run.steps_done / config.total_steps:.0%} of its steps"
@@ -100,11 +101,17 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
         if step is None or step < 0:
             damaged += 1
             continue
-        unknown = [name for name, number in zip(columns, numbers, strict=True) if number is None]
+        unknown = [
+            name
+            for name, number in zip(columns, numbers, strict=True)
+            if number is None
+        ]
         damaged += any(row.get(name) not in ("", "nan") for name in unknown)
         values[step] = [np.nan if number is None else number for number in numbers]
     if is_truncated:
-        problems.append(FolderProblem(path, "last line truncated", "the line is left out"))
+        problems.append(
+            FolderProblem(path, "last line truncated", "the line is left out")
+        )
     if damaged:
         what = f"{damaged} damaged rows"
         problems.append(FolderProblem(path, what, "the rows or cells are left out"))
@@ -122,7 +129,11 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
     try:
         yield
     except Exception as error:
-        what = str(error) if isinstance(error, UserError) else f"damaged: {one_line(error)}"
+        what = (
+            str(error)
+            if isinstance(error, UserError)
+            else f"damaged: {one_line(error)}"
+        )
         problems.append(FolderProblem(path, what, done))
 
 
@@ -141,5 +152,7 @@ def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[P
                 what = "holds no run folder"
             problems.append(FolderProblem(path, what, "left out"))
         for folder in inside:
-            folders.setdefault(folder.resolve(), folder)  # a folder given twice counts once
+            folders.setdefault(
+                folder.resolve(), folder
+            )  # a folder given twice counts once
     return list(folders.values())

@@ -26,7 +26,9 @@ FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
 MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
 TEMPLATES = Path(__file__).parent / "templates"
-LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has all of them
+LONG_TABLE = (
+    400  # rows of a table that are written into the page; the CSV has all of them
+)
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
@@ -62,7 +64,9 @@ def write_report(
     page = _render(study, pages, out)
     _write_data(study, pages, out)
     with replacing(out) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="replace")  # lone surrogates
+        temporary.write_text(
+            page, encoding="utf-8", errors="replace"
+        )  # lone surrogates
     return out
 
 
@@ -78,7 +82,9 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     _remove_earlier(out, folder, tables)
     with writing(folder):
         folder.mkdir(exist_ok=True)
-        contents = {name: _write_table(table, folder, start) for name, table in tables.items()}
+        contents = {
+            name: _write_table(table, folder, start) for name, table in tables.items()
+        }
     problems = [problem._asdict() for problem in study.problems]
     report = {
         "format": FORMAT,
@@ -134,7 +140,9 @@ def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
     report = out.with_suffix(".json")
     earlier = read_json(report) if report.is_file() else {}
     if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
-        what = f"{report} exists and is no report of KnowArm, whose JSON would replace it"
+        what = (
+            f"{report} exists and is no report of KnowArm, whose JSON would replace it"
+        )
         raise UserError(f"{what}. {MOVE}")
     tables = earlier.get("tables", ())
     earlier_files = {f"{name}.csv" for name in tables if Path(name).name == name}
@@ -201,11 +209,17 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
     text = form(value)
     low = row.get(f"{column.key}_low")
     high = row.get(f"{column.key}_high")
-    has_interval = column.interval and low is not None and high is not None and low < high
+    has_interval = (
+        column.interval and low is not None and high is not None and low < high
+    )
     if not has_interval or text == MISSING:
         return escape(text)
     runs = row.get(f"{column.key}_runs")
-    ends = f"seeds: {', '.join(map(form, runs))}" if runs else f"{form(low)} to {form(high)}"
+    ends = (
+        f"seeds: {', '.join(map(form, runs))}"
+        if runs
+        else f"{form(low)} to {form(high)}"
+    )
     return Markup('{} <span class="ci">{}</span>').format(text, ends)
 
 

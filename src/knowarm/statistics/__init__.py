@@ -5,7 +5,9 @@ from knowarm.statistics.bootstrap import bootstrap as bootstrap
 from knowarm.statistics.bootstrap import iqm as iqm
 from knowarm.statistics.bootstrap import mean_of_runs as mean_of_runs
 from knowarm.statistics.bootstrap import performance_profile as performance_profile
-from knowarm.statistics.bootstrap import probability_of_improvement as probability_of_improvement
+from knowarm.statistics.bootstrap import (
+    probability_of_improvement as probability_of_improvement,
+)
 from knowarm.statistics.bootstrap import share_difference as share_difference
 from knowarm.statistics.bootstrap import wilson as wilson
 from knowarm.statistics.compare import Comparison as Comparison

@@ -23,7 +23,9 @@ class Interval:
     estimate: float  # point estimate
     low: float  # lower end
     high: float  # upper end
-    runs: tuple[float, ...] = field(default=(), kw_only=True)  # single ones, too few for it
+    runs: tuple[float, ...] = field(
+        default=(), kw_only=True
+    )  # single ones, too few for it
 
     def named(self, name: str) -> dict[str, float]:
         """Return the numbers of a summary or table row: ``name``, ``name_low``, ``name_high``."""
@@ -42,9 +44,15 @@ def wilson(successes: int, trials: int) -> Interval:
     Raises:
         ValueError: there are no trials, or more successes than trials.
     """
-    if not 0 <= successes <= trials or trials < 1:  # SciPy checks it in some versions only
-        raise ValueError(f"successes must lie between 0 and trials, got {successes} of {trials}")
-    ends = scipy.stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
+    if (
+        not 0 <= successes <= trials or trials < 1
+    ):  # SciPy checks it in some versions only
+        raise ValueError(
+            f"successes must lie between 0 and trials, got {successes} of {trials}"
+        )
+    ends = scipy.stats.binomtest(successes, trials).proportion_ci(
+        CONFIDENCE, method="wilson"
+    )
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
 
@@ -88,7 +96,9 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
 
 
 REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles
-BLOCK = 2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
+BLOCK = (
+    2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
+)
 
 
 def iqm(scores: Floats, axis: int = -1) -> Floats:
@@ -143,7 +153,9 @@ def probability_of_improvement(first: Floats, second: Floats) -> Interval:
     return Interval(estimate, low, high)
 
 
-def performance_profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Floats, Floats]:
+def performance_profile(
+    scores: Floats, thresholds: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Compute the fraction of runs that score above tau, for every tau.
 
     Args:

@@ -20,7 +20,9 @@ class Comparison:
 
     difference: Interval  # first minus second, with the interval of the t test
     p_value: float  # two-sided p-value of no difference
-    effect_size: float | None  # in standard deviations (Cohen's d); None without any spread
+    effect_size: (
+        float | None
+    )  # in standard deviations (Cohen's d); None without any spread
     first_count: int  # observations of the first agent
     second_count: int  # observations of the second agent
 
@@ -128,14 +130,20 @@ def seeds_needed(effect_size: float) -> int | None:
         None above 10,000.
     """
     counts = range(2, 10_001)
-    index = bisect_left(counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count))
+    index = bisect_left(
+        counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count)
+    )
     if index == len(counts):
         return None
     return counts[index]
 
 
 def _t_test(
-    test: Callable[..., Any], first: Floats, second: Floats, spread: float, **options: Any
+    test: Callable[..., Any],
+    first: Floats,
+    second: Floats,
+    spread: float,
+    **options: Any,
 ) -> Comparison:
     """Run one of SciPy's t tests; without any spread the difference is exact."""
     difference = float(first.mean() - second.mean())
@@ -145,7 +153,9 @@ def _t_test(
     p_value = 0.0 if abs(difference) > rounding else 1.0
     effect_size = None
     if spread > rounding:  # False also of values that are NaN
-        with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
+        with (
+            warnings.catch_warnings()
+        ):  # SciPy warns of a sample whose values are all equal
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
             result = test(first, second, **options)
         low, high = result.confidence_interval(CONFIDENCE)

@@ -10,7 +10,9 @@ from knowarm.arrays import Floats, Mask
 from knowarm.statistics.bootstrap import CONFIDENCE, Interval
 
 
-def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | None, float | None]:
+def median_steps(
+    steps: Floats, reached: Mask
+) -> tuple[float | None, float | None, float | None]:
     """Estimate the median steps to a threshold, with Brookmeyer and Crowley's interval.
 
     The interval holds every t at which S(t) = 1/2 is not rejected, on the log-log scale. S(t) is
@@ -27,7 +29,9 @@ def median_steps(steps: Floats, reached: Mask) -> tuple[float | None, float | No
         Estimate, low, high; None for an end that the observed runs do not show.
     """
     curve = _below_threshold(steps, reached)
-    with warnings.catch_warnings():  # the interval is NaN, with a warning, where S is 0 or 1
+    with (
+        warnings.catch_warnings()
+    ):  # the interval is NaN, with a warning, where S is 0 or 1
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
@@ -117,7 +121,9 @@ def area_under_curve(steps: Floats, values: Floats, until: float) -> float:
     return float(area / until)
 
 
-def first_crossing(steps: Floats, values: Floats, threshold: float) -> tuple[float, bool]:
+def first_crossing(
+    steps: Floats, values: Floats, threshold: float
+) -> tuple[float, bool]:
     """Find the first evaluation at or above a threshold.
 
     Args:

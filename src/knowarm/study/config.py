@@ -33,9 +33,14 @@ from knowarm.world.tasks.sampling import Colours
 FORMAT = 1  # of study.json
 MAX_RUNS = 2000  # of a study
 STUDY_FILE = "study.json"  # the study that a folder holds
-PACKED = "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
+PACKED = (
+    "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
+)
 
-SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.toml"))}
+SHIPPED = {
+    path.stem: path
+    for path in sorted((Path(__file__).parent / "shipped").glob("*.toml"))
+}
 """The TOML file of every shipped study, by name."""
 
 
@@ -61,7 +66,9 @@ class ExperimentGrid:
         for robot, colour, agent, algorithm in product(
             self.robots, colours, self.agents, self.algorithms
         ):
-            names.append(str(ExperimentName(robot, self.task, agent, colour, algorithm)))
+            names.append(
+                str(ExperimentName(robot, self.task, agent, colour, algorithm))
+            )
         return names
 
 
@@ -111,7 +118,9 @@ class StudyConfig:
         cells = self.cells()
         count = len(cells) * len(self.seeds)
         if count > MAX_RUNS:
-            raise UserError(f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}.")
+            raise UserError(
+                f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}."
+            )
         names = []
         runs = []
         for name, seeds in self._listed():
@@ -123,7 +132,9 @@ class StudyConfig:
         _check_once("experiments", runs)
         labels = [evaluation.folder for evaluation in self.evaluations]
         if len(set(labels)) < len(labels):
-            raise UserError(f"evaluations: two have the same label of {labels}; set label.")
+            raise UserError(
+                f"evaluations: two have the same label of {labels}; set label."
+            )
         for rule in self.overrides_for:
             if not fnmatch.filter(cells, rule.experiments):
                 raise unknown_name("pattern of experiments", rule.experiments, cells)
@@ -159,7 +170,9 @@ class StudyConfig:
         """Return the config of one run."""
         if (experiment, seed) not in self._runs:
             names = [f"{name}/{seed}" for name, seed in self._runs]
-            raise unknown_name(f"run of the study {self.name!r}", f"{experiment}/{seed}", names)
+            raise unknown_name(
+                f"run of the study {self.name!r}", f"{experiment}/{seed}", names
+            )
         return self._runs[experiment, seed]
 
     @cached_property
@@ -177,12 +190,16 @@ class StudyConfig:
         overrides = [self.overrides, *[rule.fields for rule in self.overrides_for]]
         for fixed in ("name", "seed"):
             if any(fixed in fields for fields in overrides):
-                raise UserError(f"overrides must not set {fixed!r}; it follows from the study.")
+                raise UserError(
+                    f"overrides must not set {fixed!r}; it follows from the study."
+                )
         config = override_experiment(config, self.overrides, where="overrides")
         set_by_user = list(flatten(self.overrides))
         for rule in self.overrides_for:
             if fnmatch.filter([name], rule.experiments):
-                config = override_experiment(config, rule.fields, where="overrides_for.fields")
+                config = override_experiment(
+                    config, rule.fields, where="overrides_for.fields"
+                )
                 set_by_user += flatten(rule.fields)
         check_graphs(config, set_by_user)
         return config
@@ -221,7 +238,9 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
     if str(source) in SHIPPED:
         path = SHIPPED[str(source)]
     elif path.suffix != ".toml":
-        raise unknown_name("study (name, TOML file or folder of a study)", str(source), SHIPPED)
+        raise unknown_name(
+            "study (name, TOML file or folder of a study)", str(source), SHIPPED
+        )
     values = read_toml(path)
     try:
         controlled = values.pop("controls_of", None)
@@ -258,11 +277,18 @@ def controls(study: StudyConfig) -> StudyConfig:
         for role in ("capacity_control", "content_control"):
             for agent in controls_of(subject.agent, role):
                 control = str(dataclasses.replace(subject, agent=agent))
-                if subject.task in tasks_of(AGENTS[agent]) and control not in [*cells, *names]:
+                if subject.task in tasks_of(AGENTS[agent]) and control not in [
+                    *cells,
+                    *names,
+                ]:
                     names.append(control)
     if not names:
-        raise UserError(f"No agent of the study {study.name!r} has registered controls to train.")
-    rules = [rule for rule in study.overrides_for if fnmatch.filter(names, rule.experiments)]
+        raise UserError(
+            f"No agent of the study {study.name!r} has registered controls to train."
+        )
+    rules = [
+        rule for rule in study.overrides_for if fnmatch.filter(names, rule.experiments)
+    ]
     return dataclasses.replace(
         study,
         name="controls",

@@ -13,17 +13,43 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
-from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
-from knowarm.study.executor import LOG, Ended, Executor, LocalExecutor, RunKey, Where, folder_of
+from knowarm.study.config import (
+    PACKED,
+    STUDY_FILE,
+    StudyConfig,
+    read_study,
+    write_study,
+)
+from knowarm.study.executor import (
+    LOG,
+    Ended,
+    Executor,
+    LocalExecutor,
+    RunKey,
+    Where,
+    folder_of,
+)
 from knowarm.study.ray_executor import RayExecutor
-from knowarm.study.status import FAILURE, PAUSE, RunStatus, runs_beside, seconds_left, study_status
+from knowarm.study.status import (
+    FAILURE,
+    PAUSE,
+    RunStatus,
+    runs_beside,
+    seconds_left,
+    study_status,
+)
 from knowarm.study.worker import STOP, record_failure
 
 RESUMABLE = "checkpoints/latest/state.safetensors"
 """File of a run that a pack with checkpoints has, and others have not."""
 POLL_S = 0.5  # time between two looks at the workers [s]
 STATUS_S = 2.0  # time between two readings of all run folders [s]
-UNFINISHED = ("waiting", "stalled", "stopped", "trained")  # states in which a free run is worked on
+UNFINISHED = (
+    "waiting",
+    "stalled",
+    "stopped",
+    "trained",
+)  # states in which a free run is worked on
 
 OnStatus = Callable[[Sequence[RunStatus]], None]
 
@@ -59,9 +85,13 @@ def run_study(
     check_folder(study, out)
     executor = make_executor(study.where, out)
     try:
-        with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
+        with lock_folder(
+            out, remedy="Wait until it ends, or stop it: knowarm study stop."
+        ):
             write_study(study, out)
-            (out / PACKED).unlink(missing_ok=True)  # runs that start from now on can be resumed
+            (out / PACKED).unlink(
+                missing_ok=True
+            )  # runs that start from now on can be resumed
             (out / STOP).unlink(missing_ok=True)
             (out / PAUSE).unlink(missing_ok=True)
             if until_step is not None:
@@ -151,7 +181,9 @@ def request_stop(out: Path) -> bool:
 def open_study(out: Path) -> StudyConfig:
     """Read the study that a folder holds."""
     if not (out / STUDY_FILE).is_file():
-        raise UserError(f"{out} holds no study, no {STUDY_FILE}. Start one: knowarm study run.")
+        raise UserError(
+            f"{out} holds no study, no {STUDY_FILE}. Start one: knowarm study run."
+        )
     return read_study(out)
 
 
@@ -173,7 +205,9 @@ class _Driver:
         self._executor = executor
         self._on_status = on_status
         self._mine: set[RunKey] = set()
-        self._deaths: Counter[tuple[RunKey, int]] = Counter()  # by run and latest checkpoint
+        self._deaths: Counter[tuple[RunKey, int]] = (
+            Counter()
+        )  # by run and latest checkpoint
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Work until every run is done or failed, or until asked to stop."""
@@ -220,7 +254,9 @@ class _Driver:
 
     def _is_left(self, statuses: Sequence[RunStatus]) -> bool:
         """Return whether a run is to be worked on, or others do."""
-        return any(status.state == "running" or self._is_free(status) for status in statuses)
+        return any(
+            status.state == "running" or self._is_free(status) for status in statuses
+        )
 
     def _take_end(self, end: Ended, stopping: bool) -> None:
         """Take note of a worker's end; a killed one is started again, an error is a failure."""
@@ -237,5 +273,7 @@ class _Driver:
         count = self._deaths[run, step]
         if count > self._study.where.retries:
             del self._deaths[run, step]  # `retry` starts the count again
-            reason = f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
+            reason = (
+                f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
+            )
             record_failure(path, reason)

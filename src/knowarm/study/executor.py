@@ -86,7 +86,14 @@ def start_worker(
     log_file.parent.mkdir(parents=True, exist_ok=True)
     with log_file.open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "knowarm.study.worker", str(out), experiment, str(seed)],
+            [
+                sys.executable,
+                "-m",
+                "knowarm.study.worker",
+                str(out),
+                experiment,
+                str(seed),
+            ],
             stdin=subprocess.PIPE,  # closes when this process ends
             stdout=log,
             stderr=log,
@@ -125,7 +132,9 @@ class LocalExecutor:
     def __init__(self, where: Where, out: Path) -> None:
         self._where = where
         self._out = out
-        self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}  # with their slots
+        self._workers: dict[
+            RunKey, tuple[int, subprocess.Popen[bytes]]
+        ] = {}  # with their slots
         self._deadline = math.inf  # when those that were asked to end are killed
         memory = psutil.virtual_memory()
         self._gpus = _gpus() if where.gpus else []
@@ -206,5 +215,7 @@ def _gpus() -> list[str]:
     import torch  # takes a second to import
 
     names = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    visible = list(takewhile(lambda name: name and not name.startswith("-"), names))  # as CUDA
+    visible = list(
+        takewhile(lambda name: name and not name.startswith("-"), names)
+    )  # as CUDA
     return visible or [str(i) for i in range(torch.cuda.device_count())]

@@ -56,7 +56,11 @@ CHECKPOINT_FILES = ("checkpoints/latest/*",)
 
 
 def pack_study(
-    out: Path, file: Path, *, leave_out: Collection[Part] = (), with_checkpoints: bool = False
+    out: Path,
+    file: Path,
+    *,
+    leave_out: Collection[Part] = (),
+    with_checkpoints: bool = False,
 ) -> int:
     """Write a study to one file; equal folders, equal bytes.
 
@@ -75,7 +79,9 @@ def pack_study(
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     if with_checkpoints and "losses" in leave_out:
-        raise UserError(f"Runs resume with their whole {METRICS}: leave out losses or checkpoints.")
+        raise UserError(
+            f"Runs resume with their whole {METRICS}: leave out losses or checkpoints."
+        )
     study = open_study(out)
     patterns = list(PACKED_FILES)
     for part, part_files in PART_FILES.items():
@@ -85,7 +91,10 @@ def pack_study(
         paths = [out / STUDY_FILE]
         for config in study.runs():
             folder = run_path(out, config)
-            for pattern in [*patterns, *_checkpoint_files(folder, config, with_checkpoints)]:
+            for pattern in [
+                *patterns,
+                *_checkpoint_files(folder, config, with_checkpoints),
+            ]:
                 paths += sorted(folder.glob(pattern))
         contents = dict[str, bytes]()
         for path in filter(Path.is_file, paths):
@@ -105,7 +114,9 @@ def pack_study(
     with (
         replacing(file) as temporary,
         lzma.open(temporary, "wb", filters=[compression]) as compressed,
-        tarfile.open(fileobj=compressed, mode="w", format=tarfile.PAX_FORMAT) as archive,
+        tarfile.open(
+            fileobj=compressed, mode="w", format=tarfile.PAX_FORMAT
+        ) as archive,
     ):
         text = json.dumps(manifest, indent=2) + "\n"
         members = {PACKED: text.encode(), **contents}
@@ -127,7 +138,9 @@ def _reported_metrics(content: bytes) -> bytes:
     return text.getvalue().encode()
 
 
-def _checkpoint_files(path: Path, config: ExperimentConfig, wanted: bool) -> Sequence[str]:
+def _checkpoint_files(
+    path: Path, config: ExperimentConfig, wanted: bool
+) -> Sequence[str]:
     """Return the patterns of a run's checkpoint, if it is wanted and the run is unfinished."""
     folder = RunFolder(path)
     if not wanted or not folder.has_checkpoint or is_trained(folder, config):
@@ -147,7 +160,9 @@ def unpack_study(file: Path, out: Path) -> Path:
     if not file.name.endswith(SUFFIX):
         raise UserError(f"{file} is no pack of a study, whose name ends in {SUFFIX}.")
     if out.exists():
-        raise UserError(f"{out} exists, and a pack is written to a new folder: give another one.")
+        raise UserError(
+            f"{out} exists, and a pack is written to a new folder: give another one."
+        )
     temporary = out.with_name(f".{out.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
@@ -174,8 +189,14 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
     listed = {PACKED}
     for member in archive:
         name = member.name
-        if name not in listed or member.type != tarfile.REGTYPE or (folder / name).exists():
-            raise ValueError(f"{name} is not one of the manifest's files, or no regular file")
+        if (
+            name not in listed
+            or member.type != tarfile.REGTYPE
+            or (folder / name).exists()
+        ):
+            raise ValueError(
+                f"{name} is not one of the manifest's files, or no regular file"
+            )
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
         if name == PACKED:
             digests = dict(json.loads((folder / PACKED).read_bytes())["sha256"])

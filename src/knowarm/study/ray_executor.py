@@ -48,7 +48,11 @@ class RayExecutor:
                 "There is no Ray cluster here. Start one with `ray start --head`, let other nodes "
                 "join with `ray start --address HOST:6379`, or name it in RAY_ADDRESS."
             ) from None
-        needed = {"CPU": float(where.cores), "memory": where.memory_gib * 2**30, "GPU": where.gpus}
+        needed = {
+            "CPU": float(where.cores),
+            "memory": where.memory_gib * 2**30,
+            "GPU": where.gpus,
+        }
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         if not any(_has(node, needed) for node in nodes):
             raise UserError(

@@ -34,8 +34,12 @@ State = Literal[
 ]
 
 PAUSE = "until-step"  # in a study's folder: the step at which all its runs pause
-FAILURE = "failed.json"  # in a run folder: why the run failed; without it the run can resume
-SILENT_S = 900.0  # time without a written file after which a running run counts as stalled
+FAILURE = (
+    "failed.json"  # in a run folder: why the run failed; without it the run can resume
+)
+SILENT_S = (
+    900.0  # time without a written file after which a running run counts as stalled
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +52,9 @@ class RunStatus:
     detail: str = ""  # why it failed, stalled or stopped, or how it ended early
     step: int = 0  # environment steps taken
     total_steps: int
-    success: float | None = None  # of the first post-training evaluation, or the latest interim one
+    success: float | None = (
+        None  # of the first post-training evaluation, or the latest interim one
+    )
     best_return: float | None = None  # of the best interim evaluation
     best_step: int | None = None  # of the best interim evaluation
     steps_per_s: float | None = None  # latest rate
@@ -85,13 +91,19 @@ def run_status(
     facts: dict[str, Any] = {}
     try:
         facts |= _progress(folder)
-        facts["state"], facts["detail"] = _state(folder, config, evaluations, pause_step(out))
+        facts["state"], facts["detail"] = _state(
+            folder, config, evaluations, pause_step(out)
+        )
         if facts["state"] == "done" and evaluations:
-            facts["success"] = Summary.read(folder.evaluation(evaluations[0].folder))["success"]
+            facts["success"] = Summary.read(folder.evaluation(evaluations[0].folder))[
+                "success"
+            ]
     except UserError as error:
         facts |= {"state": "damaged", "detail": str(error)}
     steps = config.total_steps
-    return RunStatus(experiment=config.name, seed=config.seed, total_steps=steps, **facts)
+    return RunStatus(
+        experiment=config.name, seed=config.seed, total_steps=steps, **facts
+    )
 
 
 def _state(
@@ -111,14 +123,20 @@ def _state(
     if locked:
         silent = time.time() - _last_write(path)
         if silent > SILENT_S:
-            return "stalled", f"its process has written nothing for {silent / 60:.0f} min"
+            return (
+                "stalled",
+                f"its process has written nothing for {silent / 60:.0f} min",
+            )
         return "running", ""
     if failure:
         return "failed", failure
     if not is_trained(folder, config):
         step = folder.checkpoint_fact("step", -1)
         if pause is not None and step >= pause:
-            return "paused", f"at step {step:,}; goes on with a larger --until-step, or without"
+            return (
+                "paused",
+                f"at step {step:,}; goes on with a larger --until-step, or without",
+            )
         return "stopped", "resumes with the next study run"
     detail = ""
     early = folder.ended_early_at(config.stop_when)
@@ -149,7 +167,9 @@ def runs_beside(study: StudyConfig, out: Path) -> list[str]:
     """Return the runs in the folder of a study that are not of the study."""
     known = {run_path(out, config) for config in study.runs()}
     folders = sorted(file.parent for file in out.glob("*/*/config.json"))
-    return [folder.relative_to(out).as_posix() for folder in folders if folder not in known]
+    return [
+        folder.relative_to(out).as_posix() for folder in folders if folder not in known
+    ]
 
 
 def missing_evaluations(
@@ -198,7 +218,9 @@ def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
         if not status.steps_left:
             left[status.run] = 0.0
         elif rates:
-            left[status.run] = status.steps_left / (status.steps_per_s or sum(rates) / len(rates))
+            left[status.run] = status.steps_left / (
+                status.steps_per_s or sum(rates) / len(rates)
+            )
     return left
 
 

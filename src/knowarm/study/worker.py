@@ -26,7 +26,9 @@ from knowarm.study.executor import RunKey, folder_of
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations, pause_step
 
 STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
-WORKED = "worked for"  # start of the last line that a worker prints, followed by its time
+WORKED = (
+    "worked for"  # start of the last line that a worker prints, followed by its time
+)
 GRACE_S = 60.0  # how long a worker may take to save after the process that started it has exited
 
 
@@ -46,11 +48,17 @@ def work(out: Path, key: RunKey) -> None:
                     return is_asked() or stop.exists()
 
                 train_run = partial(
-                    train, config, out, should_stop=should_stop, until_step=pause_step(out)
+                    train,
+                    config,
+                    out,
+                    should_stop=should_stop,
+                    until_step=pause_step(out),
                 )
                 try:
                     run = train_run(resume=is_started)
-                except RunExistsError:  # begun meanwhile by the worker of a driver that was killed
+                except (
+                    RunExistsError
+                ):  # begun meanwhile by the worker of a driver that was killed
                     run = train_run(resume=True)
             if run.result.reason == "stopped":
                 return
@@ -80,7 +88,10 @@ def main() -> None:
     out, experiment, seed = sys.argv[1:]
     threading.Thread(target=_end_with_parent, daemon=True).start()
     work(Path(out), (experiment, int(seed)))
-    print(f"{WORKED} {time.time() - psutil.Process().create_time():.1f} s", file=sys.stderr)
+    print(
+        f"{WORKED} {time.time() - psutil.Process().create_time():.1f} s",
+        file=sys.stderr,
+    )
 
 
 def _end_with_parent() -> None:

@@ -63,7 +63,11 @@ def make(
 
 @overload
 def make(
-    robot: str, num_envs: int, device: None = None, task: "TaskChoice" = ..., **options: Any
+    robot: str,
+    num_envs: int,
+    device: None = None,
+    task: "TaskChoice" = ...,
+    **options: Any,
 ) -> "ArmVectorEnv": ...
 
 

@@ -31,7 +31,11 @@ class MujocoSimulator:
     """Physics steps per action. `examples/ros_robot.py` takes single ones."""
 
     def __init__(
-        self, scene: Scene, num_envs: int, num_threads: int = 0, dynamics: Dynamics = "dynamic"
+        self,
+        scene: Scene,
+        num_envs: int,
+        num_threads: int = 0,
+        dynamics: Dynamics = "dynamic",
     ) -> None:
         self.scene = scene
         self.num_envs = num_envs
@@ -101,7 +105,9 @@ class MujocoSimulator:
             self._set_servos(slice(None), joint_targets)
             self.batch.step(nstep=self.substeps, stage=self._stage)
 
-    def set_joints(self, joint_positions: Floats, env_ids: NDArray[np.intp] | None = None) -> None:
+    def set_joints(
+        self, joint_positions: Floats, env_ids: NDArray[np.intp] | None = None
+    ) -> None:
         """Set the joint angles (m, J) [rad] and compute poses without advancing time.
 
         Of environments (m,), by default of all.
@@ -119,7 +125,9 @@ class MujocoSimulator:
         self.batch.state[:] = state
         self.batch.forward(stage=self._stage)
 
-    def _place_targets(self, ids: NDArray[np.intp], position: Floats, visible: Mask | None) -> None:
+    def _place_targets(
+        self, ids: NDArray[np.intp], position: Floats, visible: Mask | None
+    ) -> None:
         """Put the targets on their support; see `reset`."""
         places = target_places(self.scene, position)
         self._mocap[ids[:, None], self.scene.target_mocap] = places

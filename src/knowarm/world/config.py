@@ -124,7 +124,9 @@ def scene_of(config: EnvConfig) -> Scene:
     task = config.task
     area = task.area_of(find_robot(config.robot))
     distractors = config.randomization.distractors
-    return load_scene(config.robot, config.targets, distractors, area, task.skill.build_scene)
+    return load_scene(
+        config.robot, config.targets, distractors, area, task.skill.build_scene
+    )
 
 
 def setting_of(config: EnvConfig) -> Setting:

@@ -14,7 +14,9 @@ from knowarm.reading import one_line, read_text, read_toml
 from knowarm.world.cache import cache_file, write_arrays
 
 SUFFIX = ".toml"  # A name with this suffix is the path of a description
-MENAGERIE = "menagerie:"  # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
+MENAGERIE = (
+    "menagerie:"  # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
+)
 HOW_TO_GET = (
     "git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie, then set "
     "KNOWARM_MENAGERIE to its folder"
@@ -88,9 +90,13 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 
     mjcf = _normal(_mjcf(read_toml(path), path))
     try:
-        files = [_normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))]
+        files = [
+            _normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))
+        ]
     except (ValueError, mujoco.FatalError) as error:
-        raise UserError(f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}.") from error
+        raise UserError(
+            f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
+        ) from error
     root = os.path.commonpath([file.parent for file in files])
     places = {file: f"model/{file.relative_to(root).as_posix()}" for file in files}
     text = read_text(path, remedy="Correct the file.")
@@ -126,7 +132,9 @@ def _mjcf(values: Mapping[str, Any], path: Path) -> Path:
     if mjcf.startswith(MENAGERIE):
         return menagerie_folder() / mjcf.removeprefix(MENAGERIE)
     package, colon, inside = mjcf.partition(":")
-    if not colon or len(package) == 1 or not package.isidentifier():  # a path; C: is a drive
+    if (
+        not colon or len(package) == 1 or not package.isidentifier()
+    ):  # a path; C: is a drive
         return path.parent / mjcf
     try:
         spec = importlib.util.find_spec(package)

@@ -21,7 +21,11 @@ from tests.learn.toys import SHAPE, ToyEnv, recorder, success_rate, toy_env, toy
 
 WORKERS, LENGTH, WIDTH = 3, 5, 6
 CONFIG = A3CConfig(
-    schedule="fixed", workers=WORKERS, rollout_steps=LENGTH, ent_coef=0.1, log_every_steps=60
+    schedule="fixed",
+    workers=WORKERS,
+    rollout_steps=LENGTH,
+    ent_coef=0.1,
+    log_every_steps=60,
 )
 TABLE = np.random.default_rng(5).standard_normal((4, WIDTH)).astype(np.float32)
 
@@ -38,7 +42,9 @@ def played(policy, env, steps=LENGTH):
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
     known = 0 if fusion == "none" else WIDTH
-    shape = dataclasses.replace(SHAPE, knowledge_dim=known, knowledge_slots=2 if known else 1)
+    shape = dataclasses.replace(
+        SHAPE, knowledge_dim=known, knowledge_slots=2 if known else 1
+    )
     changes = {"knowledge_encoder": encoder} if known and encoder != "none" else {}
     changes |= {"pixel_shift": 0.4, "actor_gain": 1.0}
     policy = Policy(PolicyConfig(features=16, fusion=fusion, **changes), shape)
@@ -61,7 +67,9 @@ def test_the_gradient_of_each_worker_is_that_of_its_own_loss(fusion, encoder):
         rollout_loss(policy, CONFIG, own)["total"].backward()
         for name, parameter in policy.named_parameters():
             gradient = workers.gradients[name][worker]
-            torch.testing.assert_close(gradient, parameter.grad, rtol=1e-4, atol=1e-6, msg=name)
+            torch.testing.assert_close(
+                gradient, parameter.grad, rtol=1e-4, atol=1e-6, msg=name
+            )
 
 
 def test_gradients_of_rollouts_that_span_the_ends_of_episodes():
@@ -76,7 +84,9 @@ def test_gradients_of_rollouts_that_span_the_ends_of_episodes():
     assert rollout.episode_start[1:].any()
     workers.compute(
         count,
-        lambda encoded: rollout_loss(policy, CONFIG, rollout, encoded=encoded, weights=weights),
+        lambda encoded: rollout_loss(
+            policy, CONFIG, rollout, encoded=encoded, weights=weights
+        ),
     )
     rollout_loss(policy, CONFIG, rollout)["total"].backward()
     for name, parameter in policy.named_parameters():
@@ -91,7 +101,9 @@ def test_updates_are_steps_of_rmsprop_in_the_order_given():
     x, m = (torch.from_numpy(each.copy()) for each in (values, mean_square))
     order, factors = np.array([2, 0, 1]), np.array([1.0, 0.5, 0.25], np.float32)
     rates = np.array([1e-3, 2e-3, 3e-3], np.float32)
-    rmsprop_updates(values, mean_square, gradients, order, factors, rates, np.float32(1e-8))
+    rmsprop_updates(
+        values, mean_square, gradients, order, factors, rates, np.float32(1e-8)
+    )
     for k in order:
         scaled = torch.from_numpy(gradients[k] * factors[k])
         rmsprop_update(x, m, scaled, learning_rate=float(rates[k]), eps=1e-8)
@@ -101,7 +113,9 @@ def test_updates_are_steps_of_rmsprop_in_the_order_given():
 
 def make_env(num_envs, num_threads, *, recall=True, length=LENGTH, staggered=True):
     assert num_threads == 1
-    return NumpyToTorch(ToyEnv(num_envs, recall=recall, length=length, staggered=staggered))
+    return NumpyToTorch(
+        ToyEnv(num_envs, recall=recall, length=length, staggered=staggered)
+    )
 
 
 def trainer(folder=None, config=CONFIG, make=make_env, **hooks):
@@ -138,7 +152,9 @@ def test_the_shortest_rollout_updates_first_each_clipped_by_itself():
     assert rows[0]["grad_norm"] > config.max_grad_norm
     names = [name for name, _ in built.policy.named_parameters()]
     for worker in (2, 1, 0):  # their first episodes have 3, 4 and 5 steps
-        gradient = torch.cat([built._workers.gradients[name][worker].flatten() for name in names])
+        gradient = torch.cat(
+            [built._workers.gradients[name][worker].flatten() for name in names]
+        )
         gradient *= (config.max_grad_norm / gradient.norm()).clamp(max=1)
         rmsprop_update(values, mean_square, gradient, learning_rate=1e-4, eps=1e-8)
     after = torch.cat([each.detach().flatten() for each in built.policy.parameters()])
@@ -147,7 +163,9 @@ def test_the_shortest_rollout_updates_first_each_clipped_by_itself():
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one(tmp_path, whole):
-    config = dataclasses.replace(CONFIG, rollout_ends_with_episode=whole, rollout_steps=6)
+    config = dataclasses.replace(
+        CONFIG, rollout_ends_with_episode=whole, rollout_steps=6
+    )
     complete, rows = trainer(tmp_path / "complete", config)
     complete.train(500)
     cut, first = trainer(tmp_path / "cut", config, should_stop=lambda: len(first) >= 3)
@@ -169,11 +187,13 @@ def test_a_checkpoint_between_episodes_holds_no_environments(tmp_path):
     whole, _ = trainer(tmp_path / "whole")
     whole.train(100)
     spanning, _ = trainer(
-        tmp_path / "spanning", dataclasses.replace(CONFIG, rollout_ends_with_episode=False)
+        tmp_path / "spanning",
+        dataclasses.replace(CONFIG, rollout_ends_with_episode=False),
     )
     spanning.train(100)
     names = {
-        name: {*read_checkpoint(tmp_path / name / "latest").state} for name in ("whole", "spanning")
+        name: {*read_checkpoint(tmp_path / name / "latest").state}
+        for name in ("whole", "spanning")
     }
     assert names["whole"] == {"generator"}
     assert names["spanning"] > {"generator", "observation", "env/clock"}
@@ -197,16 +217,25 @@ def test_rounds_draw_other_episodes_each_time():
 
 def test_rollouts_that_do_not_reach_the_end_of_an_episode_are_refused():
     built, _ = trainer(config=dataclasses.replace(CONFIG, rollout_steps=LENGTH - 1))
-    with pytest.raises(UserError, match="rollout_steps is 4, and an episode has not ended"):
+    with pytest.raises(
+        UserError, match="rollout_steps is 4, and an episode has not ended"
+    ):
         built.train(100)
-    other = dataclasses.replace(CONFIG, rollout_steps=4, rollout_ends_with_episode=False)
+    other = dataclasses.replace(
+        CONFIG, rollout_steps=4, rollout_ends_with_episode=False
+    )
     assert trainer(config=other)[0].train(100).step >= 100
 
 
 @pytest.mark.slow
 def test_the_memory_task_is_solved():
     config = dataclasses.replace(
-        CONFIG, workers=17, learning_rate=1e-3, rollout_steps=2, vf_coef=0.5, rmsprop_eps=1e-5
+        CONFIG,
+        workers=17,
+        learning_rate=1e-3,
+        rollout_steps=2,
+        vf_coef=0.5,
+        rmsprop_eps=1e-5,
     )
     built, _ = trainer(config=config, make=partial(make_env, length=2, staggered=False))
     built.train(15_000)

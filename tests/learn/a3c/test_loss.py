@@ -16,7 +16,10 @@ def collected(steps=8, *, count=1, until_episode_end=True):
     policy, env = toy_policy(features=8), toy_env(count, recall=False, length=5)
     collector = Collector(env, policy, seed=0)
     rollout = Rollout.zeros(steps, count, policy)
-    taken = [collector.collect(rollout, until_episode_end=until_episode_end) for _ in range(2)]
+    taken = [
+        collector.collect(rollout, until_episode_end=until_episode_end)
+        for _ in range(2)
+    ]
     return policy, rollout.first(taken[-1]), taken
 
 
@@ -61,7 +64,9 @@ def test_the_return_of_a_truncated_episode(bootstrap):
         returns.insert(0, future)
     error = torch.tensor(returns) - rollout.value[:, 0]
     loss = rollout_loss(policy, config, rollout)
-    assert loss["value_loss"].item() == pytest.approx(0.5 * float(error.square().mean()), rel=1e-5)
+    assert loss["value_loss"].item() == pytest.approx(
+        0.5 * float(error.square().mean()), rel=1e-5
+    )
     policy_loss = -(rollout.log_probability[:, 0] * error).mean()
     assert loss["policy_loss"].item() == pytest.approx(float(policy_loss), rel=1e-4)
     assert loss["total"].item() == pytest.approx(
@@ -74,5 +79,7 @@ def test_rollouts_of_several_environments_cannot_end_with_an_episode():
     with pytest.raises(UserError, match="envs_per_worker is 4, and rollout_ends"):
         A3CConfig(**several)
     assert A3CConfig(**several, rollout_ends_with_episode=False).envs_per_worker == 4
-    with pytest.raises(UserError, match="envs_per_worker is 4, and workers on the fixed"):
+    with pytest.raises(
+        UserError, match="envs_per_worker is 4, and workers on the fixed"
+    ):
         A3CConfig(schedule="fixed", **several, rollout_ends_with_episode=False)

@@ -66,7 +66,9 @@ def write(shared, index):
 def test_processes_see_one_anothers_writes():
     context = process_context()
     shared = SharedTensors(context, shared_state_specs(4, 2))
-    children = [context.Process(target=write, args=(shared, index)) for index in range(2)]
+    children = [
+        context.Process(target=write, args=(shared, index)) for index in range(2)
+    ]
     for child in children:
         child.start()
     for child in children:

@@ -37,7 +37,10 @@ class InStep:
 
         def step_in_step(actions):
             update, rest = divmod(next(taken), FAST.rollout_steps)
-            while rest == FAST.rollout_steps - 1 and int(self.progress.read_text() or 0) < update:
+            while (
+                rest == FAST.rollout_steps - 1
+                and int(self.progress.read_text() or 0) < update
+            ):
                 time.sleep(0.001)
             return step(actions)
 
@@ -127,7 +130,9 @@ def test_a_checkpoint_is_at_most_one_interval_and_one_update_old(tmp_path, worke
 def test_a_stop_saves_pending_evaluations_and_resuming_plays_them(tmp_path):
     store = CheckpointStore(tmp_path, {})
     gate = tmp_path / "gate"
-    trainer, evaluations = build(gate, store, should_stop=lambda: trainer.step >= 4 * UPDATE)
+    trainer, evaluations = build(
+        gate, store, should_stop=lambda: trainer.step >= 4 * UPDATE
+    )
     assert trainer.train(8 * UPDATE).reason == "stopped"
     assert evaluations == []
     stopped_at = trainer.step
@@ -150,7 +155,9 @@ def test_training_pauses_when_the_evaluator_is_far_behind_and_can_be_stopped(tmp
         should_stop=lambda: bool(trainer._shared["paused"]),
     )
     assert trainer.train(10**9).reason == "stopped"
-    pending = [name for name in trainer.checkpoints.load().state if name.startswith("pending")]
+    pending = [
+        name for name in trainer.checkpoints.load().state if name.startswith("pending")
+    ]
     assert len(pending) > MAX_PENDING
 
 
@@ -160,7 +167,9 @@ def test_the_last_evaluations_can_be_interrupted(tmp_path):
     trainer, evaluations = build(
         tmp_path / "never",
         CheckpointStore(tmp_path, {}),
-        should_stop=lambda: trained.append(trainer.step) or trained.count(2 * UPDATE) > 10,
+        should_stop=lambda: (
+            trained.append(trainer.step) or trained.count(2 * UPDATE) > 10
+        ),
     )
     assert trainer.train(2 * UPDATE).reason == "stopped"
     assert evaluations == []
@@ -168,7 +177,9 @@ def test_the_last_evaluations_can_be_interrupted(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch, caplog):
+def test_a_worker_that_never_answers_does_not_block_a_stop(
+    tmp_path, monkeypatch, caplog
+):
     reads = []
     trainer, _ = build(
         tmp_path / "never",
@@ -177,10 +188,14 @@ def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch
         should_stop=lambda: len(reads) > 0,
     )
     monkeypatch.setattr("knowarm.learn.a3c.trainer.STATE_S", 0.0)
-    monkeypatch.setattr(A3CTrainer, "_read_worker", lambda trainer, index: reads.append(0))
+    monkeypatch.setattr(
+        A3CTrainer, "_read_worker", lambda trainer, index: reads.append(0)
+    )
     assert trainer.train(10**9).reason == "stopped"
     assert "No state arrived from the workers [0, 1]" in caplog.text
-    assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
+    assert trainer.checkpoints.load().facts["step"] == int(
+        trainer._shared["steps"].sum()
+    )
     # Resumed workers without a state must not repeat random numbers from which they have learned.
     learned = [int(steps > 0) for steps in trainer._shared["steps"]]
     assert trainer.checkpoints.load().facts["restarts"] == learned

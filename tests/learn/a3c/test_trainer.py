@@ -78,7 +78,9 @@ def succeed(step, actions):
 
 def make_play(recall, length):
     def play(policy):
-        return {"return_mean": float(success_rate(policy, recall=recall, length=length))}
+        return {
+            "return_mean": float(success_rate(policy, recall=recall, length=length))
+        }
 
     return play
 
@@ -109,7 +111,9 @@ def test_memory_task_is_solved():
 def test_updates_of_both_workers_arrive_and_are_recorded():
     rows = []
     policy = toy_policy()
-    trainer = A3CTrainer(FAST, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append))
+    trainer = A3CTrainer(
+        FAST, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append)
+    )
     before = trainer._shared.copy("values")
     result = trainer.train(5_000)
     assert result.step >= 5_000
@@ -124,9 +128,9 @@ def test_updates_of_both_workers_arrive_and_are_recorded():
 def trained(**changes):
     policy, rows = toy_policy(), []
     config = dataclasses.replace(FAST, workers=1, log_every_steps=96, **changes)
-    A3CTrainer(config, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append)).train(
-        288
-    )
+    A3CTrainer(
+        config, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append)
+    ).train(288)
     assert [row["threshold_factor"] for row in rows] == [1, 1, 1]
     return [parameter.detach().numpy().tobytes() for parameter in policy.parameters()]
 
@@ -191,7 +195,9 @@ def untimed(rows):
 
 
 @pytest.mark.slow
-def test_one_worker_stopped_and_resumed_equals_an_uninterrupted_one_to_the_byte(tmp_path):
+def test_one_worker_stopped_and_resumed_equals_an_uninterrupted_one_to_the_byte(
+    tmp_path,
+):
     whole, rows, evaluations = build(tmp_path / "whole")
     whole.train(6000)
     stopped, first, seen = build(tmp_path / "cut", should_stop=lambda: len(first) >= 2)
@@ -205,7 +211,9 @@ def test_one_worker_stopped_and_resumed_equals_an_uninterrupted_one_to_the_byte(
     assert [step // 1000 for step, *_ in evaluations] == [0, 1, 2, 3, 4, 5, 6]
     for file in ("policy", "optimizer", "state"):
         name = f"latest/{file}.safetensors"
-        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()
+        assert (tmp_path / "whole" / name).read_bytes() == (
+            tmp_path / "cut" / name
+        ).read_bytes()
 
 
 SCRIPT = """
@@ -253,14 +261,22 @@ def test_a_killed_worker_is_replaced_and_continues_the_curriculum(caplog):
             killed.append(trainer._workers[0].child.process.pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    config = dataclasses.replace(FAST, workers=1, log_every_steps=96, threshold_factor=3.0)
+    config = dataclasses.replace(
+        FAST, workers=1, log_every_steps=96, threshold_factor=3.0
+    )
     trainer = A3CTrainer(
-        config, toy_policy(), Make(False, 5, thresholds=True), seed=0, hooks=Hooks(on_metrics=kill)
+        config,
+        toy_policy(),
+        Make(False, 5, thresholds=True),
+        seed=0,
+        hooks=Hooks(on_metrics=kill),
     )
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
         assert trainer.train(3000).reason == "finished"
     assert trainer.restarts == 1
     assert "The worker 0 was killed by signal 9; restarting it" in caplog.text
     assert not psutil.pid_exists(killed[0])
-    assert factors[0] == pytest.approx(2.98)  # after the first update, in which all succeeded
+    assert factors[0] == pytest.approx(
+        2.98
+    )  # after the first update, in which all succeeded
     assert factors == sorted(factors, reverse=True)

@@ -21,7 +21,9 @@ def test_its_teacher_lifts_and_holds(hold):
     episodes = knowarm.evaluation_episodes(env.config, 16, seed=0)
     result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
     assert result.success.mean() >= 0.9
-    assert (result.infos["held"][result.success] == env.config.task.skill.hold_steps).all()
+    assert (
+        result.infos["held"][result.success] == env.config.task.skill.hold_steps
+    ).all()
     steps = result.steps
     rewards = steps.reward[steps.episode == int(np.flatnonzero(result.success)[0])]
     assert (np.diff(rewards[-20:]) > 0).all()  # the second phase
@@ -29,7 +31,9 @@ def test_its_teacher_lifts_and_holds(hold):
 
 
 def test_opening_the_fingers_in_the_second_phase_ends_the_episode(hold):
-    env = knowarm.make("irb120", num_envs=4, task=PLACE, image_size=16, observe=("joints",))
+    env = knowarm.make(
+        "irb120", num_envs=4, task=PLACE, image_size=16, observe=("joints",)
+    )
     agent = knowarm.OracleAgent(env)
     env.reset(seed=1)
     agent.guide.restart()

@@ -73,7 +73,9 @@ def _intersect(kind: np.int32, origin: Vector, direction: Vector, size: Vector) 
 
 
 @njit(error_model="numpy")
-def _mesh_normal(meshes: Meshes, geom: int, origin: Vector, direction: Vector) -> Vector:
+def _mesh_normal(
+    meshes: Meshes, geom: int, origin: Vector, direction: Vector
+) -> Vector:
     """Return the unit normal of the triangle that a ray hits first, in the geom's frame."""
     best, result = FAR, (ZERO, ZERO, ZERO)
     for f in range(meshes.span[geom, 2], meshes.span[geom, 3]):

@@ -62,7 +62,9 @@ def main(model_file: str, poses_file: str, images_file: str) -> None:
     with mujoco.Renderer(model, size, size) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        for position, matrix in zip(given["geom_xpos"], given["geom_xmat"], strict=True):
+        for position, matrix in zip(
+            given["geom_xpos"], given["geom_xmat"], strict=True
+        ):
             data.geom_xpos[:], data.geom_xmat[:] = position, matrix
             renderer.update_scene(data, camera)
             images.append(renderer.render())

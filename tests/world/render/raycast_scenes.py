@@ -29,7 +29,9 @@ def every_primitive() -> mujoco.MjModel:
             place = f"{0.3 * (k % 3) - 0.3} {0.3 * i - 0.3} {0.3 + 0.3 * (k // 3)}"
             colour = f"{0.2 + 0.1 * k} {0.9 - 0.2 * i} .4 1"
             # A plane cannot have a free joint: it belongs to the world or to a mocap body.
-            mocap, joint = ('mocap="true"', "") if kind == "plane" else ("", "<freejoint/>")
+            mocap, joint = (
+                ('mocap="true"', "") if kind == "plane" else ("", "<freejoint/>")
+            )
             bodies += f"""<body name="{kind}{i}" pos="{place}" {mocap}>{joint}
                 <geom type="{kind}" size="{size}" rgba="{colour}" contype="0" conaffinity="0"
                 mass="1"/></body>"""
@@ -46,17 +48,26 @@ def every_primitive() -> mujoco.MjModel:
     </mujoco>""")
 
 
-def torus(rings: int = 16, sides: int = 10) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def torus(
+    rings: int = 16, sides: int = 10
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """A torus of radius .15 m and thickness .05 m: vertices (V, 3) and triangles (T, 3)."""
     u, v = np.meshgrid(
-        np.arange(rings) * 2 * np.pi / rings, np.arange(sides) * 2 * np.pi / sides, indexing="ij"
+        np.arange(rings) * 2 * np.pi / rings,
+        np.arange(sides) * 2 * np.pi / sides,
+        indexing="ij",
     )
     out = 0.15 + 0.05 * np.cos(v)
     vertices = np.stack([out * np.cos(u), out * np.sin(u), 0.05 * np.sin(v)], axis=-1)
-    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij"))
+    i, j = (
+        grid.ravel()
+        for grid in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij")
+    )
     a, b = i * sides + j, (i + 1) % rings * sides + j
     c, d = (i + 1) % rings * sides + (j + 1) % sides, i * sides + (j + 1) % sides
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    triangles = np.concatenate(
+        [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    )
     return vertices.reshape(-1, 3), triangles
 
 
@@ -70,7 +81,12 @@ def mesh_scene(rings: int = 16, sides: int = 10) -> mujoco.MjModel:
         <freejoint/><geom {what} rgba="{0.2 + 0.09 * k} {1 - 0.1 * k} .5 1" mass="1"
         contype="0" conaffinity="0"/></body>"""
         for k, what in enumerate(
-            ['type="mesh" mesh="torus"', 'type="mesh" mesh="point"', 'type="sphere" size=".1"'] * 3
+            [
+                'type="mesh" mesh="torus"',
+                'type="mesh" mesh="point"',
+                'type="sphere" size=".1"',
+            ]
+            * 3
         )
     )
     return mujoco.MjModel.from_xml_string(f"""
@@ -113,7 +129,9 @@ def random_states(model: mujoco.MjModel, count: int, seed: int) -> States:
         place[:] += rng.uniform(-0.2, 0.2, place.shape)
         turn[:] += rng.uniform(-0.4, 0.4, turn.shape)
     batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-    return States(model, batch, positions.reshape(count, -1, 3), matrices.reshape(count, -1, 9))
+    return States(
+        model, batch, positions.reshape(count, -1, 3), matrices.reshape(count, -1, 9)
+    )
 
 
 def robot_scene(robot: str) -> Scene:
@@ -132,6 +150,8 @@ def camera_rays(
     pixel = 2 * np.tan(np.radians(model.cam_fovy[eye.id]) / 2) / height
     x = (np.arange(width) + 0.5 - width / 2) * pixel
     y = (height / 2 - np.arange(height) - 0.5) * pixel
-    rays = np.stack([*np.meshgrid(x, y), np.full((height, width), -1.0)], axis=-1).reshape(-1, 3)
+    rays = np.stack(
+        [*np.meshgrid(x, y), np.full((height, width), -1.0)], axis=-1
+    ).reshape(-1, 3)
     rays = rays @ eye.xmat.reshape(3, 3).T
     return eye.xpos.copy(), rays / np.linalg.norm(rays, axis=1, keepdims=True)

@@ -37,15 +37,21 @@ def sheet(cells: int) -> Mesh:
     """An open, flat square of side 1 in cells x cells squares."""
     x, y = np.meshgrid(*[np.linspace(0, 1, cells + 1)] * 2, indexing="ij")
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
-    i, j = (grid.ravel() for grid in np.meshgrid(*[np.arange(cells)] * 2, indexing="ij"))
+    i, j = (
+        grid.ravel() for grid in np.meshgrid(*[np.arange(cells)] * 2, indexing="ij")
+    )
     a, b = i * (cells + 1) + j, (i + 1) * (cells + 1) + j
-    faces = np.concatenate([np.stack([a, b, b + 1], axis=1), np.stack([a, b + 1, a + 1], axis=1)])
+    faces = np.concatenate(
+        [np.stack([a, b, b + 1], axis=1), np.stack([a, b + 1, a + 1], axis=1)]
+    )
     return flat_shaded(vertices, faces)
 
 
 def test_simplified_mesh_has_triangles_of_the_size_and_stays_near() -> None:
     full = flat_shaded(*torus(120, 60))
-    area = np.linalg.norm(np.cross(*np.diff(full.vertex[full.face], axis=1).swapaxes(0, 1)), axis=1)
+    area = np.linalg.norm(
+        np.cross(*np.diff(full.vertex[full.face], axis=1).swapaxes(0, 1)), axis=1
+    )
     tree = scipy.spatial.cKDTree(full.vertex)
     for side in (2**-7, 2**-6, 2**-5):
         mesh = simplified(full, side * 1.1)
@@ -108,7 +114,10 @@ def mesh_arm(rings: int = 120, sides: int = 60) -> mujoco.MjModel:
     ):
         parent = spec.worldbody if body == "world" else spec.body(body)
         parent.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, rgba=colour, pos=[0, 0.15, 0.1]
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh,
+            rgba=colour,
+            pos=[0, 0.15, 0.1],
         )
     return spec.compile()
 
@@ -119,7 +128,9 @@ def test_images_resemble_those_of_full_meshes(antialiasing: bool) -> None:
     states = random_states(model, 30, seed=3)
     poses = states.geom_xpos, states.geom_xmat
     casters = [
-        Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=antialiasing, mesh_triangle_px=size)
+        Raycaster(
+            model, CAMERA, SIDE, SIDE, antialiasing=antialiasing, mesh_triangle_px=size
+        )
         for size in (None, 0.71)
     ]
     full, simple = (caster.draw(*poses) for caster in casters)
@@ -135,7 +146,11 @@ def test_images_resemble_those_of_full_meshes(antialiasing: bool) -> None:
 
 def test_larger_images_have_finer_meshes() -> None:
     counts = [
-        len(Raycaster(mesh_arm(), CAMERA, side, side, mesh_triangle_px=0.71).scenery.meshes.face)
+        len(
+            Raycaster(
+                mesh_arm(), CAMERA, side, side, mesh_triangle_px=0.71
+            ).scenery.meshes.face
+        )
         for side in (32, 64, 128)
     ]
     assert counts[0] < counts[1] < counts[2] < 2 * 14_400

@@ -19,7 +19,9 @@ from tests.world.render.raycast_scenes import (
 SIDE = 64
 
 
-def agreement(states: States, camera: int | str, width: int = SIDE, height: int = SIDE) -> float:
+def agreement(
+    states: States, camera: int | str, width: int = SIDE, height: int = SIDE
+) -> float:
     """Share of pixels in which geom id, distance (1e-4) and normal (1e-3) are MuJoCo's."""
     eye, rays = camera_rays(states.model, camera, width, height)
     distance, geom, normal = states.batch.ray(eye, rays, normal=True)
@@ -30,7 +32,9 @@ def agreement(states: States, camera: int | str, width: int = SIDE, height: int 
     ours, count = caster.trace(*poses), len(geom)
     normals = pixel_normals(caster, ours.geom, *poses)
     same = ours.geom.reshape(count, -1) == geom
-    same &= np.abs(ours.distance.reshape(count, -1) - distance) <= 1e-4 * np.maximum(distance, 1)
+    same &= np.abs(ours.distance.reshape(count, -1) - distance) <= 1e-4 * np.maximum(
+        distance, 1
+    )
     same &= np.abs(normals.reshape(count, -1, 3) - normal).max(axis=-1) <= 1e-3
     assert (geom >= 0).any()
     return float(same.mean())
@@ -65,7 +69,9 @@ def test_image_that_is_not_square() -> None:
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid", "cylinder", "box"])
 def test_eye_inside_a_solid_sees_its_far_side(kind: str) -> None:
-    size = {"sphere": "1", "capsule": ".6 .7", "ellipsoid": ".5 .8 .6"}.get(kind, ".7 .8 .9")
+    size = {"sphere": "1", "capsule": ".6 .7", "ellipsoid": ".5 .8 .6"}.get(
+        kind, ".7 .8 .9"
+    )
     size = " ".join(size.split()[:2]) if kind == "cylinder" else size
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco><worldbody><camera name="{CAMERA}" xyaxes="1 .2 .1 -.2 1 .3" fovy="90"/>

@@ -24,14 +24,18 @@ STATES = 40
 pytestmark = pytest.mark.opengl
 
 
-def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: bool) -> float:
+def similarity(
+    model: mujoco.MjModel, camera: int | str, folder: Path, smooth: bool
+) -> float:
     """Mean SSIM between our images and MuJoCo's, both with or both without anti-aliasing."""
     states = random_states(model, STATES, seed=1)
     poses = states.geom_xpos, states.geom_xmat
     ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).draw(*poses)
     samples = 4 if smooth else 0
     try:
-        theirs = opengl_images(model, model.camera(camera).id, *poses, SIDE, samples, folder)
+        theirs = opengl_images(
+            model, model.camera(camera).id, *poses, SIDE, samples, folder
+        )
     except NoOpenGL as reason:
         pytest.skip(str(reason))
     return float(np.mean([ssim(a, b) for a, b in zip(ours, theirs, strict=True)]))
@@ -46,5 +50,7 @@ def test_robots(robot: str, smooth: bool, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("make", [every_primitive, mesh_scene])
-def test_shapes(make: Callable[[], mujoco.MjModel], smooth: bool, tmp_path: Path) -> None:
+def test_shapes(
+    make: Callable[[], mujoco.MjModel], smooth: bool, tmp_path: Path
+) -> None:
     assert similarity(make(), CAMERA, tmp_path, smooth) >= 0.95

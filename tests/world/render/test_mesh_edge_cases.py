@@ -23,14 +23,21 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def model_of(
-    meshes: str, geoms: str, assets: str = "", vertices: NDArray[np.float64] | None = None
+    meshes: str,
+    geoms: str,
+    assets: str = "",
+    vertices: NDArray[np.float64] | None = None,
 ) -> mujoco.MjModel:
     """Free bodies of one mesh geom each; ``meshes`` are attributes of the torus's copies."""
     points, faces = torus(24, 12)
-    numbers = " ".join(f"{x:.6f}" for x in (points if vertices is None else vertices).ravel())
+    numbers = " ".join(
+        f"{x:.6f}" for x in (points if vertices is None else vertices).ravel()
+    )
     indices = " ".join(map(str, faces.ravel()))
     assets += "".join(
-        f'<mesh vertex="{numbers}" face="{indices}" {mesh}/>' for mesh in meshes.split("|") if mesh
+        f'<mesh vertex="{numbers}" face="{indices}" {mesh}/>'
+        for mesh in meshes.split("|")
+        if mesh
     )
     bodies = "".join(
         f"""<body pos="{0.4 * (k % 3) - 0.4} {0.3 * (k // 3) - 0.2} .4"><freejoint/>
@@ -47,7 +54,9 @@ def model_of(
 
 def draw(model: mujoco.MjModel, size: float | None) -> NDArray[np.uint8]:
     states = random_states(model, 3, seed=1)
-    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=size)
+    caster = Raycaster(
+        model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=size
+    )
     return caster.draw(states.geom_xpos, states.geom_xmat)
 
 
@@ -153,12 +162,16 @@ def test_two_hundred_thousand_triangles() -> None:
         f'<mujoco><worldbody><camera name="{CAMERA}" pos="0 -1.2 .8" xyaxes="1 0 0 0 .55 .83" '
         'fovy="40"/><body name="part"><freejoint/></body></worldbody></mujoco>'
     )
-    spec.add_mesh(name="huge", uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+    spec.add_mesh(
+        name="huge", uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist()
+    )
     spec.body("part").add_geom(
         type=mujoco.mjtGeom.mjGEOM_MESH, meshname="huge", contype=0, conaffinity=0
     )
     model = spec.compile()
     assert model.nmeshface == 200_000
-    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=0.71)
+    caster = Raycaster(
+        model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=0.71
+    )
     assert len(caster.scenery.meshes.face) < 4_000
     resembles(model)

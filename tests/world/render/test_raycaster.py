@@ -6,7 +6,12 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.world.render import Raycaster
-from tests.world.render.raycast_scenes import CAMERA, every_primitive, random_states, robot_scene
+from tests.world.render.raycast_scenes import (
+    CAMERA,
+    every_primitive,
+    random_states,
+    robot_scene,
+)
 
 SMALL = 40
 
@@ -18,7 +23,9 @@ def test_same_bytes_at_any_batch_size_and_thread_count() -> None:
     three = Raycaster(scene.model, scene.camera, SMALL, SMALL, num_threads=3)
     expected = one.draw(states.geom_xpos, states.geom_xmat)
     assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 10
-    np.testing.assert_array_equal(three.draw(states.geom_xpos, states.geom_xmat), expected)
+    np.testing.assert_array_equal(
+        three.draw(states.geom_xpos, states.geom_xmat), expected
+    )
     for e in range(9):
         alone = three.draw(states.geom_xpos[e : e + 1], states.geom_xmat[e : e + 1])
         np.testing.assert_array_equal(alone[0], expected[e])
@@ -30,7 +37,9 @@ def test_float32_poses_and_given_output() -> None:
     expected = caster.draw(states.geom_xpos, states.geom_xmat)
     out = np.zeros_like(expected)
     given = caster.draw(
-        states.geom_xpos.astype(np.float32), states.geom_xmat.astype(np.float32), out=out
+        states.geom_xpos.astype(np.float32),
+        states.geom_xmat.astype(np.float32),
+        out=out,
     )
     assert given is out
     np.testing.assert_array_equal(out, expected)
@@ -41,7 +50,10 @@ def test_alpha_zero_hides_moving_and_fixed_geoms() -> None:
     model = states.model
     caster = Raycaster(model, CAMERA, SMALL, SMALL)
     seen = caster.trace(states.geom_xpos, states.geom_xmat).geom
-    table, ball = 1, int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)[0])
+    table, ball = (
+        1,
+        int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)[0]),
+    )
     assert (seen == table).any()
     assert (seen == ball).any()
     rgba = np.repeat(caster.geom_rgba[None], 2, axis=0)
@@ -56,7 +68,10 @@ def test_alpha_zero_hides_moving_and_fixed_geoms() -> None:
 def test_colours_are_those_of_each_environment() -> None:
     states = random_states(every_primitive(), 1, seed=1)
     caster = Raycaster(states.model, CAMERA, SMALL, SMALL)
-    positions, matrices = np.repeat(states.geom_xpos, 2, 0), np.repeat(states.geom_xmat, 2, 0)
+    positions, matrices = (
+        np.repeat(states.geom_xpos, 2, 0),
+        np.repeat(states.geom_xmat, 2, 0),
+    )
     rgba = np.repeat(caster.geom_rgba[None], 2, axis=0)
     painted = [1, 12]
     rgba[1, painted, :3] = [0, 0, 1]
@@ -69,7 +84,9 @@ def test_colours_are_those_of_each_environment() -> None:
 def test_antialiasing_is_the_mean_of_four_rays_in_a_rotated_grid() -> None:
     states = random_states(every_primitive(), 3, seed=1)
     poses = states.geom_xpos, states.geom_xmat
-    smooth = Raycaster(states.model, CAMERA, SMALL, SMALL, antialiasing=True).draw(*poses)
+    smooth = Raycaster(states.model, CAMERA, SMALL, SMALL, antialiasing=True).draw(
+        *poses
+    )
     fine = Raycaster(states.model, CAMERA, 4 * SMALL, 4 * SMALL).draw(*poses)
     fine = fine.reshape(3, SMALL, 4, SMALL, 4, 3).astype(int)
     total = sum(fine[:, :, row, :, column] for row, column in enumerate((1, 3, 0, 2)))
@@ -115,7 +132,9 @@ def test_lights_of_each_environment() -> None:
     np.testing.assert_array_equal(lit[0], caster.draw(*poses)[0])
     model = every_primitive()
     model.light_dir[0] = [0, 0, -1]
-    np.testing.assert_array_equal(lit[1], Raycaster(model, CAMERA, SMALL, SMALL).draw(*poses)[1])
+    np.testing.assert_array_equal(
+        lit[1], Raycaster(model, CAMERA, SMALL, SMALL).draw(*poses)[1]
+    )
 
 
 def test_nothing_in_sight_is_background() -> None:
@@ -135,7 +154,9 @@ def test_geom_group_that_is_not_drawn() -> None:
     )
     positions, matrices = np.zeros((1, 1, 3)), np.eye(3).reshape(1, 1, 9)
     assert (Raycaster(model, CAMERA, 8, 8).trace(positions, matrices).geom == -1).all()
-    shown = Raycaster(model, CAMERA, 8, 8, geom_groups=(3,)).trace(positions, matrices).geom
+    shown = (
+        Raycaster(model, CAMERA, 8, 8, geom_groups=(3,)).trace(positions, matrices).geom
+    )
     assert (shown == 0).any()
 
 
@@ -159,10 +180,19 @@ def test_bad_arguments(options: dict[str, object], names: list[str]) -> None:
 @pytest.mark.parametrize(
     ("parts", "names"),
     [
-        ("<body><joint/><geom size='.1'/><camera name='eye'/></body>", ["'eye'", "moves"]),
-        ("<camera name='eye' projection='orthographic' fovy='1'/>", ["'eye'", "orthographic"]),
+        (
+            "<body><joint/><geom size='.1'/><camera name='eye'/></body>",
+            ["'eye'", "moves"],
+        ),
+        (
+            "<camera name='eye' projection='orthographic' fovy='1'/>",
+            ["'eye'", "orthographic"],
+        ),
         ("<camera name='eye'/><light name='lamp'/>", ["directional"]),
-        ("<camera name='eye'/><geom name='hill' type='hfield' hfield='h'/>", ["'hill'", "hfield"]),
+        (
+            "<camera name='eye'/><geom name='hill' type='hfield' hfield='h'/>",
+            ["'hill'", "hfield"],
+        ),
     ],
 )
 def test_models_that_cannot_be_drawn(parts: str, names: list[str]) -> None:

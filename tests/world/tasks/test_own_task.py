@@ -40,7 +40,9 @@ def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     reach = "knowarm.world.tasks.skills.reach:Reach"
     monkeypatch.setenv(VARIABLE, reach)
     found = register_task("hover:Hover")
-    assert os.environ[VARIABLE] == f"{reach},hover:Hover"  # child processes know it, too
+    assert (
+        os.environ[VARIABLE] == f"{reach},hover:Hover"
+    )  # child processes know it, too
     monkeypatch.setenv(VARIABLE, "")
     yield found
     sys.modules.pop("hover", None)
@@ -61,9 +63,9 @@ def test_the_goal_is_above_the_grasp(hover: Any) -> None:
     envs = [ArmVectorEnv(config, 4) for config in (plain, above)]
     for env in envs:
         env.reset(seed=1)
-    assert envs[1].running.goal_position - envs[0].running.goal_position == pytest.approx(
-        np.tile([0, 0, 0.1], (4, 1))
-    )
+    assert envs[1].running.goal_position - envs[
+        0
+    ].running.goal_position == pytest.approx(np.tile([0, 0, 0.1], (4, 1)))
 
 
 def test_what_a_task_remembers_is_part_of_the_state(hover: Any) -> None:

@@ -11,7 +11,9 @@ def moved_env(**config):
     env = TorchArmVectorEnv(EnvConfig(image_size=8, **config), 4, num_threads=1)
     env.reset(seed=3)
     for seed in range(3):
-        actions = torch.randint(0, 7, (4, 6), generator=torch.Generator().manual_seed(seed))
+        actions = torch.randint(
+            0, 7, (4, 6), generator=torch.Generator().manual_seed(seed)
+        )
         env.step(actions)
     return env
 
@@ -51,7 +53,9 @@ def test_columns_are_what_their_names_say():
     }
     assert list(columns) == list(expected)
     for name, values in expected.items():
-        np.testing.assert_allclose(columns[name], values, rtol=1e-5, atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(
+            columns[name], values, rtol=1e-5, atol=1e-5, err_msg=name
+        )
 
 
 def test_the_number_of_columns_follows_from_the_joints():

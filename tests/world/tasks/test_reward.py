@@ -25,7 +25,9 @@ def test_distance_is_euclidean() -> None:
 def test_angle_is_the_geodesic_one_everywhere_between_0_and_180() -> None:
     generator = np.random.default_rng(0)
     a = Rotation.random(500, generator)
-    turn = np.concatenate([[1e-9, 1e-4, np.pi - 1e-4, np.pi], generator.uniform(0, np.pi, 496)])
+    turn = np.concatenate(
+        [[1e-9, 1e-4, np.pi - 1e-4, np.pi], generator.uniform(0, np.pi, 496)]
+    )
     axes = generator.normal(size=(500, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     b = a * Rotation.from_rotvec(axes * turn[:, None])
@@ -35,7 +37,9 @@ def test_angle_is_the_geodesic_one_everywhere_between_0_and_180() -> None:
 
 
 @given(st.floats(-180, 180), st.floats(0, 180))
-def test_ignoring_roll_leaves_the_angle_between_approach_axes(roll: float, tilt: float) -> None:
+def test_ignoring_roll_leaves_the_angle_between_approach_axes(
+    roll: float, tilt: float
+) -> None:
     grasp = Rotation.from_euler("zyx", [[20, 50, -70]], degrees=True)
     tcp = grasp * Rotation.from_euler("xz", [[tilt, roll]], degrees=True)
     zero = np.zeros((1, 3))
@@ -44,7 +48,10 @@ def test_ignoring_roll_leaves_the_angle_between_approach_axes(roll: float, tilt:
 
 
 def test_reward_is_the_paper_s() -> None:
-    distance, angle = np.array([0.04, 0.04, 0.5, 0.049]), np.array([10.0, 20.0, 70.0, 14.9])
+    distance, angle = (
+        np.array([0.04, 0.04, 0.5, 0.049]),
+        np.array([10.0, 20.0, 70.0, 14.9]),
+    )
     success = is_success(distance, angle, 0.05, 15.0)
     assert success.tolist() == [True, False, False, True]
     assert paper_reward(distance, angle, success) == pytest.approx(

@@ -45,14 +45,18 @@ def test_objects_are_those_that_are_asked_for_and_can_be_lifted():
 
 
 def test_what_makes_no_sense_is_refused_in_one_line():
-    with pytest.raises(UserError, match="Whole objects are lifted, and 'purpose' asks for parts"):
+    with pytest.raises(
+        UserError, match="Whole objects are lifted, and 'purpose' asks for parts"
+    ):
         find_task("purpose-lift")
     with pytest.raises(UserError, match="A near start is for one object"):
         Task(asked=AskObject(), skill=Reach(start="near"))
     scara = "examples/own_robot/scara.toml"
     with pytest.raises(UserError, match="names no fingers"):
         knowarm.make(scara, num_envs=1, task=Lift(), targets=("bottle",))
-    with pytest.raises(UserError, match=r"Unknown task 'choose-push'\. Did you mean 'choose"):
+    with pytest.raises(
+        UserError, match=r"Unknown task 'choose-push'\. Did you mean 'choose"
+    ):
         find_task("choose-push")
     assert AskPart().shares_places
 
@@ -62,11 +66,20 @@ def test_experiments_of_a_combination():
     assert (name.task, name.agent) == ("choose-lift", "answers")
     config = name.config()
     assert config.name == "irb120-choose-lift-answers-distil"
-    assert config.total_steps == experiment_config("irb120-lift-full-distil").total_steps
+    assert (
+        config.total_steps == experiment_config("irb120-lift-full-distil").total_steps
+    )
     assert config.algorithm.way_limit == 2.0
-    assert experiment_config("irb120-choose-lift-bm-a3c").env.task == find_task("choose-lift")
-    assert ExperimentName.parse("tiago-families-lift-answers-distil").task == "families-lift"
-    with pytest.raises(UserError, match="The agent 'mask' has no experiment of the task 'lift'"):
+    assert experiment_config("irb120-choose-lift-bm-a3c").env.task == find_task(
+        "choose-lift"
+    )
+    assert (
+        ExperimentName.parse("tiago-families-lift-answers-distil").task
+        == "families-lift"
+    )
+    with pytest.raises(
+        UserError, match="The agent 'mask' has no experiment of the task 'lift'"
+    ):
         ExperimentName.parse("irb120-lift-mask-distil")
 
 

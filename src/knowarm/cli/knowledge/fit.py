@@ -62,8 +62,14 @@ class Fit(GraphOptions, TableCommand):
         )
         print(end="\n" if end == "\r" else "")
         mrr = dict(trained.valid_mrr)[trained.best_epoch]
-        print(f"Best of {trained.epochs} epochs: {trained.best_epoch}, validation MRR {mrr:.4f}.")
+        print(
+            f"Best of {trained.epochs} epochs: {trained.best_epoch}, validation MRR {mrr:.4f}."
+        )
         if self.out is not None:
             save_model(trained.model, config, graph, self.out)
             print(f"Wrote {self.out}")
-        return {"valid_mrr": mrr, "epochs": trained.best_epoch, "config": asdict(config)}
+        return {
+            "valid_mrr": mrr,
+            "epochs": trained.best_epoch,
+            "config": asdict(config),
+        }

@@ -57,7 +57,9 @@ class ObjectOptions(GraphOptions):
         names = self.objects
         if not names:
             roots = map(graph.names.short, np.setdiff1d(graph.heads, graph.tails))
-            named = [name for name in roots if not name.startswith("_:")]  # but blank nodes
+            named = [
+                name for name in roots if not name.startswith("_:")
+            ]  # but blank nodes
             names = tuple(name for name in named if name not in self.colours)
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets: list[tuple[str, str]] = []
@@ -95,14 +97,18 @@ class SceneOptions(TableCommand):
     agent: str | None = None
     """Take the settings of this agent (see `knowarm list agents`), without those below; or those of
     this run folder, and its objects and colours."""
-    knowledge: Annotated[KnowledgeConfig, arg(name="")] = field(default_factory=lambda: FULL)
+    knowledge: Annotated[KnowledgeConfig, arg(name="")] = field(
+        default_factory=lambda: FULL
+    )
     """Settings of the embedding."""
 
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--source` takes the short name of a source."""
         words, source = take_source(arguments, "--source")
-        default = source and cls(knowledge=KnowledgeConfig(detail="full", source=source))
+        default = source and cls(
+            knowledge=KnowledgeConfig(detail="full", source=source)
+        )
         return parse_options(cls, prog, words, default=default)
 
     def scene(self) -> tuple[KnowledgeConfig, list[tuple[str, str]], int]:
@@ -117,7 +123,9 @@ class SceneOptions(TableCommand):
                 colours = tuple(TARGETS[name].colours)
             else:
                 graph = read_graph(config.graph)
-                colours = _colours_in(graph, config.graph_name(name), config.colour_relation)
+                colours = _colours_in(
+                    graph, config.graph_name(name), config.colour_relation
+                )
             if self.colours == "fixed":
                 colours = colours[:1]
             facets += product([name], colours)
@@ -148,7 +156,9 @@ class SceneOptions(TableCommand):
                 "or the options of the knowledge and, of a run, the objects."
             )
         if isinstance(knows, NoKnowledge):
-            raise UserError(f"--agent {self.agent} knows nothing: take another, or leave it out.")
+            raise UserError(
+                f"--agent {self.agent} knows nothing: take another, or leave it out."
+            )
         return knows
 
 

@@ -8,7 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, ObjectOptions, short_names
+from knowarm.cli.knowledge.options import (
+    OBJECTS,
+    GraphOptions,
+    ObjectOptions,
+    short_names,
+)
 from knowarm.cli.tables import TableCommand, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
@@ -87,7 +92,9 @@ class Queries(ObjectOptions, TableCommand):
         text = "undefined: all conditions are equally similar"
         if correlation is not None:
             text = f"{correlation:.3f}"
-        print(f"Rank correlation of similar vectors and common answers, {agent}: {text}.")
+        print(
+            f"Rank correlation of similar vectors and common answers, {agent}: {text}."
+        )
         return {"agent": agent, "rank_correlation": correlation}
 
 
@@ -111,7 +118,9 @@ def _print_overview(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, A
     }
 
 
-def _print_conditions(query_graph: QueryGraph, query_count: int) -> dict[str, list[str]]:
+def _print_conditions(
+    query_graph: QueryGraph, query_count: int
+) -> dict[str, list[str]]:
     """Print the objects that satisfy each condition, and return them by its name."""
     queries = query_graph.queries("none")
     objects = np.array([name for name, _ in query_graph.facets])
@@ -127,7 +136,9 @@ def _print_conditions(query_graph: QueryGraph, query_count: int) -> dict[str, li
     return conditions
 
 
-def _print_sizes(splits: QuerySplits, conditions: Collection[str]) -> dict[str, dict[str, int]]:
+def _print_sizes(
+    splits: QuerySplits, conditions: Collection[str]
+) -> dict[str, dict[str, int]]:
     """Print the size of each split, and return them; ``conditions`` name queries of one."""
     sizes = {}
     rows = []
@@ -259,7 +270,9 @@ class Subgraph(SelectionOptions, TableCommand):
         self, columns: Sequence[str], answers: Sequence[Sequence[str]]
     ) -> dict[str, Any]:
         if self.out is not None:
-            raise UserError("--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT.")
+            raise UserError(
+                "--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT."
+            )
         print_table(f"{len(answers)} answers", columns, short_names(answers))
         return {"columns": list(columns), "rows": list(map(list, answers))}
 
@@ -273,7 +286,9 @@ def _text(query: str) -> str:
 
 def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
     title = f"{len(graph):,} triples, {len(graph.nodes):,} entities"
-    print_table(title, ["head", "relation", "tail"], short_names(islice(graph, MOST_TRIPLES)))
+    print_table(
+        title, ["head", "relation", "tail"], short_names(islice(graph, MOST_TRIPLES))
+    )
     if len(graph) > MOST_TRIPLES:
         print(f"... and {len(graph) - MOST_TRIPLES:,} more; --out FILE writes all.")
     return {"facts": list(graph)}
@@ -284,7 +299,9 @@ def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
     values = statistics._asdict()
     counts = [(name, value) for name, value in values.items() if isinstance(value, int)]
     print_table("Graph", ["what", "count"], counts)
-    relations = [(local_name(name), count) for name, count in statistics.by_relation.items()]
+    relations = [
+        (local_name(name), count) for name, count in statistics.by_relation.items()
+    ]
     print_table("Relations", ["relation", "triples"], relations)
     hubs = [(local_name(name), count) for name, count in statistics.hubs]
     print_table("Hubs", ["entity", "edges"], hubs)
@@ -292,5 +309,7 @@ def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
         names = ", ".join(map(local_name, entities))
         print(f"Cycle along {local_name(relation)}: {names}.")
     for label, owners in statistics.same_labels.items():
-        print(f"The label {label!r} belongs to {len(owners)} entities: {', '.join(owners)}.")
+        print(
+            f"The label {label!r} belongs to {len(owners)} entities: {', '.join(owners)}."
+        )
     return values

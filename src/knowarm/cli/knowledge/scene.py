@@ -11,7 +11,12 @@ from safetensors.numpy import save_file
 from knowarm.cli.knowledge.options import SceneOptions, short_names
 from knowarm.cli.tables import check_out, counted, print_table
 from knowarm.config import to_dict
-from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
+from knowarm.knowledge import (
+    SceneEmbedding,
+    scene_embedding,
+    scene_sentences,
+    scene_subgraph,
+)
 from knowarm.knowledge.probe import NEARLY_SAME, probe
 from knowarm.reading import replacing
 
@@ -41,15 +46,23 @@ class KnowledgeShow(SceneOptions):
         )
         coverage = described.coverage
         if coverage["labels"]:
-            print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
+            print(
+                f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}."
+            )
         if coverage["not_whole"]:
-            print(f"Not found or found in part only: {', '.join(coverage['not_whole'])}.")
+            print(
+                f"Not found or found in part only: {', '.join(coverage['not_whole'])}."
+            )
         if embedding.note:
             print(f"Note: {embedding.note}.")
         if embedding.constant:
-            print("Every episode gets the same numbers, which act as a bias of the policy.")
+            print(
+                "Every episode gets the same numbers, which act as a bias of the policy."
+            )
         if embedding.privileged:
-            print("The numbers identify the episode's object and colour: privileged information.")
+            print(
+                "The numbers identify the episode's object and colour: privileged information."
+            )
         return {
             "triples": triples,
             "entities": subgraph.entities,
@@ -77,7 +90,9 @@ class Embed(SceneOptions):
             numbers = " ".join(f"{x:.3f}" for x in vector[:6])
             rows.append([slot.name, f"{numbers} ...", float(np.linalg.norm(vector))])
         slots = counted(len(rows), "slot")
-        title = f"{slots} of {embedding.slot_dim} numbers, {embedding.dim} to the policy"
+        title = (
+            f"{slots} of {embedding.slot_dim} numbers, {embedding.dim} to the policy"
+        )
         print_table(title, ["slot", "numbers", "norm"], rows)
         if self.out is not None:
             with replacing(self.out, "Give another path.") as temporary:
@@ -104,7 +119,9 @@ class ProbeCommand(SceneOptions):
         separation = probe(config, facets, run_seed=seed)
         columns = ["", "facet"]
         rows: list[list[Any]] = []
-        for name, cosines in zip(separation.slots, separation.cosine.tolist(), strict=True):
+        for name, cosines in zip(
+            separation.slots, separation.cosine.tolist(), strict=True
+        ):
             number = str(len(rows) + 1)
             columns.append(number)
             cells = [None if isnan(cosine) else cosine for cosine in cosines]
@@ -118,16 +135,24 @@ class ProbeCommand(SceneOptions):
                 shares.append([name, share["task"], share["all"], share["guess"]])
             print_table("Share recovered by a linear probe", columns, shares)
         elif not config.source.placebo:
-            print("Nothing to recover: no object, colour or value describes two facets.")
+            print(
+                "Nothing to recover: no object, colour or value describes two facets."
+            )
         else:
-            print("Nothing to recover: these numbers do not come from the facts about the objects.")
+            print(
+                "Nothing to recover: these numbers do not come from the facts about the objects."
+            )
         for first, second, cosine in separation.nearly_same:
-            print(f"Warning: {first} and {second} are nearly the same (cosine {cosine:.3f}).")
+            print(
+                f"Warning: {first} and {second} are nearly the same (cosine {cosine:.3f})."
+            )
         if separation.nearly_same:
             print(
                 "A policy can hardly tell these apart. Slots are farther apart with "
                 "--no-relation-words --pooling sif --centring --colour-share 0.6 --slot-norm 1."
             )
         elif separation.recovered:
-            print(f"Every pair of facets can be distinguished: all cosines below {NEARLY_SAME}.")
+            print(
+                f"Every pair of facets can be distinguished: all cosines below {NEARLY_SAME}."
+            )
         return separation.describe()

@@ -59,7 +59,9 @@ FORMATS: dict[str, Format] = {
     ),
     "ofn": Format(partial(read_owl, syntax="ofn"), (".ofn",), r"(Prefix|Ontology)\("),
     "omn": Format(partial(read_owl, syntax="omn"), (".omn",), "(Prefix|Ontology):"),
-    "owx": Format(partial(read_owl, syntax="owx"), (".owx",), _PROLOG + r"<(\w+:)?Ontology\b"),
+    "owx": Format(
+        partial(read_owl, syntax="owx"), (".owx",), _PROLOG + r"<(\w+:)?Ontology\b"
+    ),
     "obo": Format(partial(read_owl, syntax="obo"), (".obo",), "format-version:"),
     "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=rf'(?={_JSON}).*"@[a-z]+"'),
     "json": Format(read_json_graph, (".json",), _JSON),
@@ -111,7 +113,9 @@ facts that can be asked; "purposes" what parts of objects are grasped for; "fami
 of families, written by ``scripts/draw_families.py``."""
 
 
-def read_graph(path: str | Path | None = None, format: str | None = None) -> KnowledgeGraph:
+def read_graph(
+    path: str | Path | None = None, format: str | None = None
+) -> KnowledgeGraph:
     """Read a graph from a file, or from a folder of triples split into train, valid and test.
 
     Args:
@@ -139,7 +143,9 @@ def read_graph(path: str | Path | None = None, format: str | None = None) -> Kno
     if format not in FORMATS:
         raise unknown_name("graph format", format, FORMATS)
     if path.is_dir() and format != "folder":
-        raise UserError(f"{path} is a folder, but {format} is read from a file. Give the file.")
+        raise UserError(
+            f"{path} is a folder, but {format} is read from a file. Give the file."
+        )
     graph = FORMATS[format].read(path)
     if not len(graph):
         raise UserError(
@@ -189,18 +195,24 @@ def _format_of(path: Path) -> str:
     with reading(path, "Copy or compress it again."), open_bytes(path) as file:
         beginning = file.read(_BEGINNING).decode(errors="replace")
     content = re.sub(r"\A(\s|#.*\n)*", "", beginning)
-    by_suffix = next((name for name, format in FORMATS.items() if suffix in format.suffixes), None)
+    by_suffix = next(
+        (name for name, format in FORMATS.items() if suffix in format.suffixes), None
+    )
     tried = list(FORMATS)
     if suffix in (".csv", ".tsv"):
         tried = ["conceptnet", "json"]  # the first cell may look like any other format
-    by_content = next((name for name in tried if _begins(FORMATS[name].begins, content)), None)
+    by_content = next(
+        (name for name in tried if _begins(FORMATS[name].begins, content)), None
+    )
     if by_suffix in _TEXT_RDF and by_content in _TEXT_RDF:
         return by_suffix
     if by_content is None and _begins(_WEB_PAGE, content):
         raise UserError(f"{path}: this is an HTML page. Download the file itself.")
     recognized = by_content or by_suffix
     if recognized is None:
-        suffixes = sorted(chain.from_iterable(format.suffixes for format in FORMATS.values()))
+        suffixes = sorted(
+            chain.from_iterable(format.suffixes for format in FORMATS.values())
+        )
         raise UserError(
             f"{path}: the suffix {suffix!r} and the content belong to no graph format. Known "
             f"suffixes: {', '.join(suffixes)}. Or give the format: {', '.join(FORMATS)}."

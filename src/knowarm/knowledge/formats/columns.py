@@ -62,7 +62,12 @@ def _column(keys: list[str], role: str) -> int | None:
 
 def _key(name: str) -> str:
     """Return the name of a column in lower case: "start_id" of ":START_ID(Person)"."""
-    return re.sub(r"\(.*\)$", "", name.strip().lower()).lstrip("#").rpartition(":")[2].strip()
+    return (
+        re.sub(r"\(.*\)$", "", name.strip().lower())
+        .lstrip("#")
+        .rpartition(":")[2]
+        .strip()
+    )
 
 
 def name_of_cell(cell: str) -> str:

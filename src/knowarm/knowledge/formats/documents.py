@@ -42,7 +42,9 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
             graph.add_node(node.get("id", number), node)
         else:
             graph.add_node(node, {})
-    if not any(isinstance(key, int) for key in graph.nodes):  # links may count the nodes
+    if not any(
+        isinstance(key, int) for key in graph.nodes
+    ):  # links may count the nodes
         graph.nodes.update(enumerate(list(graph.nodes.values())))
     for link in links:
         if isinstance(link, list):
@@ -60,7 +62,9 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
         open_bytes(path) as file,
         warnings.catch_warnings(),
     ):
-        warnings.simplefilter("ignore", UserWarning)  # values without a type are read as text
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # values without a type are read as text
         network = getattr(networkx, f"read_{kind}")(file)
     if not network.is_directed():
         raise UserError(
@@ -87,7 +91,9 @@ class _Records:
     def add_node(self, key: Any, values: dict[str, Any]) -> None:
         """Add an entity with its label, by its identifier or number."""
         if not isinstance(key, str | int | float):
-            raise UserError(f"{self.path}: a node is named by text or a number, not {key!r:.80}.")
+            raise UserError(
+                f"{self.path}: a node is named by text or a number, not {key!r:.80}."
+            )
         name = name_of_cell(str(key))
         self.nodes[key] = name
         self.builder.add_node(name)

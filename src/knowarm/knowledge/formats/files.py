@@ -13,7 +13,11 @@ from typing import IO, Any
 from knowarm.errors import UserError
 from knowarm.reading import reading
 
-OPENERS: dict[str, Callable[[Path], Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+OPENERS: dict[str, Callable[[Path], Any]] = {
+    ".gz": gzip.open,
+    ".bz2": bz2.open,
+    ".xz": lzma.open,
+}
 """Function that opens a compressed file, by suffix."""
 COMPRESSED = (*OPENERS, ".zip")
 MAX_LINE = 1 << 20

@@ -80,7 +80,9 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
                     raise
             return _read(partial(_plain_xml, path), path, syntax)
         except xml.sax.SAXParseException as error:
-            raise _malformed(path, syntax, error.getLineNumber(), error.getMessage()) from error
+            raise _malformed(
+                path, syntax, error.getLineNumber(), error.getMessage()
+            ) from error
         except SyntaxError as error:
             raise _malformed(path, syntax, error.lineno, _reason(error)) from error
 
@@ -145,7 +147,9 @@ def _read(
                 )
             if bad_iris and not all(map(_is_sound, (head, quad.predicate, tail))):
                 no_iri += 1
-            elif type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
+            elif (
+                type(head) is NamedNode and type(tail) is NamedNode and not about
+            ):  # most: fast
                 builder.add(head.value, relation, tail.value)
             elif isinstance(head, Triple) or isinstance(tail, Triple):
                 about.add(str(head))
@@ -175,7 +179,9 @@ def _read(
     return builder.build()
 
 
-def _sound(quads: Iterator[Quad], syntax: RdfFormat, errors: list[SyntaxError]) -> Iterator[Quad]:
+def _sound(
+    quads: Iterator[Quad], syntax: RdfFormat, errors: list[SyntaxError]
+) -> Iterator[Quad]:
     """Yield the quads of statements in which no line or IRI is malformed; append the errors."""
     while True:
         try:
@@ -268,7 +274,9 @@ def _reason(error: SyntaxError) -> str:
     return re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
 
 
-def _malformed(path: Path, syntax: RdfFormat, line: int | None, reason: str) -> UserError:
+def _malformed(
+    path: Path, syntax: RdfFormat, line: int | None, reason: str
+) -> UserError:
     """Return the error for a file that the parser refuses."""
     if "Invalid UTF-8" in reason:
         return UserError(

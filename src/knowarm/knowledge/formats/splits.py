@@ -39,19 +39,26 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
         )
     files = {part: folder / f"{part}.txt" for part in PARTS}
     graphs = {part: read_table(f, "\t") for part, f in files.items() if f.is_file()}
-    labels = {name: label for each in graphs.values() for name, label in each.labels.items()}
+    labels = {
+        name: label for each in graphs.values() for name, label in each.labels.items()
+    }
     whole = graph_of(chain.from_iterable(graphs.values()), labels=labels)
     parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
     for part, graph in graphs.items():
         entities = np.array([whole.names.find(name) for name in graph.names])
-        relations = np.array([whole.relation_names.find(name) for name in graph.relation_names])
+        relations = np.array(
+            [whole.relation_names.find(name) for name in graph.relation_names]
+        )
         ids = [entities[graph.heads], relations[graph.relations], entities[graph.tails]]
         parts[part] = np.stack(ids, axis=1)
     return whole, parts
 
 
 def _is_openke(folder: Path) -> bool:
-    return all((folder / f"{name}2id.txt").is_file() for name in ("entity", "relation", "train"))
+    return all(
+        (folder / f"{name}2id.txt").is_file()
+        for name in ("entity", "relation", "train")
+    )
 
 
 def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
@@ -59,11 +66,17 @@ def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     relation_names, relation_rank = _read_names(folder / "relation2id.txt")
     parts = {}
     for part in PARTS:
-        ids = _read_triples(folder / f"{part}2id.txt", len(entity_rank), len(relation_rank))
-        parts[part] = np.stack(
-            [entity_rank[ids[:, 0]], relation_rank[ids[:, 2]], entity_rank[ids[:, 1]]], axis=1
+        ids = _read_triples(
+            folder / f"{part}2id.txt", len(entity_rank), len(relation_rank)
         )
-    triples, nodes = np.concatenate(list(parts.values())), np.arange(len(names), dtype=np.int32)
+        parts[part] = np.stack(
+            [entity_rank[ids[:, 0]], relation_rank[ids[:, 2]], entity_rank[ids[:, 1]]],
+            axis=1,
+        )
+    triples, nodes = (
+        np.concatenate(list(parts.values())),
+        np.arange(len(names), dtype=np.int32),
+    )
     return KnowledgeGraph(names, relation_names, triples, nodes=nodes), parts
 
 
@@ -78,7 +91,9 @@ def _read_names(path: Path) -> tuple[Names, np.ndarray]:
                 f"{path}, line {number}: expected `name<tab>id`, got {line!r}. Correct the line."
             )
         by_id[int(text)] = name
-    if sorted(by_id) != list(range(len(lines))) or len(set(by_id.values())) < len(lines):
+    if sorted(by_id) != list(range(len(lines))) or len(set(by_id.values())) < len(
+        lines
+    ):
         raise UserError(
             f"{path}: holds {len(lines)} lines, but not as many different names with the ids 0 to "
             f"{len(lines) - 1}. Give every name one id, and every id one name."
@@ -110,7 +125,11 @@ def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
 
 def _counted_lines(path: Path) -> list[tuple[int, str]]:
     """Return the numbered lines after the first one, which is their count, without blank ones."""
-    lines = [(number, line) for number, line in text_lines(path) if line and not line.isspace()]
+    lines = [
+        (number, line)
+        for number, line in text_lines(path)
+        if line and not line.isspace()
+    ]
     first = lines[0][1].strip() if lines else "0"
     if not _NUMBER.fullmatch(first) or int(first) != len(lines[1:]):
         raise UserError(

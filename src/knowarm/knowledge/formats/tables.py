@@ -54,7 +54,9 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
         names = list(ROLES)
         rows = chain([first_row], rows)
     numbers = {name: number for number, name in enumerate(names)}
-    labels = dict[int, int]()  # place in the triple by the column of its label, as KGTK has them
+    labels = dict[
+        int, int
+    ]()  # place in the triple by the column of its label, as KGTK has them
     for role, column in enumerate(columns):
         if f"{names[column]};label" in numbers:
             labels[numbers[f"{names[column]};label"]] = role
@@ -72,10 +74,14 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
         if confidence_column is not None:
             confidence = confidence_of(row[confidence_column], f"{path}, line {number}")
             # A triple of several rows is as certain as the surest of them.
-            builder.confidence[triple] = max(confidence, builder.confidence.get(triple, 0.0))
+            builder.confidence[triple] = max(
+                confidence, builder.confidence.get(triple, 0.0)
+            )
         for column, role in labels.items():
             if row[column]:
-                builder.add_statement(triple[role], LABEL_RELATIONS[0], literal(row[column]))
+                builder.add_statement(
+                    triple[role], LABEL_RELATIONS[0], literal(row[column])
+                )
         if count > 0 and not words.isdisjoint(triple):
             occurs_again = True
         count += 1
@@ -141,7 +147,9 @@ def _separator(path: Path, expected: str) -> str:
     lines = [line for _, line in islice(text_lines(path), _SAMPLE)]
     for separator in dict.fromkeys((expected, *SEPARATORS)):
         with suppress(csv.Error):  # one that does not fit
-            counts = {len(row) for row in csv.reader(lines, delimiter=separator) if any(row)}
+            counts = {
+                len(row) for row in csv.reader(lines, delimiter=separator) if any(row)
+            }
             if len(counts) == 1 and max(counts) >= 3:
                 return separator
     return expected

@@ -16,10 +16,14 @@ class GraphBuilder:
     """Collects triples while a file is read: one dict lookup per term, four bytes per id."""
 
     def __init__(self) -> None:
-        self.entities: dict[str, int] = defaultdict(count().__next__)  # provisional id by name
+        self.entities: dict[str, int] = defaultdict(
+            count().__next__
+        )  # provisional id by name
         self.relations: dict[str, int] = defaultdict(count().__next__)
         self.ids = array("i")  # head, relation and tail of every triple, flat
-        self._labels: dict[str, tuple[int, str]] = {}  # (rank of the language, text) by name
+        self._labels: dict[
+            str, tuple[int, str]
+        ] = {}  # (rank of the language, text) by name
         self.confidence: dict[Triple, float] = {}  # of some triples
 
     def add(self, head: str, relation: str, tail: str) -> None:
@@ -131,7 +135,10 @@ def graph_of(
 def with_triples(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
     """Return a graph of other triples with the entities, labels and confidence of a graph."""
     return graph_of(
-        triples, nodes=graph.entities, labels=graph.own_labels(), confidence=graph.confidence
+        triples,
+        nodes=graph.entities,
+        labels=graph.own_labels(),
+        confidence=graph.confidence,
     )
 
 
@@ -160,7 +167,9 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     for triple, probability in second.own_confidence().items():
         if renamed(triple) not in first:
             confidence[renamed(triple)] = probability
-    labels = {new_names.get(name, name): text for name, text in second.own_labels().items()}
+    labels = {
+        new_names.get(name, name): text for name, text in second.own_labels().items()
+    }
     return graph_of(
         (*first, *map(renamed, second)),
         nodes=(*taken, *(new_names.get(name, name) for name in second.entities)),

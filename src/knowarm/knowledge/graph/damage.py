@@ -20,7 +20,11 @@ Damage = Literal["missing", "wrong", "adversarial"]
 
 
 def damaged(
-    graph: KnowledgeGraph, kind: Damage, share: float, seed: int, objects: Collection[str]
+    graph: KnowledgeGraph,
+    kind: Damage,
+    share: float,
+    seed: int,
+    objects: Collection[str],
 ) -> KnowledgeGraph:
     """Damage a share of the triples about some objects; all entities and other triples stay.
 
@@ -34,8 +38,12 @@ def damaged(
     if kind not in get_args(Damage):
         raise unknown_name("kind of damage", kind, get_args(Damage))
     if not 0 <= share <= 1:
-        raise UserError(f"The share of damaged triples must lie between 0 and 1, got {share}.")
-    rng = np.random.default_rng(seed_sequence(seed, "damage", get_args(Damage).index(kind)))
+        raise UserError(
+            f"The share of damaged triples must lie between 0 and 1, got {share}."
+        )
+    rng = np.random.default_rng(
+        seed_sequence(seed, "damage", get_args(Damage).index(kind))
+    )
     ids = [graph.entity_id(name) for name in objects]
     about = np.flatnonzero(np.isin(graph.heads, ids))
     order = rng.permutation(about)

@@ -69,12 +69,16 @@ class KnowledgeGraph:
     @property
     def triples(self) -> np.ndarray:
         """Ids of head, relation and tail of each triple, (n, 3) int64, sorted."""
-        return np.stack([self.heads, self.relations, self.tails], axis=1, dtype=np.int64)
+        return np.stack(
+            [self.heads, self.relations, self.tails], axis=1, dtype=np.int64
+        )
 
     @cached_property
     def nodes(self) -> np.ndarray:
         """The ids of the entities in this graph, (m,) int32, sorted."""
-        return np.unique(np.concatenate([self.heads, self.tails, self._alone])).astype(np.int32)
+        return np.unique(np.concatenate([self.heads, self.tails, self._alone])).astype(
+            np.int32
+        )
 
     @cached_property
     def by_tail(self) -> np.ndarray:
@@ -103,7 +107,9 @@ class KnowledgeGraph:
         if head is None or tail is None or relation is None:
             return False
         rows = self.out_rows(head)
-        return bool(((self.relations[rows] == relation) & (self.tails[rows] == tail)).any())
+        return bool(
+            ((self.relations[rows] == relation) & (self.tails[rows] == tail)).any()
+        )
 
     def __eq__(self, other: object) -> bool:
         """Return whether both graphs hold the same by name: triples, confidence, nodes, labels."""
@@ -152,7 +158,9 @@ class KnowledgeGraph:
 
     def own_confidence(self) -> dict[Triple, float]:
         """Return the confidence of those triples of this graph that are not certain."""
-        return {triple: share for triple, share in self.confidence.items() if triple in self}
+        return {
+            triple: share for triple, share in self.confidence.items() if triple in self
+        }
 
     def out_rows(self, entity: int) -> np.ndarray:
         """Return the rows whose head is the entity id, (k,) int64."""
@@ -166,7 +174,9 @@ class KnowledgeGraph:
         high = np.searchsorted(self.tails_sorted, np.int32(entity), side="right")
         return self.by_tail[low:high]
 
-    def rows(self, rows: np.ndarray, nodes: np.ndarray | None = None) -> "KnowledgeGraph":
+    def rows(
+        self, rows: np.ndarray, nodes: np.ndarray | None = None
+    ) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         subgraph = copy.copy(self)
         for cached in ("nodes", "by_tail", "tails_sorted"):
@@ -211,7 +221,9 @@ class KnowledgeGraph:
             return entity
         names = {local_name(n) for n in self.entities if not n.startswith('"')}
         if len(names) > _FEW:
-            names = {n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3}
+            names = {
+                n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3
+            }
         raise unknown_name("entity", name, names)
 
     def values(self, name: str) -> list[int]:
@@ -295,7 +307,9 @@ def _rows_around(
             break
         reached = [_NO_NODES]
         for entity in frontier:
-            edges = graph.out_rows(entity) if direction == "out" else graph.in_rows(entity)
+            edges = (
+                graph.out_rows(entity) if direction == "out" else graph.in_rows(entity)
+            )
             if hop and max_degree is not None and len(edges) > max_degree:
                 continue
             if allowed is not None:

@@ -17,7 +17,9 @@ _DEEPEST = 50
 _AXIOMS = (_SUBCLASS, OWL + "equivalentClass", RDF_TYPE)
 
 
-def with_class_axioms(graph: KnowledgeGraph) -> tuple[KnowledgeGraph, int, dict[str, int]]:
+def with_class_axioms(
+    graph: KnowledgeGraph,
+) -> tuple[KnowledgeGraph, int, dict[str, int]]:
     """Add the facts that class axioms state.
 
     Returns:
@@ -51,12 +53,16 @@ class _Axioms:
 
     def __init__(self, graph: KnowledgeGraph) -> None:
         self.others = Counter[str]()
-        self._classes: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+        self._classes: dict[str, dict[str, list[str]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
         for head, relation, tail in graph:
             if head.startswith("_:"):
                 self._classes[head][relation].append(tail)
 
-    def facts(self, name: str, inside: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
+    def facts(
+        self, name: str, inside: tuple[str, ...] = ()
+    ) -> Iterator[tuple[str, str]]:
         """Yield relations and values that hold of what belongs to a class, ``inside`` others.
 
         A class with a name is a value of "subclass of".
@@ -88,7 +94,10 @@ class _Axioms:
 
     def _fillers(self, about: Mapping[str, list[str]]) -> list[str]:
         """Return the classes and individuals of which a restriction demands one or more."""
-        fillers = [*about.get(OWL + "someValuesFrom", ()), *about.get(OWL + "hasValue", ())]
+        fillers = [
+            *about.get(OWL + "someValuesFrom", ()),
+            *about.get(OWL + "hasValue", ()),
+        ]
         for bound in (OWL + "qualifiedCardinality", OWL + "minQualifiedCardinality"):
             numbers = filter(None, map(parse_literal, about.get(bound, ())))
             if any(number.value not in ("", "0") for number in numbers):

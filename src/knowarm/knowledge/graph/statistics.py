@@ -39,7 +39,9 @@ class GraphStatistics(NamedTuple):
 def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     """Compute the statistics of a graph."""
     size = len(graph.names)
-    degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
+    degree = np.bincount(graph.heads, minlength=size) + np.bincount(
+        graph.tails, minlength=size
+    )
     node_degree = degree[graph.nodes]
     hubs = graph.nodes[np.argsort(-node_degree, kind="stable")][:MOST]
     component = _components(graph.heads, graph.tails, size, "weak")
@@ -70,7 +72,9 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     )
 
 
-def _components(heads: np.ndarray, tails: np.ndarray, size: int, kind: str) -> np.ndarray:
+def _components(
+    heads: np.ndarray, tails: np.ndarray, size: int, kind: str
+) -> np.ndarray:
     """Return the number of each entity's component, (size,); `kind` is "weak" or "strong"."""
     edges = csr_matrix((np.ones(len(heads), bool), (heads, tails)), (size, size))
     return np.asarray(connected_components(edges, connection=kind)[1])

@@ -47,7 +47,9 @@ _PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", 
 Term = NamedNode | BlankNode | Literal
 
 
-def literal(text: str, *, language: str | None = None, datatype: str | None = None) -> str:
+def literal(
+    text: str, *, language: str | None = None, datatype: str | None = None
+) -> str:
     """Return the name of a literal, with an optional language tag or datatype IRI."""
     if datatype is None:
         return str(Literal(text, language=language))
@@ -165,4 +167,6 @@ def _node(name: str) -> NamedNode:
     if is_iri(name):
         with suppress(ValueError):
             return NamedNode(name)
-    return NamedNode(NAMESPACE + _QUOTED.sub(lambda match: quote(match[0], safe=""), name))
+    return NamedNode(
+        NAMESPACE + _QUOTED.sub(lambda match: quote(match[0], safe=""), name)
+    )

@@ -36,7 +36,9 @@ def completed(
     num_relations = len(graph.relation_names)
     config = KgeConfig(model=model, seed=seed)
     with torch.enable_grad():  # whatever the caller measures
-        trained = train(config, kept, len(graph.names), num_relations, valid=held_out).model
+        trained = train(
+            config, kept, len(graph.names), num_relations, valid=held_out
+        ).model
     ids = sorted(graph.entity_id(name) for name in objects)
     about = np.isin(graph.heads, ids)
     pairs = np.unique(graph.triples[about, 1:], axis=0)
@@ -50,7 +52,9 @@ def completed(
     heads, relations, tails = torch.tensor(candidates).T
     with torch.no_grad():
         score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
-        score += trained(tails, relations + num_relations).gather(1, heads[:, None])[:, 0]
+        score += trained(tails, relations + num_relations).gather(1, heads[:, None])[
+            :, 0
+        ]
     order = (-score).argsort(stable=True).numpy()
     held = set(map(tuple, held_out.tolist()))
     hits = np.cumsum([candidates[index] in held for index in order])

@@ -21,7 +21,9 @@ class KgeModel(nn.Module, ABC):
     divisor: ClassVar[int] = 1
     """Number that `dim` must be divisible by."""
 
-    def __init__(self, entities: int, relations: int, dim: int, generator: torch.Generator) -> None:
+    def __init__(
+        self, entities: int, relations: int, dim: int, generator: torch.Generator
+    ) -> None:
         super().__init__()
         self.relations = relations
         entity = torch.randn(entities, dim, generator=generator)
@@ -41,7 +43,9 @@ class KgeModel(nn.Module, ABC):
         """Return the absolute values whose cubes N3 sums, of real numbers or complex pairs."""
         return vectors.abs()
 
-    def forward(self, head: Tensor, relation: Tensor, tails: Tensor | None = None) -> Tensor:
+    def forward(
+        self, head: Tensor, relation: Tensor, tails: Tensor | None = None
+    ) -> Tensor:
         """Score tails, by default every entity: ids (B,), (B,), (T,) -> scores (B, T)."""
         compared = self.entity if tails is None else self.entity[tails]
         query = self.query(self.entity[head], self.relation[relation])

@@ -41,7 +41,9 @@ class Trained(NamedTuple):
 
 
 @torch.no_grad()
-def filtered_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
+def filtered_ranks(
+    model: KgeModel, triples: np.ndarray, known: np.ndarray
+) -> np.ndarray:
     """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
 
     Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
@@ -65,7 +67,9 @@ def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
 
 
 def _tail_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
-    answers: dict[tuple[int, int], list[int]] = {(h, r): [] for h, r, _ in triples.tolist()}
+    answers: dict[tuple[int, int], list[int]] = {
+        (h, r): [] for h, r, _ in triples.tolist()
+    }
     for h, r, t in known.tolist():
         if (h, r) in answers:
             answers[h, r].append(t)
@@ -91,7 +95,9 @@ def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
     kind = MODELS[config.model]
     if config.dim < 4 or config.dim % kind.divisor:
         even = " and even (it holds pairs)" if kind.divisor == 2 else ""
-        raise UserError(f"{config.model} got dim={config.dim}; it must be at least 4{even}.")
+        raise UserError(
+            f"{config.model} got dim={config.dim}; it must be at least 4{even}."
+        )
     generator = torch.Generator().manual_seed(config.seed)
     return kind(entities, relations, config.dim, generator)
 
@@ -117,14 +123,20 @@ def train(
     filtered ranks, by default the given ones. ``on_epoch`` receives epoch, loss and validation MRR.
     """
     if not len(triples):
-        raise UserError("There is no triple to train on. Give a graph with at least a few facts.")
+        raise UserError(
+            "There is no triple to train on. Give a graph with at least a few facts."
+        )
     if valid is not None and not len(valid):
         valid = None
     if known is None:
         known = triples if valid is None else np.concatenate([triples, valid])
     with torch_threads(config.threads):
         model = new_model(config, entities, relations)
-        rate = model.learning_rate if config.learning_rate is None else config.learning_rate
+        rate = (
+            model.learning_rate
+            if config.learning_rate is None
+            else config.learning_rate
+        )
         optimizer = torch.optim.Adam(model.parameters(), lr=rate)
         order = torch.Generator().manual_seed(config.seed + 1)
         negatives = torch.Generator().manual_seed(config.seed + 2)
@@ -137,7 +149,9 @@ def train(
         for epoch in range(1, config.epochs + 1):
             model.train()
             total = 0.0
-            batches = torch.randperm(len(queries.pairs), generator=order).split(config.batch_size)
+            batches = torch.randperm(len(queries.pairs), generator=order).split(
+                config.batch_size
+            )
             for rows in batches:
                 loss, count = _loss(config, model, queries, rows, negatives)
                 optimizer.zero_grad()
@@ -147,9 +161,13 @@ def train(
             losses.append(total / len(queries.answers))
             values = [torch.tensor(total), *model.parameters()]
             if not all(torch.isfinite(value).all() for value in values):
-                raise UserError(_DIVERGED.format(f"its loss in epoch {epoch} is not finite"))
+                raise UserError(
+                    _DIVERGED.format(f"its loss in epoch {epoch} is not finite")
+                )
             mrr = None
-            if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
+            if valid is not None and (
+                epoch % config.evaluate_every == 0 or epoch == config.epochs
+            ):
                 mrr = float((1.0 / filtered_ranks(model, valid, known)).mean())
                 evaluations.append((epoch, mrr))
                 if mrr > best_mrr:
@@ -158,13 +176,18 @@ def train(
                     best_state = deepcopy(model.state_dict())
             if on_epoch is not None:
                 on_epoch(epoch, losses[-1], mrr)
-            if valid is not None and epoch - best_epoch >= config.patience * config.evaluate_every:
+            if (
+                valid is not None
+                and epoch - best_epoch >= config.patience * config.evaluate_every
+            ):
                 break
         if valid is None:
             best_epoch = len(losses)
         else:
             model.load_state_dict(best_state)
-        return Trained(model, len(losses), best_epoch, tuple(losses), tuple(evaluations))
+        return Trained(
+            model, len(losses), best_epoch, tuple(losses), tuple(evaluations)
+        )
 
 
 class _Queries(NamedTuple):
@@ -201,7 +224,9 @@ def _loss(
     compared = None
     column = tail
     if config.negatives is not None:
-        drawn = torch.randint(len(model.entity), (config.negatives,), generator=negatives)
+        drawn = torch.randint(
+            len(model.entity), (config.negatives,), generator=negatives
+        )
         compared = torch.cat([tail, drawn]).unique()  # sorted
         column = torch.searchsorted(compared, tail)
     scores = model(head, relation, compared)
@@ -212,13 +237,17 @@ def _loss(
     return loss, len(row)
 
 
-def hold_out(graph: KnowledgeGraph, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def hold_out(
+    graph: KnowledgeGraph, share: float, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Split the triples of a graph at random into those to train on and a share of the others.
 
     Every entity and relation occurs in training.
     """
     if not 0 < share < 1:
-        raise UserError(f"The share of triples to hold out must lie between 0 and 1, got {share}.")
+        raise UserError(
+            f"The share of triples to hold out must lie between 0 and 1, got {share}."
+        )
     rows = held_out_rows(graph, round(share * len(graph.triples)), seed)
     return np.delete(graph.triples, rows, axis=0), graph.triples[rows]
 
@@ -268,12 +297,18 @@ class StoredModel(NamedTuple):
     relations: tuple[str, ...]
 
 
-def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path) -> None:
+def save_model(
+    model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path
+) -> None:
     """Write a model."""
-    tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
+    tensors = {
+        name: value.detach().contiguous() for name, value in model.state_dict().items()
+    }
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
         data = "".join(f"{text}\0" for text in names).encode()
-        tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(data, np.uint8).copy())
+        tensors[f"names.{name}"] = torch.from_numpy(
+            np.frombuffer(data, np.uint8).copy()
+        )
     content = save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))})
     with replacing(path, "Give another path.") as temporary:
         # `save_file` raises another type of error than `OSError` when a disk is full.

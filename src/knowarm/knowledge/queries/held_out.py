@@ -34,7 +34,9 @@ class HeldOutQuestions:
     # Objects that training never shows, by the split that tests them (S3, S3a, S3b)
     new: dict[str, set[str]] = field(default_factory=dict)
     objects: set[str] = field(default_factory=set)  # All of these
-    values: set[str] = field(default_factory=set)  # Values that training never asks (S4)
+    values: set[str] = field(
+        default_factory=set
+    )  # Values that training never asks (S4)
     # Conditions and objects that training never asks together (S2)
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
 
@@ -54,7 +56,9 @@ class HeldOutQuestions:
         kinds = {kind_of(name) for name in self.asked.objects if kind_of(name) != name}
         wanted = max(2, round(SHARES["S3b"] * len(kinds)))
         held = self._some(rng, sorted(kinds), wanted, per_episode)
-        self._hold("S3b", {name for name in self.asked.objects if kind_of(name) in held})
+        self._hold(
+            "S3b", {name for name in self.asked.objects if kind_of(name) in held}
+        )
 
     def hold_instances(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
@@ -93,7 +97,9 @@ class HeldOutQuestions:
         held: set[str] = set()
         for index in rng.permutation(len(names)):
             larger = held | {names[index]}
-            keeps_half = all(2 * len(larger & holders) <= len(holders) for holders in shared)
+            keeps_half = all(
+                2 * len(larger & holders) <= len(holders) for holders in shared
+            )
             if len(larger) <= wanted and keeps_half:
                 held = larger
         if len(held) < wanted or len(names) - len(held) <= per_episode:
@@ -119,7 +125,11 @@ class HeldOutQuestions:
             larger = held | {values[index]}
             is_small = len(larger) <= wanted or beside < per_episode - 1
             is_linked = all(links[value] - larger for value in larger)
-            if is_small and is_linked and self._holders_of(set(values) - larger) == answering:
+            if (
+                is_small
+                and is_linked
+                and self._holders_of(set(values) - larger) == answering
+            ):
                 held = larger
                 beside = self._most_beside(held)
         if beside < per_episode - 1:
@@ -147,7 +157,9 @@ class HeldOutQuestions:
         conditions = list(self.holders)
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
-            members = [name for name in self.holders[condition] if name not in self.objects]
+            members = [
+                name for name in self.holders[condition] if name not in self.objects
+            ]
             member_kinds = sorted(set(map(kind_of, members)))
             is_object = condition.relation == OBJECT_RELATION
             if condition.value in self.values or is_object or len(member_kinds) < 2:
@@ -160,7 +172,9 @@ class HeldOutQuestions:
             drawn = rng.permutation(free).tolist()
             drawn.sort(key=lambda kind: held_of[kind] / conditions_of[kind])
             for kind in drawn[: max(1, round(SHARES["S2"] * len(member_kinds)))]:
-                self.pairs.update((condition, name) for name in members if kind_of(name) == kind)
+                self.pairs.update(
+                    (condition, name) for name in members if kind_of(name) == kind
+                )
                 held_of[kind] += 1
                 if not condition.is_seen:
                     facts_of[kind] -= 1
@@ -182,7 +196,9 @@ class HeldOutQuestions:
 
     def _holders_of(self, values: Collection[str]) -> set[str]:
         """Return the objects that some of the values belong to."""
-        conditions = [condition for condition in self.facts if condition.value in values]
+        conditions = [
+            condition for condition in self.facts if condition.value in values
+        ]
         return set[str]().union(*map(self.holders.__getitem__, conditions))
 
     def _links(self, values: list[str]) -> dict[str, set[str]]:
@@ -208,7 +224,11 @@ class HeldOutQuestions:
 
     def in_training(self, query: Query, name: str) -> bool:
         """Return whether training may ask a query for an object."""
-        is_held = name in self.objects or self._asks_value(query) or self._asks_pair(query, name)
+        is_held = (
+            name in self.objects
+            or self._asks_value(query)
+            or self._asks_pair(query, name)
+        )
         return not is_held
 
     def is_new_pair(self, query: Query, name: str) -> bool:
@@ -218,7 +238,9 @@ class HeldOutQuestions:
 
     def is_new_object(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S3, S3a or S3b."""
-        return name in self.objects and self.asked_in_training.issuperset(query.conditions)
+        return name in self.objects and self.asked_in_training.issuperset(
+            query.conditions
+        )
 
     def is_new_value(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S4."""
@@ -243,7 +265,10 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
     graph = held.asked.graph
     free = list[Condition]()
     for condition in held.facts:
-        if condition.value not in held.values and set(held.holders[condition]) - held.objects:
+        if (
+            condition.value not in held.values
+            and set(held.holders[condition]) - held.objects
+        ):
             free.append(condition)
     order = [free[index] for index in rng.permutation(len(free))]
     wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))

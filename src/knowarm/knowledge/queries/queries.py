@@ -58,7 +58,9 @@ class QueryGraph:
         self.facets = tuple((name, colour) for name, colour in facets)
         self.objects = tuple(dict.fromkeys(name for name, _ in self.facets))
         if not self.facets:
-            raise UserError("There are no facets to ask about: give at least one object.")
+            raise UserError(
+                "There are no facets to ask about: give at least one object."
+            )
         self._ids = np.array([self._object(name) for name in self.objects])
         self.owner = number_objects(self.facets)
 
@@ -115,7 +117,11 @@ class QueryGraph:
             if not is_mixed and (pairs == "colour" or first.is_seen):
                 continue
             both = rows[first] & rows[second]
-            if both.any() and (both != rows[first]).any() and (both != rows[second]).any():
+            if (
+                both.any()
+                and (both != rows[first]).any()
+                and (both != rows[second]).any()
+            ):
                 queries.append(Query((first, second)))
         return tuple(queries)
 
@@ -150,10 +156,14 @@ class QueryGraph:
         for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
             if colour:
                 stated[name].add(colour)
-        allowed = np.array([colour in stated.get(name, {colour}) for name, colour in self.facets])
+        allowed = np.array(
+            [colour in stated.get(name, {colour}) for name, colour in self.facets]
+        )
         for number, name in enumerate(self.objects):
             if not allowed[self.owner == number].any():
-                colours = ", ".join(colour for other, colour in self.facets if other == name)
+                colours = ", ".join(
+                    colour for other, colour in self.facets if other == name
+                )
                 raise UserError(
                     f"The graph gives {name!r} the colours {', '.join(sorted(stated[name]))}, but "
                     f"the task can show it in {colours} only. State one of these, or none."
@@ -185,7 +195,9 @@ class QueryGraph:
         rows = (graph.relations == relation) & np.isin(graph.tails, values)
         held = np.isin(self._ids, graph.heads[rows]).astype(float)
         if graph.confidence:
-            wrong = np.ones(len(self._ids))  # probability that no triple about an object holds
+            wrong = np.ones(
+                len(self._ids)
+            )  # probability that no triple about an object holds
             triples = graph.rows(np.flatnonzero(rows))
             for head, triple in zip(triples.heads, triples, strict=True):
                 wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)

@@ -24,7 +24,8 @@ _QUIET = re.compile(
 )
 """IRIs, strings, escaped characters and, as a group, comments."""
 _REMOTE = re.compile(
-    r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\s{}]*\s*\{)|\bfrom\b(?!:))", re.IGNORECASE
+    r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\s{}]*\s*\{)|\bfrom\b(?!:))",
+    re.IGNORECASE,
 )
 """Keywords that refer to other data; after the first group it is the name of a thing."""
 
@@ -91,17 +92,23 @@ class SparqlQuery:
         except SyntaxError as error:
             raise _malformed(error) from error
         except Exception as error:
-            raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
+            raise UserError(
+                f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}"
+            ) from error
 
     @contextmanager
-    def stating(self, head: str, relations: Iterable[str], tails: Iterable[str]) -> Iterator[None]:
+    def stating(
+        self, head: str, relations: Iterable[str], tails: Iterable[str]
+    ) -> Iterator[None]:
         """State, in a ``with`` block, that relations lead from a head to these tails alone."""
         new = list[Quad]()
         old = set[Quad]()
         for relation, tail in product(relations, tails):
             quad = _quad(triple_of_names(head, relation, tail))
             new.append(quad)
-            old.update(self._store.quads_for_pattern(quad.subject, quad.predicate, None))
+            old.update(
+                self._store.quads_for_pattern(quad.subject, quad.predicate, None)
+            )
         self._replace(old, new)
         yield
         self._replace(new, old)

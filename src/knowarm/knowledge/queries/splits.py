@@ -14,7 +14,13 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.held_out import HeldOutQuestions, draw_edits
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
-from knowarm.questions import Condition, ObjectColour, Query, QuestionTable, with_distractors
+from knowarm.questions import (
+    Condition,
+    ObjectColour,
+    Query,
+    QuestionTable,
+    with_distractors,
+)
 from knowarm.seeding import seed_sequence
 
 Split = Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"]
@@ -128,7 +134,11 @@ def query_splits(
     return QuerySplits(
         train=train,
         tests=tests,
-        reasons={name: reasons[name] for name in SPLITS if name in reasons.keys() - tests.keys()},
+        reasons={
+            name: reasons[name]
+            for name in SPLITS
+            if name in reasons.keys() - tests.keys()
+        },
         held_out=held,
         edited=edited,
     )
@@ -183,13 +193,21 @@ class _Maker:
         answer may stand beside the new one.
         """
         other = QueryGraph(edited, self.asked.facets)
-        conditions = set(chain.from_iterable(query.conditions for query in self.queries))
-        added = [q for q in other.queries(self.pairs) if not conditions.issuperset(q.conditions)]
+        conditions = set(
+            chain.from_iterable(query.conditions for query in self.queries)
+        )
+        added = [
+            q
+            for q in other.queries(self.pairs)
+            if not conditions.issuperset(q.conditions)
+        ]
         queries = [*self.queries, *added]
         satisfies = other.answers(queries)
         before = self.asked.answers(queries)
         shown = other.possible() & ~self._of(self.held.objects)
-        new = satisfies & ~before & self._allowed(queries, self.held.in_training) & shown
+        new = (
+            satisfies & ~before & self._allowed(queries, self.held.in_training) & shown
+        )
         if not new.any():
             raise UserError(
                 "the edited graph gives no query of training another answer. Change triples "
@@ -197,7 +215,9 @@ class _Maker:
             )
         single = np.array([len(query.conditions) == 1 for query in queries])
         related = _related(np.concatenate([satisfies[single], before[single]]))
-        askable = with_distractors(new, satisfies, related, shown, self.owner, self.objects)
+        askable = with_distractors(
+            new, satisfies, related, shown, self.owner, self.objects
+        )
         kept = np.any(satisfies, axis=1)
         kept_queries = list(compress(queries, kept))
         return self._table(kept_queries, satisfies[kept], askable[kept], related, shown)
@@ -207,7 +227,9 @@ class _Maker:
         numbers = [self.asked.objects.index(name) for name in names]
         return np.isin(self.owner, numbers)
 
-    def _allowed(self, queries: Sequence[Query], rule: Callable[[Query, str], bool]) -> Mask:
+    def _allowed(
+        self, queries: Sequence[Query], rule: Callable[[Query, str], bool]
+    ) -> Mask:
         """Return a rule about (query, object) for each query and facet, (Q, F) bool."""
         pairs = product(queries, self.asked.objects)
         by_object = np.fromiter(starmap(rule, pairs), bool).reshape(len(queries), -1)
@@ -223,7 +245,9 @@ class _Maker:
     ) -> QuestionTable | None:
         if not askable.any():
             return None
-        return QuestionTable(tuple(queries), self.asked.facets, satisfies, askable, related, shown)
+        return QuestionTable(
+            tuple(queries), self.asked.facets, satisfies, askable, related, shown
+        )
 
 
 def _related(conditions: Mask) -> Mask:

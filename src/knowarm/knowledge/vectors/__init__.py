@@ -45,7 +45,11 @@ def source_named(name: str) -> VectorSource:
         return _source_of_kind(SOURCES[kind], kind, value)
     if name.endswith(".safetensors"):
         return GraphEmbedding(file=name)
-    if "/" in name or "\\" in name or Path(name).suffix in (".txt", ".vec", *COMPRESSED):
+    if (
+        "/" in name
+        or "\\" in name
+        or Path(name).suffix in (".txt", ".vec", *COMPRESSED)
+    ):
         return WordVectors(file=name)
     from knowarm.knowledge.kge.models import MODELS  # torch takes a second to import
 
@@ -67,7 +71,9 @@ def _source_of_kind(cls: type[VectorSource], kind: str, value: str) -> VectorSou
         if names:
             return cls(**{names[0]: value})
     except TypeError as error:
-        raise UserError(f"{kind!r} needs a value for {names[0]}: {kind}:{names[0]}.") from error
+        raise UserError(
+            f"{kind!r} needs a value for {names[0]}: {kind}:{names[0]}."
+        ) from error
     raise UserError(
         f"The source {kind!r} takes no value, got {f'{kind}:{value}'!r}. Give {kind!r}."
     )

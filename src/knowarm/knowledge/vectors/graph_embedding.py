@@ -12,7 +12,13 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED, shipped_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.vectors.source import Coverage, Found, Request, SentencePart, VectorSource
+from knowarm.knowledge.vectors.source import (
+    Coverage,
+    Found,
+    Request,
+    SentencePart,
+    VectorSource,
+)
 
 EMBED_EPOCHS = 100
 """Epochs when all triples are used for training and none is left for early stopping."""
@@ -49,7 +55,11 @@ class EntityLookup:
     """Finds entities and relations by name among trained vectors."""
 
     def __init__(
-        self, name: str, graph: KnowledgeGraph, entities: np.ndarray, relations: np.ndarray
+        self,
+        name: str,
+        graph: KnowledgeGraph,
+        entities: np.ndarray,
+        relations: np.ndarray,
     ) -> None:
         """Take vectors (E, D) and (R, D) float32 in the order of the graph's names."""
         self.name = name
@@ -58,7 +68,9 @@ class EntityLookup:
         self.entities = entities
         self.relations = relations
         ends = np.concatenate([graph.heads, graph.tails])
-        self.entity_shares = np.bincount(ends, minlength=len(entities)) / max(len(ends), 1)
+        self.entity_shares = np.bincount(ends, minlength=len(entities)) / max(
+            len(ends), 1
+        )
         uses = np.bincount(graph.relations, minlength=len(relations))
         self.relation_shares = uses / max(len(graph), 1)
 
@@ -72,7 +84,9 @@ class EntityLookup:
         return Found(self.entities[row], self.entity_shares[row])
 
 
-def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> EntityLookup:
+def embed_graph(
+    model: str, graph: KnowledgeGraph, *, dim: int, seed: int
+) -> EntityLookup:
     """Train a model on all triples of a graph."""
     from knowarm.knowledge.kge.train import train  # torch takes a second to import
 
@@ -96,7 +110,9 @@ def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
     return EntityLookup(path.name, graph, entity_vectors, relation_vectors)
 
 
-def _rows(path: Path, kind: str, stored: Sequence[str], names: Sequence[str]) -> list[int]:
+def _rows(
+    path: Path, kind: str, stored: Sequence[str], names: Sequence[str]
+) -> list[int]:
     """Return the row of each of the graph's names among those of a file."""
     rows = {name: row for row, name in enumerate(stored)}
     missing = [name for name in names if name not in rows]

@@ -11,7 +11,13 @@ from knowarm.config import registered
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.vectors.source import SOURCES, Facet, Request, VectorLookup, VectorSource
+from knowarm.knowledge.vectors.source import (
+    SOURCES,
+    Facet,
+    Request,
+    VectorLookup,
+    VectorSource,
+)
 from knowarm.knowledge.vectors.words import WordVectors
 from knowarm.questions import Condition
 from knowarm.seeding import derive_seed
@@ -34,7 +40,9 @@ class Learned(VectorSource):
     kind: Literal["learned"] = "learned"
     placebo: ClassVar[bool] = True
     described: ClassVar[bool] = False
-    note: ClassVar[str] = "one-hot slot numbers; the policy learns the vectors (encoder 'learned')"
+    note: ClassVar[str] = (
+        "one-hot slot numbers; the policy learns the vectors (encoder 'learned')"
+    )
     encoder: ClassVar[Literal["identity", "learned"]] = "learned"
 
     def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
@@ -49,13 +57,17 @@ class Placebo(VectorSource):
     placebo: ClassVar[bool] = True
     matches: VectorSource = field(
         default_factory=WordVectors,
-        metadata=registered(lambda: [cls for cls in SOURCES.values() if not cls.placebo]),
+        metadata=registered(
+            lambda: [cls for cls in SOURCES.values() if not cls.placebo]
+        ),
     )
     """The real source."""
 
     def __post_init__(self) -> None:
         if self.matches.placebo:
-            raise UserError(f"matches must be a real source, got the placebo {self.matches}.")
+            raise UserError(
+                f"matches must be a real source, got the placebo {self.matches}."
+            )
 
     @property
     def real(self) -> VectorSource:
@@ -91,7 +103,9 @@ class RandomVectors(DrawnPlacebo):
         """Return noise scaled to the length of each slot."""
         noise = np.random.default_rng(seed).standard_normal(vectors.shape)
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
-        return (noise * (length / np.linalg.norm(noise, axis=1, keepdims=True))).astype(np.float32)
+        return (noise * (length / np.linalg.norm(noise, axis=1, keepdims=True))).astype(
+            np.float32
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +135,11 @@ class ShuffledGraph(DrawnPlacebo):
         return shuffle_tails(graph, seed)
 
     def change_facets(
-        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+        self,
+        facets: Sequence[Facet],
+        graph: KnowledgeGraph,
+        colour_relation: str,
+        seed: int,
     ) -> Sequence[Facet]:
         """Take each object's colours in the order of the shuffled graph."""
         return _number_colours(facets)
@@ -135,7 +153,11 @@ class WrongObject(DrawnPlacebo):
     note: ClassVar[str] = "placebo: every slot describes another object than its own"
 
     def change_facets(
-        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+        self,
+        facets: Sequence[Facet],
+        graph: KnowledgeGraph,
+        colour_relation: str,
+        seed: int,
     ) -> Sequence[Facet]:
         """Replace each object by another one of the graph with as many colours."""
         task_objects = list(dict.fromkeys(facet.object for facet in facets))
@@ -143,7 +165,9 @@ class WrongObject(DrawnPlacebo):
         needed = max(colours_per_object.values())
         in_task = [graph.entity_id(name) for name in task_objects]
         relation = graph.relation_id(colour_relation)
-        heads, colours = np.unique(graph.heads[graph.relations == relation], return_counts=True)
+        heads, colours = np.unique(
+            graph.heads[graph.relations == relation], return_counts=True
+        )
         others = np.setdiff1d(heads[colours >= needed], in_task)
         if len(others) < len(task_objects):
             raise UserError(
@@ -153,8 +177,12 @@ class WrongObject(DrawnPlacebo):
             )
         rng = np.random.default_rng(seed)
         drawn = rng.choice(others, len(task_objects), replace=False)
-        wrong = dict(zip(task_objects, map(graph.names.__getitem__, drawn), strict=True))
-        return _number_colours([facet._replace(object=wrong[facet.object]) for facet in facets])
+        wrong = dict(
+            zip(task_objects, map(graph.names.__getitem__, drawn), strict=True)
+        )
+        return _number_colours(
+            [facet._replace(object=wrong[facet.object]) for facet in facets]
+        )
 
     def change_conditions(self, conditions: Sequence[Condition]) -> Sequence[Condition]:
         """Refuse queries."""

@@ -54,7 +54,9 @@ class Coverage:
     # By label: "word", "joined", "words", "form", "alias", "part" (some words only), "hash",
     # "missing", or "entity" for graph embeddings
     how: dict[str, str] = field(default_factory=dict)
-    missing: set[str] = field(default_factory=set)  # Words that were not found in any form
+    missing: set[str] = field(
+        default_factory=set
+    )  # Words that were not found in any form
 
     @property
     def share(self) -> float:
@@ -161,7 +163,11 @@ class VectorSource:
         return graph
 
     def change_facets(
-        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+        self,
+        facets: Sequence[Facet],
+        graph: KnowledgeGraph,
+        colour_relation: str,
+        seed: int,
     ) -> Sequence[Facet]:
         """Return what the slots of a scene describe, by names of the graph."""
         return facets
@@ -179,7 +185,9 @@ SOURCES: dict[str, type[VectorSource]] = {}
 """Config class of every source by its `kind`; filled by ``knowledge.vectors``."""
 
 
-def pool(found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float) -> np.ndarray:
+def pool(
+    found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float
+) -> np.ndarray:
     """Pool the vectors of labels, less a centre (D,) or 0, into one, (D,) float64.
 
     mean: sum_w v_w / n;  sif: sum_w a / (a + p(w)) v_w / n  (Arora, Liang and Ma 2017, eq. 3).
@@ -233,5 +241,7 @@ class EncoderLookup:
     def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return one vector for the whole label."""
         coverage.how[part.label] = "word"
-        vector = self._encoder.encode([part.label], convert_to_numpy=True, show_progress_bar=False)
+        vector = self._encoder.encode(
+            [part.label], convert_to_numpy=True, show_progress_bar=False
+        )
         return Found(np.asarray(vector, np.float32), np.zeros(1))

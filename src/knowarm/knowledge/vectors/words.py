@@ -56,7 +56,9 @@ class WordTable:
     """Words with their vectors and their frequency ranks."""
 
     name: str  # Name in reports: a shipped name or a file's name
-    words: tuple[str, ...]  # The words held here; of a file, only those that were requested
+    words: tuple[
+        str, ...
+    ]  # The words held here; of a file, only those that were requested
     vectors: np.ndarray = field(repr=False)  # One row per word, (n, dim) float32
     # Place of each word in the file, 1 = most frequent, (n,) int64
     ranks: np.ndarray = field(repr=False)
@@ -192,7 +194,9 @@ def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
     """Accept a line whose word contains spaces; refuse one of another dimension."""
     fields = line.split(b" ")
     extra = [field.decode(errors="replace") for field in fields[1:-dim]]
-    if len(fields) - 1 < dim or (extra and all(_NUMBER.fullmatch(field) for field in extra)):
+    if len(fields) - 1 < dim or (
+        extra and all(_NUMBER.fullmatch(field) for field in extra)
+    ):
         raise UserError(
             f"{path}, line {number}: has {len(fields) - 1} numbers, the lines before {dim}. "
             f"All words of a file must have the same dimension; download the file again."

@@ -47,15 +47,25 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
     """
 
     def __init__(
-        self, config: A3CConfig, policy: Policy, make_env: MakeEnv, *, seed: int, **options: Any
+        self,
+        config: A3CConfig,
+        policy: Policy,
+        make_env: MakeEnv,
+        *,
+        seed: int,
+        **options: Any,
     ) -> None:
         super().__init__(policy, seed=seed, **options)
         self.config = config
-        self._precision = resolve_precision(config.matmul_precision, torch.device("cpu"))
+        self._precision = resolve_precision(
+            config.matmul_precision, torch.device("cpu")
+        )
         self._values = FlatParameters(policy).values
         self._mean_square = torch.zeros_like(self._values)
         with self._running():
-            self._workers = WorkerGradients(policy, config.rollout_steps, config.workers)
+            self._workers = WorkerGradients(
+                policy, config.rollout_steps, config.workers
+            )
         env = make_env(config.workers, 1)
         self._curriculum = ThresholdCurriculum(config, env)
         self._collector = Collector(env, policy, seed=seed, curriculum=self._curriculum)
@@ -93,7 +103,9 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         if whole:
             # By the step, so that a checkpoint between two rounds needs no environments.
             collector.restart(derive_seed(self.seed, "episodes", self.step))
-        count = collector.collect(workers.rollout, workers.infer, until_episode_end=whole)
+        count = collector.collect(
+            workers.rollout, workers.infer, until_episode_end=whole
+        )
         rollout = workers.rollout.first(count)
         used = first_episodes(rollout.done) if whole else torch.ones_like(rollout.done)
         lengths = used.sum(0)
@@ -109,15 +121,21 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
         def loss_of(encoded: Tensor) -> Terms:
             weights = used / lengths
-            return rollout_loss(self.policy, config, rollout, encoded=encoded, weights=weights)
+            return rollout_loss(
+                self.policy, config, rollout, encoded=encoded, weights=weights
+            )
 
         loss = workers.compute(count, loss_of)
         of_layers = [gradient.flatten(1) for gradient in workers.gradients.values()]
-        norms = torch.stack([torch.linalg.vector_norm(layer, dim=1) for layer in of_layers])
+        norms = torch.stack(
+            [torch.linalg.vector_norm(layer, dim=1) for layer in of_layers]
+        )
         norms = torch.linalg.vector_norm(norms, dim=0)
         self._guard.check_update(self.policy, loss, norms, after, rollout)
         self._apply(lengths, norms, total_steps)
-        self._curriculum.update(episodes.summary().get("success", 0.0), after / total_steps)
+        self._curriculum.update(
+            episodes.summary().get("success", 0.0), after / total_steps
+        )
         return {
             "updates": config.workers,
             **sums_of(episodes, loss),

@@ -44,7 +44,9 @@ class WorkerGradients:
         self.rollout = Rollout(**tensors | {"patches": self._patches.transpose(0, 1)})
         self.gradients: dict[str, Tensor] = {}
 
-    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
+    def infer(
+        self, rollout: Rollout, t: int, image: Tensor, state: State
+    ) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`."""
         policy = self.policy
         encoder = policy.encoder
@@ -85,7 +87,10 @@ class WorkerGradients:
         for worker, gradient in enumerate(encoded.grad.transpose(0, 1)):
             steps = (worker, slice(count))
             of_worker = self.policy.encoder.gradients(
-                self._patches[steps], self._hidden[steps], self._encoded[steps], gradient
+                self._patches[steps],
+                self._hidden[steps],
+                self._encoded[steps],
+                gradient,
             )
             of_workers.append(of_worker)
         for name in of_workers[0]:
@@ -100,12 +105,16 @@ class WorkerGradients:
         memory = policy.memory
         projected: list[Tensor] = []
         hooks = [
-            memory.projected.register_forward_hook(lambda _, args, y: projected.append(y)),
+            memory.projected.register_forward_hook(
+                lambda _, args, y: projected.append(y)
+            ),
             memory.register_forward_hook(partial(self._tap_memory, projected)),
         ]
         for name, layer in policy.named_modules():
             if isinstance(layer, nn.Linear):
-                hooks.append(layer.register_forward_hook(partial(self._tap_linear, name)))
+                hooks.append(
+                    layer.register_forward_hook(partial(self._tap_linear, name))
+                )
         policy.requires_grad_(False)
         try:
             yield
@@ -114,10 +123,14 @@ class WorkerGradients:
             for hook in hooks:
                 hook.remove()
 
-    def _tap_linear(self, name: str, layer: nn.Linear, args: tuple[Any, ...], y: Tensor) -> None:
+    def _tap_linear(
+        self, name: str, layer: nn.Linear, args: tuple[Any, ...], y: Tensor
+    ) -> None:
         def add(gradient: Tensor) -> None:
             of_outputs = self._by_worker(gradient)
-            self.gradients[f"{name}.weight"] = _products(of_outputs, self._by_worker(args[0]))
+            self.gradients[f"{name}.weight"] = _products(
+                of_outputs, self._by_worker(args[0])
+            )
             if layer.bias is not None:
                 self.gradients[f"{name}.bias"] = of_outputs.float().sum(1)
 

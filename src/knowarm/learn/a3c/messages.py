@@ -34,8 +34,12 @@ class A3CWorkerArgs:
     make_env: MakeEnv
     evaluate_every: int | None
     failure_folder: Path | None
-    state: Arrays | None  # State of the collector to continue from; None starts new episodes
-    threshold_factor: float | None  # Of the curriculum so far, for a worker without a state
+    state: (
+        Arrays | None
+    )  # State of the collector to continue from; None starts new episodes
+    threshold_factor: (
+        float | None
+    )  # Of the curriculum so far, for a worker without a state
 
 
 class StateRequest(NamedTuple):
@@ -65,8 +69,12 @@ class EvaluationRequest(NamedTuple):
 class UpdateReport(NamedTuple):
     """From a worker: one rollout and its update."""
 
-    sums: dict[str, float]  # Quantities that are summed over updates; see `mean_metrics`
-    evaluation: EvaluationRequest | None  # If an interim evaluation is due after this update
+    sums: dict[
+        str, float
+    ]  # Quantities that are summed over updates; see `mean_metrics`
+    evaluation: (
+        EvaluationRequest | None
+    )  # If an interim evaluation is due after this update
 
 
 LOSS_METRICS = ("policy_loss", "value_loss", "entropy")

@@ -65,7 +65,13 @@ class A3CTrainer(Trainer):
     evaluates_in_background = True
 
     def __init__(
-        self, config: A3CConfig, policy: Policy, make_env: MakeEnv, *, seed: int, **options: Any
+        self,
+        config: A3CConfig,
+        policy: Policy,
+        make_env: MakeEnv,
+        *,
+        seed: int,
+        **options: Any,
     ) -> None:
         super().__init__(policy, seed=seed, **options)
         self.config = config
@@ -116,7 +122,9 @@ class A3CTrainer(Trainer):
             stop_all([worker.child for worker in self._workers], 0.0)
         self._replace_missing_states()
         self._parameters.values.copy_(self._shared["values"])
-        self._collectors = {index: state.collector for index, state in self._states.items()}
+        self._collectors = {
+            index: state.collector for index, state in self._states.items()
+        }
         checkpoint = self._checkpoint()
         if reason == "finished":
             return self._finish(lambda: self._save(checkpoint))
@@ -160,7 +168,9 @@ class A3CTrainer(Trainer):
         )
         assert self._context is not None
         name = f"worker {index}"
-        return ChildProcess.start(self._context, name, run_a3c_worker, args, self._shared)
+        return ChildProcess.start(
+            self._context, name, run_a3c_worker, args, self._shared
+        )
 
     def _read(self) -> None:
         """Handle the messages of the workers, waiting briefly for the first one."""
@@ -185,12 +195,18 @@ class A3CTrainer(Trainer):
                 self._add_report(index, message)
             elif isinstance(message, WorkerState):
                 self._add_state(index, message)
-            elif self._request is not None and index not in self._states:  # it was restarted
+            elif (
+                self._request is not None and index not in self._states
+            ):  # it was restarted
                 worker.child.send(self._request)
 
     def _has_exited(self, index: int) -> bool:
         """Tell whether a worker has sent its last state."""
-        return self._request is not None and self._request.is_last and index in self._states
+        return (
+            self._request is not None
+            and self._request.is_last
+            and index in self._states
+        )
 
     def _add_report(self, index: int, report: UpdateReport) -> None:
         """Count an update; log a row of metrics and request states when due."""
@@ -262,9 +278,13 @@ class A3CTrainer(Trainer):
 
         A worker that has not updated, or not since the checkpoint, continues from there.
         """
-        missing = [index for index in range(self.config.workers) if index not in self._states]
+        missing = [
+            index for index in range(self.config.workers) if index not in self._states
+        ]
         if missing:
-            log.warning("No state arrived from the workers %s; they were stopped.", missing)
+            log.warning(
+                "No state arrived from the workers %s; they were stopped.", missing
+            )
         for index in missing:
             steps = int(self._shared["steps"][index])
             if index not in self._collectors and steps:

@@ -35,7 +35,9 @@ def rollout_loss(
         weights: (T, B), of the steps in the sums of the loss; None: all alike.
     """
     reward = rollout.reward * config.reward_scale
-    following = rollout.following(bootstrap_at_time_limit=config.bootstrap_at_time_limit)
+    following = rollout.following(
+        bootstrap_at_time_limit=config.bootstrap_at_time_limit
+    )
     advantage = advantages(
         reward, rollout.value, following, rollout.done, config.gamma, config.gae_lambda
     )
@@ -73,7 +75,9 @@ def rmsprop_update(
     Parameters and statistics may be shared and are written without a lock, as in public
     implementations of A3C: concurrent updates may overwrite parts of each other's step.
     """
-    mean_square.mul_(RMSPROP_ALPHA).addcmul_(gradient, gradient, value=1 - RMSPROP_ALPHA)
+    mean_square.mul_(RMSPROP_ALPHA).addcmul_(
+        gradient, gradient, value=1 - RMSPROP_ALPHA
+    )
     values.addcdiv_(gradient, mean_square.sqrt().add_(eps), value=-learning_rate)
 
 

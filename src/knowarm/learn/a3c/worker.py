@@ -26,7 +26,9 @@ IDLE_S = 0.05
 class A3CWorker:
     """Repeatedly reads the shared parameters, collects a rollout, and updates them."""
 
-    def __init__(self, args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
+    def __init__(
+        self, args: A3CWorkerArgs, shared: SharedTensors, connection: Connection
+    ) -> None:
         config = args.config
         self.args = args
         self.config = config
@@ -40,19 +42,27 @@ class A3CWorker:
         self._curriculum = ThresholdCurriculum(config, env)
         stream = (args.index, args.restarts)
         self._collector = Collector(
-            env, self._policy, seed=args.seed, stream=stream, curriculum=self._curriculum
+            env,
+            self._policy,
+            seed=args.seed,
+            stream=stream,
+            curriculum=self._curriculum,
         )
         if args.state is not None:
             self._collector.set_state(args.state)
         elif args.threshold_factor is not None and self._curriculum.is_used:
             self._curriculum.factor = args.threshold_factor
-        self._rollout = Rollout.zeros(config.rollout_steps, config.envs_per_worker, self._policy)
+        self._rollout = Rollout.zeros(
+            config.rollout_steps, config.envs_per_worker, self._policy
+        )
         self._guard = FiniteGuard(args.failure_folder)
 
     def run(self) -> None:
         """Answer the trainer's requests and train between them."""
         while True:
-            is_idle = bool(self._shared["paused"]) or self._step() >= self.args.total_steps
+            is_idle = (
+                bool(self._shared["paused"]) or self._step() >= self.args.total_steps
+            )
             if self._connection.poll(IDLE_S if is_idle else 0):
                 request: StateRequest = self._connection.recv()
                 self._connection.send(self._state(request))
@@ -93,7 +103,9 @@ class A3CWorker:
         )
         shared["steps"][args.index] += steps
         episodes = self._collector.statistics.take()
-        self._curriculum.update(episodes.summary().get("success", 0.0), after / args.total_steps)
+        self._curriculum.update(
+            episodes.summary().get("success", 0.0), after / args.total_steps
+        )
         sums = {
             "updates": 1,
             "steps": steps,
@@ -116,7 +128,9 @@ class A3CWorker:
         if number <= int(self._shared["evaluated"]):
             return None
         self._shared["evaluated"].fill_(number)
-        return EvaluationRequest(number=number, step=step, values=self._shared.copy("values"))
+        return EvaluationRequest(
+            number=number, step=step, values=self._shared.copy("values")
+        )
 
     def _state(self, request: StateRequest) -> WorkerState:
         index = self.args.index
@@ -128,10 +142,13 @@ class A3CWorker:
         if index > 0:
             return state
         return state._replace(
-            values=self._shared.copy("values"), mean_square=self._shared.copy("mean_square")
+            values=self._shared.copy("values"),
+            mean_square=self._shared.copy("mean_square"),
         )
 
 
-def run_a3c_worker(args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
+def run_a3c_worker(
+    args: A3CWorkerArgs, shared: SharedTensors, connection: Connection
+) -> None:
     """Entry point of a worker process: train until the last state is requested."""
     A3CWorker(args, shared, connection).run()

@@ -60,14 +60,18 @@ def process_context(*preload: str) -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["knowarm.learn.parallel.fork_server", __name__, *preload])
+    context.set_forkserver_preload(
+        ["knowarm.learn.parallel.fork_server", __name__, *preload]
+    )
     return context
 
 
 def _run_child(
     run: Callable[..., None], arguments: tuple[Any, ...], connection: Connection
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # signals are left to the parent process
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # signals are left to the parent process
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     torch.set_num_threads(1)

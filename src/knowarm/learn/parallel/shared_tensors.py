@@ -70,7 +70,10 @@ class FlatParameters:
     """
 
     def __init__(
-        self, module: nn.Module, values: Tensor | None = None, gradient: Tensor | None = None
+        self,
+        module: nn.Module,
+        values: Tensor | None = None,
+        gradient: Tensor | None = None,
     ) -> None:
         if values is None:
             values = parameters_to_vector(module.parameters()).detach()
@@ -98,7 +101,9 @@ def flatten_parameters(module: nn.Module) -> np.ndarray:
     return parameters_to_vector(module.parameters()).detach().cpu().numpy()
 
 
-def unflatten_parameters(module: nn.Module, values: np.ndarray) -> dict[str, np.ndarray]:
+def unflatten_parameters(
+    module: nn.Module, values: np.ndarray
+) -> dict[str, np.ndarray]:
     """Split a vector (P,) into arrays with the names and shapes of a module's parameters."""
     arrays = {}
     start = 0

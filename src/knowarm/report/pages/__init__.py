@@ -26,7 +26,9 @@ def build_pages(study: StudyData) -> list[Page]:
     understood = query_findings(study)
 
     def per_task(
-        task_blocks: Callable[..., Sequence[Block]], *more: Any, intro: Sequence[str] = ()
+        task_blocks: Callable[..., Sequence[Block]],
+        *more: Any,
+        intro: Sequence[str] = (),
     ) -> list[Block]:
         parts: list[Block] = []
         for task in study.tasks:
@@ -78,7 +80,9 @@ def build_pages(study: StudyData) -> list[Page]:
             "differences",
             "Are the differences significant?",
             "The unit is the training seed.",
-            per_task(differences.difference_blocks, decided, intro=differences.EXPLANATION),
+            per_task(
+                differences.difference_blocks, decided, intro=differences.EXPLANATION
+            ),
         ),
         Page(
             "paper",

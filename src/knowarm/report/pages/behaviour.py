@@ -9,7 +9,17 @@ from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.pictures import data_uri, encode
-from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Verdict, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    Figure,
+    Film,
+    Films,
+    Panel,
+    Row,
+    Verdict,
+    table_of,
+)
 from knowarm.report.charts import density_chart
 from knowarm.report.format import facet, signed
 from knowarm.report.model import Evaluation, Group, TaskData
@@ -58,7 +68,9 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         std = signed(row["std_change"])
         title += f": difference of means {mean}, of std {std}"
         angles = {second.name: other[joint], first.name: one[joint]}
-        svg = density_chart(angles, task.colours, f"Angles of joint {joint}", "angle [rad]")
+        svg = density_chart(
+            angles, task.colours, f"Angles of joint {joint}", "angle [rad]"
+        )
         panels.append(Panel(svg, title))
     columns = (
         Column("joint", "joint", "integer"),
@@ -101,7 +113,11 @@ def film_blocks(task: TaskData) -> list[Films]:
     """Show agents on the same episodes: the policy's images as a strip and as an animation."""
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
-    filmed = [(group.name, group.best) for group in groups if group.best and group.best.films()]
+    filmed = [
+        (group.name, group.best)
+        for group in groups
+        if group.best and group.best.films()
+    ]
     filmed = filmed[:MOST_AGENTS]
     for reference in task.references:
         (evaluation,) = reference.evaluations
@@ -113,12 +129,16 @@ def film_blocks(task: TaskData) -> list[Films]:
     blocks = []
     with suppress(UserError):
         for number, words in _first_of_each_target(filmed[0][1], sorted(common)):
-            films = [_film(name, task.colours[name], best, number) for name, best in filmed]
+            films = [
+                _film(name, task.colours[name], best, number) for name, best in filmed
+            ]
             blocks.append(Films(f"Episode {number}, {words}", films))
     return blocks
 
 
-def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tuple[int, str]]:
+def _first_of_each_target(
+    evaluation: Evaluation, numbers: list[int]
+) -> list[tuple[int, str]]:
     """Return the number of the first episode of each target, with its object and query."""
     episodes = evaluation.episodes()
     first: dict[str, tuple[int, str]] = {}

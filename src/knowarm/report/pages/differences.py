@@ -64,9 +64,19 @@ COMPARISON_COLUMNS = (
     Column("seeds", "seeds"),
     Column("effect_size", "effect size", "signed", hint="Cohen's d"),
     Column("p", "p", "p", hint="Welch's t, two-sided"),
-    Column("adjusted_p", "adjusted p", "p", hint="baseline: Holm; others: times its comparisons"),
+    Column(
+        "adjusted_p",
+        "adjusted p",
+        "p",
+        hint="baseline: Holm; others: times its comparisons",
+    ),
     "verdict",
-    Column("needed", "seeds needed", "integer", hint="per agent, for the observed difference"),
+    Column(
+        "needed",
+        "seeds needed",
+        "integer",
+        hint="per agent, for the observed difference",
+    ),
 )
 COMPARISON_CAPTION = "Difference of means in percentage points, with its 95 % interval."
 COMPARISON_NOTE = (
@@ -108,7 +118,12 @@ def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     """Show the statistics over training seeds and the paper's, each with what it tests."""
     if len(task.groups) < 2:
         return []
-    blocks = (_comparisons(task, decided), _scores(task), _profile(task), _variance(task))
+    blocks = (
+        _comparisons(task, decided),
+        _scores(task),
+        _profile(task),
+        _variance(task),
+    )
     return [block for block in blocks if block]
 
 
@@ -119,7 +134,9 @@ def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
         return Verdict("No differences are computed from single seeds.", [FEW_SEEDS])
     rows = [_comparison_row(claim) for claim in claims]
     title = "Differences between agents"
-    table = table_of(task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE)
+    table = table_of(
+        task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE
+    )
     panels: dict[str, list[Claim]] = {words: [] for words in OUTCOMES.values()}
     for claim in claims:
         panels[OUTCOMES[claim.outcome]].append(claim)
@@ -176,7 +193,9 @@ def _scores(task: TaskData) -> DataTable:
     return table_of(task, "scores", title, columns, rows, note=SCORES_NOTE)
 
 
-def _with_interval(values: Floats, statistic: Callable[..., Floats]) -> Interval | float | None:
+def _with_interval(
+    values: Floats, statistic: Callable[..., Floats]
+) -> Interval | float | None:
     """Return a statistic of several values with its interval, and a single value as it is."""
     if values.size > 1:
         return bootstrap(values, statistic)
@@ -186,7 +205,9 @@ def _with_interval(values: Floats, statistic: Callable[..., Floats]) -> Interval
 def _profile(task: TaskData) -> Figure | None:
     """Draw performance profiles of agents with enough seeds."""
     finals = {group.name: scores(task, group, "success") for group in task.groups}
-    finals = {name: final for name, final in finals.items() if final.size >= FEWEST_SEEDS}
+    finals = {
+        name: final for name, final in finals.items() if final.size >= FEWEST_SEEDS
+    }
     if not finals:
         return None
     axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
@@ -207,7 +228,14 @@ def _profile(task: TaskData) -> Figure | None:
         series.append(line)
         for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
             share_above = Interval(*values)
-            rows.append({"agent": agent, "level": level, "share": share_above, "_colour": colour})
+            rows.append(
+                {
+                    "agent": agent,
+                    "level": level,
+                    "share": share_above,
+                    "_colour": colour,
+                }
+            )
     name = f"Share of runs above each level of success on {task.title}"
     return Figure(
         table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows),
@@ -245,7 +273,9 @@ def _variance(task: TaskData) -> DataTable | None:
     if not rows:
         return None
     title = "The paper's analysis of variance over evaluation seeds"
-    return table_of(task, "anova", title, VARIANCE_COLUMNS, rows, sources, VARIANCE_NOTE)
+    return table_of(
+        task, "anova", title, VARIANCE_COLUMNS, rows, sources, VARIANCE_NOTE
+    )
 
 
 def success_rates(group: Group) -> tuple[Evaluation, Floats] | None:

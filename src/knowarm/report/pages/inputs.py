@@ -6,7 +6,16 @@ from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.learn.algorithms import privileged_uses
-from knowarm.report.blocks import Block, Column, DataTable, Row, Tone, Verdict, shared, table_of
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Row,
+    Tone,
+    Verdict,
+    shared,
+    table_of,
+)
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
 
@@ -69,7 +78,9 @@ def input_blocks(task: TaskData) -> list[Block]:
     stems = slugs(group.name for group in task.groups)
     listed_before = []
     # Controls last: their vectors are derived from those of the other agents.
-    for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
+    for group in sorted(
+        task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)
+    ):
         knowledge = _knowledge_of(group.runs[0])
         sentences = knowledge.sentences if knowledge else {}
         if any(sentences.values()) and sentences not in listed_before:
@@ -78,7 +89,10 @@ def input_blocks(task: TaskData) -> list[Block]:
                 f"sentences-{task.name}-{stems[group.name]}",
                 f"Sentence of each slot: {group.name}",
                 shared("slot", "sentence"),
-                [{"slot": slot, "sentence": sentence} for slot, sentence in sentences.items()],
+                [
+                    {"slot": slot, "sentence": sentence}
+                    for slot, sentence in sentences.items()
+                ],
                 [group.runs[0].path / "provenance.json"],
             )
             blocks.append(table)
@@ -102,7 +116,9 @@ def _kind_of_input(task: TaskData) -> Verdict:
         agents = [group.name for group, facts in knowledge if _is(scope, group, facts)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
-            controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
+            controls = (
+                f"Compare with {listed(ran)}." if ran else "No control for this ran."
+            )
             reasons.append(f"{', '.join(agents)}: {about} {controls}")
             sentence = about_task
     tone: Tone = "open" if reasons else "note"
@@ -137,7 +153,9 @@ def _overview(task: TaskData) -> DataTable:
     rows = [_overview_row(group) for group in task.groups]
     sources = [group.runs[0].path / "provenance.json" for group in task.groups]
     note = PRIVILEGED_NOTE if any(row["training"] for row in rows) else ""
-    return table_of(task, "knowledge", "Knowledge vectors", COLUMNS, rows, sources, note)
+    return table_of(
+        task, "knowledge", "Knowledge vectors", COLUMNS, rows, sources, note
+    )
 
 
 def _overview_row(group: Group) -> Row:
@@ -177,4 +195,8 @@ def _parameters(task: TaskData) -> list[Block]:
     if len(columns) == 1:
         return []
     title = "Trainable parameters by part of the network"
-    return [table_of(task, "parameters", title, columns.values(), rows, sources, PARAMETERS_NOTE)]
+    return [
+        table_of(
+            task, "parameters", title, columns.values(), rows, sources, PARAMETERS_NOTE
+        )
+    ]

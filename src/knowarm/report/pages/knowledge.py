@@ -101,7 +101,9 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
     return forest_figure(table, CONTROLS_CAPTION.format(subject=name), {"": final})
 
 
-def forest_figure(table: DataTable, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
+def forest_figure(
+    table: DataTable, caption: str, panels: Mapping[str, Sequence[Claim]]
+) -> Block:
     """Draw the intervals of the claims around zero, by title; the table alone if there are none."""
     drawn = []
     for title, claims in panels.items():
@@ -129,12 +131,16 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
     for (label, _), evaluations in sets.items():
         if label == task.label:
             continue
-        subject_scores = Evaluated(subject.name, evaluations.get(subject, [])).scores("success")
+        subject_scores = Evaluated(subject.name, evaluations.get(subject, [])).scores(
+            "success"
+        )
         for group, alike in evaluations.items():
             agent = Evaluated(group.name, alike)
             scores = agent.scores("success")
             row = row_of(task, agent)
-            row["label"] = f"{label}: {conditions(alike[0])}" if labels[label] > 1 else label
+            row["label"] = (
+                f"{label}: {conditions(alike[0])}" if labels[label] > 1 else label
+            )
             row["success"] = float(scores.mean())
             if group is not subject and min(len(subject_scores), len(scores)) > 1:
                 row["difference"] = welch(subject_scores, scores).difference
@@ -150,4 +156,6 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
         estimate_column("difference", f"{subject.name} minus it [points]", "points"),
     )
     title = "Other conditions"
-    return [table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)]
+    return [
+        table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)
+    ]

@@ -24,7 +24,9 @@ from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.model import Group, StudyData, TaskData
 from knowarm.statistics import Interval, bootstrap
 
-RESULTS = Path(__file__).parents[1] / "paper_results.json"  # ``about`` in it explains the fields
+RESULTS = (
+    Path(__file__).parents[1] / "paper_results.json"
+)  # ``about`` in it explains the fields
 
 ACCURACY_AXIS = percent_axis("accuracy")
 
@@ -65,7 +67,9 @@ def published_result(task: TaskData, agent: str) -> Mapping[str, float] | None:
     return _find(task, "results", agent=agent)
 
 
-def published_comparison(task: TaskData, first: Group, second: Group) -> Mapping[str, Any]:
+def published_comparison(
+    task: TaskData, first: Group, second: Group
+) -> Mapping[str, Any]:
     """Return the published F value and changes in joint angles of two agents; empty if none."""
     return _find(task, "comparisons", first=first.agent, second=second.agent) or {}
 
@@ -76,7 +80,9 @@ def _find(task: TaskData, kind: str, **agents: str) -> Mapping[str, Any] | None:
         return None
     robot, colours = task.key
     wanted = {"robot": robot, "colours": colours} | agents
-    matching = (entry for entry in _published()[kind] if wanted.items() <= entry.items())
+    matching = (
+        entry for entry in _published()[kind] if wanted.items() <= entry.items()
+    )
     return next(matching, None)
 
 
@@ -115,7 +121,9 @@ def paper_blocks(study: StudyData) -> list[Block]:
             sources += [run.path for run in task.runs]
     if not panels:
         return []
-    table = DataTable("paper", "Accuracy and learning time", COLUMNS, rows, sources, NOTE)
+    table = DataTable(
+        "paper", "Accuracy and learning time", COLUMNS, rows, sources, NOTE
+    )
     return [Figure(table, CAPTION, panels, open_table=True), Text([EXPLANATION])]
 
 

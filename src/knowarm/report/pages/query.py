@@ -49,7 +49,10 @@ Splits = Mapping[str, Sequence[SplitGroup]]
 BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)
 
 SPLIT_COLUMNS = shared("split", "agent", "seeds")
-CHOICE_COLUMNS = (Column("chance", "chance", "percent"), *shared("choice", "choice_corrected"))
+CHOICE_COLUMNS = (
+    Column("chance", "chance", "percent"),
+    *shared("choice", "choice_corrected"),
+)
 REACH_COLUMNS = shared("success", "success_if_chosen", "success_corrected")
 MEASURE_NOTE = (
     "95 % intervals: over five or more training seeds (bootstrap of the mean), "
@@ -65,7 +68,10 @@ BINDING_NOTE = (
     "another visible object. 100 points: it always goes where it is told; 0: the question changes "
     "nothing."
 )
-SWITCH_COLUMNS = (column_of("choice", "new answer"), *shared("chose_old_answer", "switched"))
+SWITCH_COLUMNS = (
+    column_of("choice", "new answer"),
+    *shared("chose_old_answer", "switched"),
+)
 SWITCH_NOTE = (
     "Shares of episodes that ended at the object that the query means in the edited graph "
     "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
@@ -95,7 +101,9 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     if not splits:
         return []
     agents = [agent for asked in splits.values() for agent in asked]
-    blocks: list[Block] = [finding.verdict() for finding in findings if finding.task is task]
+    blocks: list[Block] = [
+        finding.verdict() for finding in findings if finding.task is task
+    ]
     blocks += [
         _measure(task, splits, agents, "choice", "Choice", CHOICE_COLUMNS),
         _measure(task, splits, agents, "success", "Reach", REACH_COLUMNS),
@@ -103,14 +111,20 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     bound = [agent for agent in agents if agent.level("binding")]
     if bound:
         title = "Does the arm follow its question?"
-        blocks.append(_table(task, "binding", title, BINDING_COLUMNS, bound, BINDING_NOTE))
+        blocks.append(
+            _table(task, "binding", title, BINDING_COLUMNS, bound, BINDING_NOTE)
+        )
     edited = [agent for agent in agents if agent.level("switched")]
     if edited:
         title = "Does the arm follow the edited graph?"
-        blocks.append(_table(task, "switched", title, SWITCH_COLUMNS, edited, SWITCH_NOTE))
+        blocks.append(
+            _table(task, "switched", title, SWITCH_COLUMNS, edited, SWITCH_NOTE)
+        )
     if any("choice" in run.interim for run in task.runs):
         measures = {"choice": CHOICE_AXIS}
-        blocks.append(curve_figure(task, measures, "choice-curves", "Learning to choose"))
+        blocks.append(
+            curve_figure(task, measures, "choice-curves", "Learning to choose")
+        )
     return [*blocks, _by_type(task, splits, agents), _confusion(task, agents)]
 
 
@@ -124,7 +138,9 @@ def _table(
 ) -> DataTable:
     keys = [column.key for column in columns if column.interval]
     rows = [_row(task, agent, *keys) for agent in agents]
-    return table_of(task, name, title, [*SPLIT_COLUMNS, *columns], rows, files(agents), note)
+    return table_of(
+        task, name, title, [*SPLIT_COLUMNS, *columns], rows, files(agents), note
+    )
 
 
 def _row(task: TaskData, agent: SplitGroup, *keys: str) -> Row:
@@ -193,7 +209,9 @@ def _confusion(task: TaskData, agents: Sequence[SplitGroup]) -> Block:
             asked, chosen, counts = _counts(agent)
             shares = counts / counts.sum(axis=1, keepdims=True)
             name = f"Objects chosen by {agent.name} on {agent.split}: {task.title}"
-            svg = confusion_map(shares, list(map(facet, asked)), list(map(facet, chosen)), name)
+            svg = confusion_map(
+                shares, list(map(facet, asked)), list(map(facet, chosen)), name
+            )
             panels.append(Panel(svg, f"{agent.split}: {SPLITS[agent.split]}"))
             for i, j in np.argwhere(counts):
                 row = {

@@ -86,7 +86,9 @@ def _vision(task: TaskData) -> DataTable | None:
     if not groups:
         return None
     columns = shared("agent", "seeds", "success")
-    differences = [estimate_column("vision_gain", "depends on vision [points]", "points")]
+    differences = [
+        estimate_column("vision_gain", "depends on vision [points]", "points")
+    ]
     abouts = []
     for name, entry in BLIND_AGENTS.items():
         columns.append(estimate_column(name, name, hint=entry.about))
@@ -106,7 +108,9 @@ def _vision(task: TaskData) -> DataTable | None:
         rows.append(row)
     note = VISION_NOTE.format(count=integer(most), agents="; ".join(abouts))
     title = "How much of the success depends on vision"
-    return table_of(task, "vision", title, [*columns, *differences], rows, files(groups), note)
+    return table_of(
+        task, "vision", title, [*columns, *differences], rows, files(groups), note
+    )
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
@@ -130,8 +134,12 @@ def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
             rows.append(row)
     if not tested:
         return None
-    columns = shared("agent", "seeds", Column("rules", "episodes"), "success", *table.measures)
-    return table_of(task, table.name, table.title, columns, rows, files(tested), table.note)
+    columns = shared(
+        "agent", "seeds", Column("rules", "episodes"), "success", *table.measures
+    )
+    return table_of(
+        task, table.name, table.title, columns, rows, files(tested), table.note
+    )
 
 
 def first_evaluation(agents: Iterable[Evaluated]) -> Evaluation | None:

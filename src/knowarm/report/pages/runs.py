@@ -66,7 +66,10 @@ def run_blocks(study: StudyData) -> list[Block]:
     if not study.problems:
         return [Text(["Nothing is missing or damaged in the folders."]), runs]
     remarks = [problem._asdict() for problem in study.problems]
-    return [DataTable("problems", "Remarks on the folders", PROBLEM_COLUMNS, remarks), runs]
+    return [
+        DataTable("problems", "Remarks on the folders", PROBLEM_COLUMNS, remarks),
+        runs,
+    ]
 
 
 def _origin(run: RunData) -> Row:
@@ -94,7 +97,9 @@ def summary_blocks(
         tested = tested_findings(task, decided)
         findings += tested
         reasons += [finding.verdict(shown_reasons=1) for finding in tested]
-        reasons += query_summary([finding for finding in understood if finding.task is task])
+        reasons += query_summary(
+            [finding for finding in understood if finding.task is task]
+        )
         for verdict in (learning_verdict(task), vision_verdict(task)):
             if verdict:
                 (reasons if verdict.tone == "good" else doubts).append(verdict)
@@ -104,7 +109,9 @@ def summary_blocks(
     if study.problems:
         remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
         sentence = f"Before these numbers are used, read the {remarks}."
-        reason = "The page Runs lists what is missing or damaged, and how it was handled."
+        reason = (
+            "The page Runs lists what is missing or damaged, and how it was handled."
+        )
         blocks.append(Verdict(sentence, [reason], tone="bad"))
     return [*blocks, Folded(title="Reasons, task by task", blocks=reasons)]
 
@@ -116,14 +123,19 @@ def _results(study: StudyData) -> Figure:
     several = len(study.tasks) > 1
     for task in study.tasks:
         for agent in (*task.groups, *task.references):
-            rows.append(row_of(task, agent, *MEASURES, "vision_gain") | {"task": task.title})
+            rows.append(
+                row_of(task, agent, *MEASURES, "vision_gain") | {"task": task.title}
+            )
             scores += agent.scores("success").tolist()
     axes = {"success": near(SUCCESS_AXIS, scores)}
     if not several:
         axes["return_mean"] = RETURN_AXIS
     for task in study.tasks:
         for key, axis in axes.items():
-            dots = [group_dot(task, agent, key) for agent in (*task.groups, *task.references)]
+            dots = [
+                group_dot(task, agent, key)
+                for agent in (*task.groups, *task.references)
+            ]
             name = f"{axis.title} of each agent on {task.title}"
             svg = dot_chart(dots, name, axis, left=124)
             panels.append(Panel(svg, task.title if several else axis.title))

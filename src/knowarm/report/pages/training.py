@@ -63,7 +63,9 @@ SPEED_COLUMNS = (
     Column("steps_per_s", "steps/s", "integer"),
     "parameters",
 )
-SPEED_NOTE = "The best model is that of the interim evaluation with the highest mean return."
+SPEED_NOTE = (
+    "The best model is that of the interim evaluation with the highest mean return."
+)
 THRESHOLDS_NOTE = (
     "Descriptive. A run that ended below a level is censored at its end and never counts "
     "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
@@ -84,7 +86,9 @@ def training_blocks(task: TaskData) -> list[Block]:
     return [*blocks, _speed(task)]
 
 
-def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title: str) -> Figure:
+def curve_figure(
+    task: TaskData, measures: Mapping[str, Axis], name: str, title: str
+) -> Figure:
     """Draw columns of ``evaluations.csv``, names of measures by axis, over the steps."""
     rows: dict[tuple[str, float], Row] = {}
     panels: list[Panel] = []
@@ -102,7 +106,9 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
             words = f"{axis.title} over environment steps on {task.title}"
             panels += sized_panels(lines, words, STEPS_AXIS, axis)
     columns = shared("agent", "seeds", Column("step", "steps", "steps"), *measures)
-    table = table_of(task, name, title, columns, list(rows.values()), _logs(task), CURVE_NOTE)
+    table = table_of(
+        task, name, title, columns, list(rows.values()), _logs(task), CURVE_NOTE
+    )
     return Figure(table, CAPTION, panels, legend=list(legend.items()))
 
 
@@ -110,7 +116,9 @@ def _extended(run: RunData) -> Curve:
     """Return the interim curve; where ``stop_when`` ended a run its last values go on."""
     if not run.ended_early:
         return run.interim
-    curve = {name: np.append(values, values[-1]) for name, values in run.interim.items()}
+    curve = {
+        name: np.append(values, values[-1]) for name, values in run.interim.items()
+    }
     curve["step"][-1] = run.config.total_steps
     return curve
 
@@ -119,7 +127,9 @@ def _logs(task: TaskData) -> list[Path]:
     return [run.path / "evaluations.csv" for run in task.runs if run.interim]
 
 
-def sized_panels(series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis) -> list[Panel]:
+def sized_panels(
+    series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis
+) -> list[Panel]:
     """Draw one line chart for large and one for small screens."""
     panels = []
     for only, box in BOXES.items():
@@ -128,7 +138,9 @@ def sized_panels(series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis
     return panels
 
 
-def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -> Series:
+def group_series(
+    group: Group, curves: Sequence[Curve], key: str, colour: str
+) -> Series:
     """Compute the mean trend of a group's runs on a common grid, with a band over seeds."""
     start = min(float(curve["step"][0]) for curve in curves)
     end = max(float(curve["step"][-1]) for curve in curves)
@@ -179,9 +191,13 @@ def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> Non
     """Add the values of a line to the rows of its agent and steps."""
     columns = [line.x, line.y, *(line.band or ())]
     for step, value, *ends in np.transpose(columns).tolist():
-        row = rows.setdefault((line.name, step), {"agent": line.name, "_colour": line.colour})
+        row = rows.setdefault(
+            (line.name, step), {"agent": line.name, "_colour": line.colour}
+        )
         row["step"] = step
-        row.setdefault("seeds", sum(bool(xs[0] <= step <= xs[-1]) for xs, _ in line.faint))
+        row.setdefault(
+            "seeds", sum(bool(xs[0] <= step <= xs[-1]) for xs, _ in line.faint)
+        )
         row[key] = Interval(value, *ends) if ends else value
 
 
@@ -215,7 +231,11 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
         Column("reached", "runs that reached it"),
         estimate_column("median", "median steps", "steps"),
         estimate_column("mean", "restricted mean", "steps"),
-        Column("saved", f"saved against {baseline.name}" if baseline else "saved", "percent"),
+        Column(
+            "saved",
+            f"saved against {baseline.name}" if baseline else "saved",
+            "percent",
+        ),
     )
     note = THRESHOLDS_NOTE.format(until=steps(until))
     title = "Steps to a level of success"
@@ -225,7 +245,9 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
 def _crossings(group: Group, level: float) -> tuple[Floats, Mask]:
     """Return the step of the first crossing, or of the end, and whether it crossed, per run."""
     curves = group.success_curves
-    crossings = [first_crossing(curve["step"], curve["success"], level) for curve in curves]
+    crossings = [
+        first_crossing(curve["step"], curve["success"], level) for curve in curves
+    ]
     first_steps, reached = zip(*crossings, strict=True)
     return np.array(first_steps), np.array(reached)
 
@@ -248,7 +270,9 @@ def _speed(task: TaskData) -> DataTable:
                 row["steps_per_s"] = float(np.median(speed))
             rows.append(row)
     logs = [run.path / "metrics.csv" for run in task.runs]
-    return table_of(task, "training-runs", "Training runs", SPEED_COLUMNS, rows, logs, SPEED_NOTE)
+    return table_of(
+        task, "training-runs", "Training runs", SPEED_COLUMNS, rows, logs, SPEED_NOTE
+    )
 
 
 def _finite(run: RunData, key: str) -> Floats:

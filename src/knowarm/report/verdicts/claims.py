@@ -16,25 +16,34 @@ from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
 FEWEST_SEEDS = 3  # of each agent, below which no difference is called significant
 ALPHA = 0.05  # fraction of studies without any effect in which the report may claim one
-TOLERANCE = 0.01  # largest relative difference in size between a control and its subject
+TOLERANCE = (
+    0.01  # largest relative difference in size between a control and its subject
+)
 
 # Sizes in which controls must equal their subject: where ``provenance.json`` has them.
 SIZES: dict[str, Callable[[Provenance], float | None]] = {
     "knowledge width": lambda known: known.knowledge.dim if known.knowledge else None,
     "parameters": lambda known: known.parameter_counts.get("total"),
-    "parameters of the image encoder": lambda known: known.parameter_counts.get("image"),
+    "parameters of the image encoder": lambda known: known.parameter_counts.get(
+        "image"
+    ),
     "norm": lambda known: known.knowledge.norm if known.knowledge else None,
 }
 
 # What is tested, beside right choices on a split. Everything else in a report is descriptive.
-OUTCOMES = {"success": "success after training", "speed": "mean success during training"}
+OUTCOMES = {
+    "success": "success after training",
+    "speed": "mean success during training",
+}
 CHANCE = "chance"  # name of the choice at random among the objects of an episode
 
 # Against the baseline; tested only once the gate is passed; never tested; one of the comparisons
 # that together decide whether a query was understood (`verdicts.query`).
 Stage = Literal["gate", "after gate", "described", "query"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
-Decision = Literal["better", "worse", "undecided", "too few seeds", "not tested", "described"]
+Decision = Literal[
+    "better", "worse", "undecided", "too few seeds", "not tested", "described"
+]
 
 ENDINGS: dict[Decision, str] = {
     "better": "significantly better",
@@ -56,8 +65,12 @@ class Claim:
     outcome: str  # key of `OUTCOMES`, or the name of a split
     stage: Stage  # how the difference enters the verdict
     seeds: int  # training seeds of the agent that has fewer
-    comparison: Comparison | None = None  # over training seeds; None below two seeds per agent
-    adjusted_p: float | None = None  # see `claims`, `verdicts.query`; None: nothing is tested
+    comparison: Comparison | None = (
+        None  # over training seeds; None below two seeds per agent
+    )
+    adjusted_p: float | None = (
+        None  # see `claims`, `verdicts.query`; None: nothing is tested
+    )
 
     @property
     def topic(self) -> tuple[TaskData, Group, str]:
@@ -130,7 +143,9 @@ def claims(study: StudyData) -> list[Claim]:
             for outcome in OUTCOMES:
                 values = scores(task, first, outcome)
                 others = scores(task, second, outcome)
-                undecided.append(claim_of(task, first, second, outcome, stage, values, others))
+                undecided.append(
+                    claim_of(task, first, second, outcome, stage, values, others)
+                )
     gates = [claim for claim in undecided if claim.stage == "gate" and claim.testable]
     adjusted = holm([gate.comparison.p_value for gate in gates if gate.comparison])
     gate_values = dict(zip(gates, adjusted.tolist(), strict=True))
@@ -186,7 +201,9 @@ def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
         compared += [(subject, group, _stage(task, subject, group)) for group in others]
     first = task.baseline or task.groups[0]
     if task.baseline or not task.subjects:
-        others = [group for group in task.groups if group not in (*task.subjects, first)]
+        others = [
+            group for group in task.groups if group not in (*task.subjects, first)
+        ]
         compared += [(group, first, "described") for group in others]
     return sorted(compared, key=lambda pair: STAGES.index(pair[2]))
 
@@ -238,7 +255,9 @@ def scores(task: TaskData, group: Group, outcome: str) -> Floats:
         return group.scores("success")
     until = task.horizon
     curves = [run.interim for run in group.runs if run.lasts(until)]
-    areas = [area_under_curve(curve["step"], curve["success"], until) for curve in curves]
+    areas = [
+        area_under_curve(curve["step"], curve["success"], until) for curve in curves
+    ]
     return np.array(areas)
 
 
@@ -291,7 +310,9 @@ class Finding:
     """What a report says about one agent."""
 
     task: TaskData
-    subject: Group | None  # the agent; None if the task has none whose knowledge can be tested
+    subject: (
+        Group | None
+    )  # the agent; None if the task has none whose knowledge can be tested
     outcome: str  # outcome or split that the finding is about
     kind: Kind  # the finding
     sentence: str  # the finding in words

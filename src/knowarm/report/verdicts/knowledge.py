@@ -22,9 +22,13 @@ from knowarm.report.verdicts.claims import (
 UNTESTED: tuple[Kind, ...] = ("nothing to compare", "too few seeds")
 
 
-def findings(task: TaskData, decided: Sequence[Claim], outcome: str = "success") -> list[Finding]:
+def findings(
+    task: TaskData, decided: Sequence[Claim], outcome: str = "success"
+) -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
-    return [finding(task, decided, outcome, subject) for subject in task.subjects or (None,)]
+    return [
+        finding(task, decided, outcome, subject) for subject in task.subjects or (None,)
+    ]
 
 
 def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
@@ -38,7 +42,10 @@ def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
 
 
 def finding(
-    task: TaskData, decided: Sequence[Claim], outcome: str = "success", subject: Group | None = None
+    task: TaskData,
+    decided: Sequence[Claim],
+    outcome: str = "success",
+    subject: Group | None = None,
 ) -> Finding:
     """Decide whether the knowledge of a subject matters on one task.
 
@@ -60,7 +67,9 @@ def finding(
     if all(claim.verdict == "too few seeds" for claim in tested):
         seeds = few_seeds(min(claim.seeds for claim in tested))
         sentence = f"{start}whether the knowledge of {subject.name} helps {seeds}"
-        return Finding(task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS])
+        return Finding(
+            task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS]
+        )
     kind, words = _judge(subject, tested)
     sentence = f"{start}{words}{_not_counted(task, subject)}"
     return Finding(task, subject, outcome, kind, sentence, compared)
@@ -118,7 +127,9 @@ def _names(claims: Sequence[Claim]) -> str:
 
 
 def _not_beaten(claims: Sequence[Claim]) -> str:
-    return listed([claim.against for claim in claims if claim.verdict != "better"], "or")
+    return listed(
+        [claim.against for claim in claims if claim.verdict != "better"], "or"
+    )
 
 
 def _not_counted(task: TaskData, subject: Group) -> str:
@@ -172,7 +183,9 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
             outcomes.pop("speed", None)
         parts = []
         for outcome, clauses in outcomes.items():
-            part = "; ".join(f"{_where(where, tasks)}{what}" for what, where in clauses.items())
+            part = "; ".join(
+                f"{_where(where, tasks)}{what}" for what, where in clauses.items()
+            )
             if outcome and "speed" in outcomes:
                 part = f"{OUTCOMES[outcome]}: {part}"
             parts.append(part)

@@ -44,7 +44,9 @@ def learning_verdict(task: TaskData) -> Verdict | None:
         sentence = f"training did not succeed: none of {listed(others)} {more}."
     elif others:
         tone = "open"
-        sentence = f"training succeeded: {listed(better)} {more}; {listed(others)} did not."
+        sentence = (
+            f"training succeeded: {listed(better)} {more}; {listed(others)} did not."
+        )
     else:
         tone = "good"
         sentence = f"training succeeded: {listed(better)} {more}."

@@ -45,7 +45,9 @@ def query_findings(study: StudyData) -> list[Finding]:
     return findings
 
 
-def _claims(task: TaskData, subject: SplitGroup, agents: Sequence[SplitGroup]) -> list[Claim]:
+def _claims(
+    task: TaskData, subject: SplitGroup, agents: Sequence[SplitGroup]
+) -> list[Claim]:
     """Compare an agent with chance, then with its controls, the best one first."""
     group = subject.group
     split = subject.split
@@ -53,10 +55,14 @@ def _claims(task: TaskData, subject: SplitGroup, agents: Sequence[SplitGroup]) -
     chance = np.full(len(right), subject.chance)
     claims = [claim_of(task, group, None, split, "query", right, chance, paired)]
     controls = [agent for agent in agents if _is_control(agent.group, group)]
-    controls.sort(key=lambda control: (-float(control.scores("choice").mean()), control.name))
+    controls.sort(
+        key=lambda control: (-float(control.scores("choice").mean()), control.name)
+    )
     for control in controls:
         others = control.scores("choice")
-        claims.append(claim_of(task, group, control.group, split, "query", right, others))
+        claims.append(
+            claim_of(task, group, control.group, split, "query", right, others)
+        )
     return claims
 
 
@@ -80,7 +86,9 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
 
     None if there is no control, or too few seeds for one of the comparisons.
     """
-    compared = [claim.comparison for claim in claims if claim.comparison and claim.testable]
+    compared = [
+        claim.comparison for claim in claims if claim.comparison and claim.testable
+    ]
     if len(claims) == 1 or len(compared) < len(claims):
         return None
     if min(comparison.difference.estimate for comparison in compared) <= 0:
@@ -88,7 +96,9 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
     return max(comparison.p_value for comparison in compared)
 
 
-def _finding(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -> Finding:
+def _finding(
+    subject: SplitGroup, claims: list[Claim], adjusted_p: float | None
+) -> Finding:
     chance, *controls = claims
     kind, words = _judge(subject, chance, controls, adjusted_p)
     sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
@@ -96,11 +106,16 @@ def _finding(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None)
     notes = []
     if adjusted_p is not None:
         notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
-    return Finding(chance.task, subject.group, subject.split, kind, sentence, reasons, notes)
+    return Finding(
+        chance.task, subject.group, subject.split, kind, sentence, reasons, notes
+    )
 
 
 def _judge(
-    subject: SplitGroup, chance: Claim, controls: Sequence[Claim], adjusted_p: float | None
+    subject: SplitGroup,
+    chance: Claim,
+    controls: Sequence[Claim],
+    adjusted_p: float | None,
 ) -> tuple[Kind, str]:
     """Return the finding on an agent and its sentence."""
     name = subject.name
@@ -124,17 +139,24 @@ def _judge(
         gap = compared.difference
         best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
     if adjusted_p > ALPHA:
-        missed = listed([control.against for control in controls if not control.is_above], "or")
+        missed = listed(
+            [control.against for control in controls if not control.is_above], "or"
+        )
         beaten = listed([control.against for control in controls if control.is_above])
         also = f" It was better than {beaten}." if beaten and missed else ""
         return "not above the best control", (
             f"{not_shown}, not significantly more often than "
             f"{missed or 'every control after the correction'}; the best control is {best}.{also}"
         )
-    better = f"{chose} (at random: {at_random}), more often than the best control {best}"
+    better = (
+        f"{chose} (at random: {at_random}), more often than the best control {best}"
+    )
     if others:
         better += f" and than {listed(others)}"
-    if not any(control.second and control.second.role == "content_control" for control in controls):
+    if not any(
+        control.second and control.second.role == "content_control"
+        for control in controls
+    ):
         return "meaning not tested", (
             f"{name} uses the query: {better}; whether by its meaning was not tested.{missing}"
         )
@@ -143,7 +165,9 @@ def _judge(
 
 def query_summary(findings: Sequence[Finding]) -> list[Verdict]:
     """Return one sentence per task and agent: on which splits it understood the query."""
-    by_agent: dict[tuple[str, str], dict[Kind, list[str]]] = defaultdict(lambda: defaultdict(list))
+    by_agent: dict[tuple[str, str], dict[Kind, list[str]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
     for finding in findings:
         name = finding.subject.name if finding.subject else ""
         by_agent[finding.task.title, name][finding.kind].append(finding.outcome)

@@ -50,7 +50,9 @@ class ScriptedAgent:
 
 
 SCRIPTED_AGENTS: dict[str, ScriptedAgent] = {
-    "zero": ScriptedAgent(kind=ZeroAgent, make=lambda env, seed: ZeroAgent(), about="Never moves."),
+    "zero": ScriptedAgent(
+        kind=ZeroAgent, make=lambda env, seed: ZeroAgent(), about="Never moves."
+    ),
     "random": ScriptedAgent(
         kind=RandomAgent,
         make=lambda env, seed: RandomAgent(seed),
@@ -93,7 +95,8 @@ BLIND_AGENTS: dict[str, BlindEntry] = {
         about="the best fixed list of actions that a search found",
     ),
     "blind": BlindEntry(
-        make=lambda agent, env, seed: BlindAgent(agent), about="the same network on black images"
+        make=lambda agent, env, seed: BlindAgent(agent),
+        about="the same network on black images",
     ),
     "frozen": BlindEntry(
         make=lambda agent, env, seed: FrozenAgent(agent),

@@ -30,7 +30,9 @@ SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored
 ANCHORS = (-0.6, 0.0, 0.6)
 """Places of the anchor targets along each side of the rectangle, in units of its half size."""
 
-BEAM_WIDTH = 2  # Beginnings of tours kept for each number of steps and set of targets solved
+BEAM_WIDTH = (
+    2  # Beginnings of tours kept for each number of steps and set of targets solved
+)
 VISITED_SHARE = 0.08
 """Share of a target's episodes that must be solved for the target to count as visited."""
 
@@ -46,7 +48,9 @@ LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 REPLAYED_LISTS = 12  # Lists that are replayed where contacts matter
 REPLAYED_EPISODES = 48  # Episodes in which each of them is played
 
-REVISION = 1  # Part of the cache's key; to be increased with every change of the results
+REVISION = (
+    1  # Part of the cache's key; to be increased with every change of the results
+)
 Actions = Integers  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
@@ -125,7 +129,9 @@ def _anchor_goals(score: OpenLoopScore) -> Floats:
     """Grasp frames of one target per group at each anchor as transforms to world, (G A, 3, 4)."""
     robot = score.scene.robot
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
-    places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
+    places = np.array(robot.rectangle_centre_m) + grid * np.array(
+        robot.rectangle_half_size_m
+    )
     _, first = np.unique(_group_of(score), return_index=True)
     return score.goals(np.repeat(first, len(places)), np.tile(places, (len(first), 1)))
 
@@ -143,7 +149,9 @@ def _waypoints(score: OpenLoopScore, goal: Floats, seed: int) -> Floats:
     """
     position = goal[..., 3].copy()
     matrix = goal[..., :3].reshape(-1, 9).copy()
-    arm = build_scene(score.scene.robot, score.scene.targets[:1])  # each object takes time
+    arm = build_scene(
+        score.scene.robot, score.scene.targets[:1]
+    )  # each object takes time
     solver = InverseKinematics(arm, seed=seed)
 
     def solve(start: Floats) -> IKSolution:
@@ -230,7 +238,9 @@ def _first_moves(score: OpenLoopScore) -> list[_Tour]:
     scene = score.scene
     start = score.start
     limit = score.config.max_episode_steps
-    no_moves = _Tour(_stand_still(score, 0), start, np.zeros(len(start), dtype=np.bool_), -1)
+    no_moves = _Tour(
+        _stand_still(score, 0), start, np.zeros(len(start), dtype=np.bool_), -1
+    )
     tours = [no_moves]
     # Level 0 stays, level 1 moves to the upper limit, level 2 to the lower one.
     ways = (
@@ -259,7 +269,9 @@ def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
     group = _group_of(score)[score.target]
     episodes = np.bincount(group)
     for tour in sorted(tours, key=lambda tour: -int(tour.solved.sum())):
-        shares = np.bincount(group, tour.solved, len(episodes)) / np.maximum(episodes, 1)
+        shares = np.bincount(group, tour.solved, len(episodes)) / np.maximum(
+            episodes, 1
+        )
         key = (shares > VISITED_SHARE).tobytes()
         fingerprint = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
         if sizes[key] < count and fingerprint not in seen:
@@ -307,9 +319,13 @@ def _mutate(actions: Actions, generator: np.random.Generator) -> Actions:
     """Change one thing: one joint's actions in a window, or the time of an action."""
     actions = actions.copy()
     steps, joints = actions.shape
-    moved = np.arange(joints) if generator.random() < 0.3 else [generator.integers(joints)]
+    moved = (
+        np.arange(joints) if generator.random() < 0.3 else [generator.integers(joints)]
+    )
     first, second = generator.integers(steps, size=2)
-    if generator.random() < 0.5:  # move an action in time; what lies between shifts by one
+    if (
+        generator.random() < 0.5
+    ):  # move an action in time; what lies between shifts by one
         others = np.delete(actions[:, moved], first, axis=0)
         actions[:, moved] = np.insert(others, second, actions[first, moved], axis=0)
     else:

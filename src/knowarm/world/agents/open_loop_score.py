@@ -23,7 +23,9 @@ class Chain(NamedTuple):
     upper: Floats  # Upper limit of each joint, (J,)
     links: Floats  # Transforms before each joint, at angle 0, and to the gripper, (J + 1, 3, 4)
     slides: Mask  # Which joints slide along z; the others turn about z, (J,)
-    varied: int  # Number of the first joint from which all episodes have the same angles
+    varied: (
+        int  # Number of the first joint from which all episodes have the same angles
+    )
 
 
 class OpenLoopScore:
@@ -52,7 +54,11 @@ class OpenLoopScore:
     def depends_on(self) -> tuple[object, ...]:
         """Return all that the score of a list of actions follows from: arrays and numbers."""
         config = self.config
-        thresholds = (config.success_distance_m, config.success_angle_deg, config.ignore_roll)
+        thresholds = (
+            config.success_distance_m,
+            config.success_angle_deg,
+            config.ignore_roll,
+        )
         arrays = (*self._chain, self.increments, self.start, self.target, self._goal)
         return (*arrays, thresholds, config.max_episode_steps)
 
@@ -113,7 +119,9 @@ def _play(
     varied = chain.varied
     episodes, count = joints.shape
     steps = moves.shape[0]
-    first_axis = 2 if ignore_roll else 0  # Of the gripper; the angle is that of z alone, or of all
+    first_axis = (
+        2 if ignore_roll else 0
+    )  # Of the gripper; the angle is that of z alone, or of all
     end = joints.copy()
     same = joints[0].copy()
     cosines = np.empty(count)

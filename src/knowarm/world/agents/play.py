@@ -79,7 +79,9 @@ class EpisodeResults:
         return self.infos["is_success"]
 
 
-def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> Iterator[PlayedStep]:
+def play_steps(
+    agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes
+) -> Iterator[PlayedStep]:
     """Play 1 to n episodes to their end, one per environment, and yield after every step.
 
     The autoreset mode of the environment does not matter. Environments without an episode of
@@ -89,7 +91,9 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
         UserError: the environment observes more than the image.
     """
     if not isinstance(env.single_observation_space, spaces.Box):
-        raise UserError("Agents play environments that observe the image; leave out observe.")
+        raise UserError(
+            "Agents play environments that observe the image; leave out observe."
+        )
     n = env.num_envs
     count = len(episodes)
     rows = np.minimum(np.arange(n), count - 1)
@@ -179,7 +183,9 @@ def play(
     order = np.lexsort((columns["step"], columns["episode"]))
     steps = StepTable(**{name: column[order] for name, column in columns.items()})
     return EpisodeResults(
-        episode_return=np.bincount(steps.episode, steps.reward, count).astype(np.float64),
+        episode_return=np.bincount(steps.episode, steps.reward, count).astype(
+            np.float64
+        ),
         length=np.bincount(steps.episode, minlength=count),
         infos=ends,
         steps=steps,

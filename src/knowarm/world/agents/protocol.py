@@ -36,8 +36,12 @@ class Batch:
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:
         """Describe the episodes that have just started in an environment."""
-        names = np.array(env.config.task.asked.knowledge_rows(env.facets))[env.knowledge_input]
-        joints = dict(zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True))
+        names = np.array(env.config.task.asked.knowledge_rows(env.facets))[
+            env.knowledge_input
+        ]
+        joints = dict(
+            zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True)
+        )
         return cls(env=env.config, names=names, joints=joints)
 
     @property

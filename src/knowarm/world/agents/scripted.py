@@ -6,7 +6,12 @@ from typing import ClassVar
 import numpy as np
 
 from knowarm.arrays import Integers
-from knowarm.world.agents.protocol import AgentProtocol, Batch, Observations, PrivilegedAgent
+from knowarm.world.agents.protocol import (
+    AgentProtocol,
+    Batch,
+    Observations,
+    PrivilegedAgent,
+)
 from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
@@ -105,7 +110,9 @@ class InformedAgent:
     """
 
     def __init__(
-        self, agent: AgentProtocol, change: Callable[[Batch], Batch] = lambda batch: batch
+        self,
+        agent: AgentProtocol,
+        change: Callable[[Batch], Batch] = lambda batch: batch,
     ) -> None:
         self._agent = agent
         self._change = change
@@ -124,7 +131,9 @@ class BlindAgent(InformedAgent):
 
     def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J) for black images."""
-        return super().act({**observations, "image": np.zeros_like(observations["image"])})
+        return super().act(
+            {**observations, "image": np.zeros_like(observations["image"])}
+        )
 
 
 class FrozenAgent(InformedAgent):

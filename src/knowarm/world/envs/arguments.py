@@ -11,7 +11,9 @@ from knowarm.world.tasks.sampling import Words
 from knowarm.world.tasks.state import Indices, NamedArrays
 
 
-def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> Integers:
+def checked_actions(
+    actions: ArrayLike, shape: tuple[int, int], levels: int
+) -> Integers:
     """Return actions as int64 of a shape (n, J)."""
     last = levels - 1
     array = _checked(actions, shape, "iu", 0, last, f"integers from 0 to {last}")
@@ -76,7 +78,9 @@ def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
     return np.flatnonzero(array)
 
 
-def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> tuple[Mask, Words]:
+def spread_seeds(
+    seed: int | list[int | None] | None, num_envs: int
+) -> tuple[Mask, Words]:
     """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
 
     Return which environments get a seed, (n,), and the seeds, 0 for the others, (n,).

@@ -28,7 +28,9 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self, config: EnvConfig, num_envs: int, num_threads: int, **interface: Any
     ) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise UserError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
+            raise UserError(
+                f"num_envs must be a whole number of at least 1, got {num_envs!r}."
+            )
         self.config = config
         self.num_envs = num_envs
         scene = scene_of(config)
@@ -37,8 +39,12 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self.single_observation_space = self._interface.observation_space
         self.single_action_space = self._interface.action_space
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.renderer: Renderer = make_renderer(scene, config, config.image_size, num_threads)
-        self.simulation = config.task.skill.simulator(scene, num_envs, num_threads, config.dynamics)
+        self.renderer: Renderer = make_renderer(
+            scene, config, config.image_size, num_threads
+        )
+        self.simulation = config.task.skill.simulator(
+            scene, num_envs, num_threads, config.dynamics
+        )
         self.running = RunningEpisodes(config, self.simulation)
         self.facets = self.running.facets
         # Which episodes have ended and wait for a reset; all before the first reset
@@ -60,7 +66,10 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         return self._out(self.running.knowledge_input)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode in every environment, or in those of a mask.
 
@@ -101,7 +110,9 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         """Return the infos of the current state, each with its mask: ``where``, or everywhere."""
         if where is None:
             where = np.ones(self.num_envs, dtype=np.bool_)
-        infos = {name: self._out(values) for name, values in self.running.infos().items()}
+        infos = {
+            name: self._out(values) for name, values in self.running.infos().items()
+        }
         masks = [f"_{name}" for name in infos]
         return infos | dict.fromkeys(masks, self._out(where))
 

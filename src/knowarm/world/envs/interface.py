@@ -44,7 +44,9 @@ class Interface:
         observe: Observe = "image",
         knowledge: ArrayLike | None = None,
     ) -> None:
-        names: tuple[str, ...] = (observe,) if isinstance(observe, str) else tuple(observe)
+        names: tuple[str, ...] = (
+            (observe,) if isinstance(observe, str) else tuple(observe)
+        )
         for name in names:
             _check_name("part of an observation", name, get_args(Observed))
         _check_name("kind of action", action, get_args(Action))
@@ -65,7 +67,9 @@ class Interface:
         if self._is_continuous:
             self.action_space = spaces.Box(-1.0, 1.0, (joints,), np.float32)
 
-    def observe(self, images: NDArray[np.uint8], joints: Floats, rows: Integers) -> NamedArrays:
+    def observe(
+        self, images: NDArray[np.uint8], joints: Floats, rows: Integers
+    ) -> NamedArrays:
         """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,)."""
         parts: NamedArrays = {"image": images, "joints": joints.astype(np.float32)}
         if "knowledge" in self._names:

@@ -94,13 +94,17 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.num_envs = n = simulator.num_envs
         m = task.asked.visible
         self._source = EpisodeSource(config)
-        self._appearance = AppearanceSource(scene, config.randomization, task.asked.paints_goal)
+        self._appearance = AppearanceSource(
+            scene, config.randomization, task.asked.paints_goal
+        )
         shown = [name for name, _ in self.facets]
         first = [shown.index(target.name) for target in scene.targets]
         self.first_facet = np.array(first, dtype=np.int64)
         self.increments = joint_increments(scene.robot, config)
         self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
-        self.streams = np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)
+        self.streams = (
+            np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)
+        )
         self.next_episode = np.zeros(n, dtype=np.uint64)
         self.steps = np.zeros(n, dtype=np.int64)
         self.joint_targets = np.zeros((n, scene.num_joints))
@@ -136,7 +140,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
     def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         grasp = target_places(self.scene, places) + self.scene.grasp_position[objects]
-        return self.task.skill.goal(self.scene, objects, grasp, self.grasp_rotation[objects])
+        return self.task.skill.goal(
+            self.scene, objects, grasp, self.grasp_rotation[objects]
+        )
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
@@ -146,7 +152,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Describe the goal of an environment's episode, as "red mug"."""
         return self.task.asked.describe(self, self.setting, env_id)
 
-    def reset(self, seed: int | list[int | None] | None, options: dict[str, Any] | None) -> Indices:
+    def reset(
+        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
+    ) -> Indices:
         """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
         options = options or {}
         ids = masked_ids(options.get("reset_mask"), self.num_envs)
@@ -249,8 +257,12 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
     def _start(self, ids: Indices, episodes: Episodes) -> None:
         """Put environments (k,) at the start of k episodes."""
         scene = self.scene
-        joints = (scene.home + episodes.joint_offsets).clip(scene.joint_lower, scene.joint_upper)
-        question = find_rows("query of this environment", episodes.question, self._query_rows)
+        joints = (scene.home + episodes.joint_offsets).clip(
+            scene.joint_lower, scene.joint_upper
+        )
+        question = find_rows(
+            "query of this environment", episodes.question, self._query_rows
+        )
         self._write(
             ids,
             joint_targets=joints,
@@ -266,7 +278,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
             memory[name] = _put(array, ids, self._fresh[name][ids])
         self.memory = memory
         distractors = self._refresh(ids)
-        visible = (self.objects[ids, :, None] == np.arange(len(scene.targets))).any(axis=1)
+        visible = (self.objects[ids, :, None] == np.arange(len(scene.targets))).any(
+            axis=1
+        )
         places = self._object_positions(ids)
         self.simulator.reset(ids, self.joint_targets[ids], places, distractors, visible)
         self._measure()

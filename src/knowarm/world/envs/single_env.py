@@ -31,7 +31,9 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         if render_mode not in (None, "rgb_array"):
-            raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+            raise UserError(
+                f"render_mode must be 'rgb_array' or None, got {render_mode!r}."
+            )
         self.render_mode = render_mode
         config, interface = env_config(**options)
         self._vector = ArmVectorEnv(config, 1, 1, AutoresetMode.DISABLED, **interface)
@@ -68,7 +70,9 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         observations, infos = self._vector.reset(seed=seed, options=options)
         return self._only(observations), _first(infos)
 
-    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: NDArray[Any]
+    ) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Play one step with an action of (J,) integers in 0..6, or floats in -1 to 1."""
         actions = np.asarray(action)[None]
         observations, rewards, terminated, truncated, infos = self._vector.step(actions)
@@ -126,7 +130,9 @@ def make_vector_env(
     config, interface = env_config(**options)
     autoreset = AutoresetMode(autoreset)
     if device is None:
-        return ArmVectorEnv(config, num_envs, num_threads, autoreset, render_mode, **interface)
+        return ArmVectorEnv(
+            config, num_envs, num_threads, autoreset, render_mode, **interface
+        )
     if interface:
         raise UserError(
             f"With device {device!r} observations are images and actions are levels; a policy "

@@ -135,7 +135,9 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         The way is in units of the largest joint step.
         """
         error = self.teacher.error()
-        return self._tensor(nearest_levels(error, COARSE_LEVELS)), self._tensor(error).float()
+        return self._tensor(nearest_levels(error, COARSE_LEVELS)), self._tensor(
+            error
+        ).float()
 
     @property
     def threshold_factor(self) -> float:
@@ -146,7 +148,9 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
     def threshold_factor(self, factor: float) -> None:
         self.running.threshold_factor = factor
 
-    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(
+        self, actions: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Play one step in every environment.
 
         Args:
@@ -193,7 +197,11 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         shape = (self.num_envs, self.scene.num_joints)
         got = type(actions).__name__
         if isinstance(actions, Tensor):
-            if (actions.shape, actions.dtype, actions.device) == (shape, torch.int64, self.device):
+            if (actions.shape, actions.dtype, actions.device) == (
+                shape,
+                torch.int64,
+                self.device,
+            ):
                 return np.asarray(actions.cpu())
             got = f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
         raise UserError(

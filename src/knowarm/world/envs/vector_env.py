@@ -64,7 +64,12 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
         knowledge: ArrayLike | None = None,
     ) -> None:
         super().__init__(
-            config, num_envs, num_threads, action=action, observe=observe, knowledge=knowledge
+            config,
+            num_envs,
+            num_threads,
+            action=action,
+            observe=observe,
+            knowledge=knowledge,
         )
         self.render_mode = render_mode
         self.metadata = {

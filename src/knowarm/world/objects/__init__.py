@@ -23,7 +23,9 @@ def _parts() -> dict[str, Target]:
     for whole in TARGETS.values():
         for part_name, part in whole.parts.items():
             name = f"{whole.name}{PART}{part_name}"
-            parts[name] = replace(whole, name=name, grasp_site=part.site, part_geoms=part.geoms)
+            parts[name] = replace(
+                whole, name=name, grasp_site=part.site, part_geoms=part.geoms
+            )
     return parts
 
 

@@ -56,7 +56,9 @@ class Target:
     """Name in the knowledge graph and on the command line."""
     mjcf: Path
     """MJCF file with one top-level body."""
-    colours: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: COLOURS)
+    colours: Mapping[str, tuple[float, float, float]] = field(
+        default_factory=lambda: COLOURS
+    )
     """Possible colours by name, RGB in 0..1; the first is used if colours are fixed."""
     coloured_geoms: tuple[str, ...]
     """Names of the geoms that have this colour; the others keep the file's."""
@@ -84,7 +86,9 @@ class Target:
     def __post_init__(self) -> None:
         check_values(self)
         if not self.colours:
-            raise UserError(f"Target {self.name!r}: colours is empty; give at least one RGB.")
+            raise UserError(
+                f"Target {self.name!r}: colours is empty; give at least one RGB."
+            )
         for colour, rgb in self.colours.items():
             if not all(0 <= value <= 1 for value in rgb):
                 raise UserError(
@@ -92,4 +96,6 @@ class Target:
                     f"got {rgb}."
                 )
         if not self.coloured_geoms:
-            raise UserError(f"Target {self.name!r}: coloured_geoms is empty; name a geom.")
+            raise UserError(
+                f"Target {self.name!r}: coloured_geoms is empty; name a geom."
+            )

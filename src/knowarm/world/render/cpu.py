@@ -24,7 +24,9 @@ from knowarm.world.render.tiles import (
 
 MAX_SIDE = 4096
 
-NEAREST_M = 0.2  # Least distance of a mesh from the camera for which triangles are added [m]
+NEAREST_M = (
+    0.2  # Least distance of a mesh from the camera for which triangles are added [m]
+)
 
 
 class Appearance(NamedTuple):
@@ -83,9 +85,13 @@ class Raycaster:
     ) -> None:
         for name, side in (("width", width), ("height", height)):
             if not 1 <= side <= MAX_SIDE:
-                raise UserError(f"Raycaster {name} must lie in 1 to {MAX_SIDE}, got {side}.")
+                raise UserError(
+                    f"Raycaster {name} must lie in 1 to {MAX_SIDE}, got {side}."
+                )
         if num_threads < 1:
-            raise UserError(f"Raycaster num_threads must be at least 1, got {num_threads}.")
+            raise UserError(
+                f"Raycaster num_threads must be at least 1, got {num_threads}."
+            )
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
@@ -99,11 +105,15 @@ class Raycaster:
             triangle_m = mesh_triangle_px * pixel_m
         self.scenery = read_scenery(model, geom_groups, triangle_m)
         self.lamps = read_lamps(model, data)
-        self.grid = make_grid(width, height, half_height, ANTIALIASING if antialiasing else 1)
+        self.grid = make_grid(
+            width, height, half_height, ANTIALIASING if antialiasing else 1
+        )
         self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
         self._positions = np.empty((0, 0, 3), dtype=np.float32)
         self._matrices = np.empty((0, 0, 9), dtype=np.float32)
-        self._scratch = [_make_scratch(self.grid, self.scenery) for _ in range(num_threads)]
+        self._scratch = [
+            _make_scratch(self.grid, self.scenery) for _ in range(num_threads)
+        ]
         self.stored = self._draw_fixed(data, background)
 
     @property
@@ -178,7 +188,9 @@ class Raycaster:
             distance[e] = np.where(geom[e] < 0, -1, depth[index] * length)
         return Trace(geom, distance)
 
-    def _draw_fixed(self, data: mujoco.MjData, background: tuple[float, float, float]) -> Stored:
+    def _draw_fixed(
+        self, data: mujoco.MjData, background: tuple[float, float, float]
+    ) -> Stored:
         """Draw the background and the geoms that stand still."""
         rgb = (np.clip(background, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
         red, green, blue = rgb.tolist()
@@ -214,7 +226,9 @@ class Raycaster:
         if out is None:
             out = np.empty((0, 0, 0, 3), dtype=np.uint8)
         model = (self.grid, self.scenery, self.stored)
-        render_range(start, stop, *poses, *appearance, *model, self._scratch[thread], ids, out)
+        render_range(
+            start, stop, *poses, *appearance, *model, self._scratch[thread], ids, out
+        )
 
     def _appearance(
         self,

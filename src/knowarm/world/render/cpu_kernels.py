@@ -104,7 +104,9 @@ def _project_geoms(
         extent[0] = kind
         extent[1] = g
         extent[2], extent[3], extent[4], extent[5] = window
-        sun, paint = light_geom(vector_at(rgba[g], 0), scenery.emission[g], lamps, rotation)
+        sun, paint = light_geom(
+            vector_at(rgba[g], 0), scenery.emission[g], lamps, rotation
+        )
         _write(record, 0, origin)
         _write_all(record, 3, frame)
         _write(record, 12, size)
@@ -232,7 +234,16 @@ def render_range(
         count = 0
         for geoms in (fixed, scenery.moving):
             count = _project_geoms(
-                geoms, position, matrix, colours, view, light, grid, scenery, scratch, count
+                geoms,
+                position,
+                matrix,
+                colours,
+                view,
+                light,
+                grid,
+                scenery,
+                scratch,
+                count,
             )
         _restore(field, stored.backdrop if reuse else stored.empty, dirty, grid)
         if ids:
@@ -241,7 +252,9 @@ def render_range(
             record = scratch.record[i]
             extent = scratch.extent[i]
             if extent[0] == MESH:
-                fill_mesh(record, extent, grid, scenery.meshes, scratch.projection, field, ids)
+                fill_mesh(
+                    record, extent, grid, scenery.meshes, scratch.projection, field, ids
+                )
             else:
                 fill_primitive(record, extent, grid, field, ids)
         if not ids:

@@ -56,7 +56,9 @@ from knowarm.world.render.tiles import (
 Field = tuple[Floats32, Integers32]
 """Depth [m] and value (packed colour or geom id) of the samples, (strips * rows * TILE,) each."""
 
-PROJECTION = 3  # Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1
+PROJECTION = (
+    3  # Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1
+)
 
 
 @scalar
@@ -72,7 +74,9 @@ def _light(record: Floats32) -> tuple[Vector, Vector, Paint]:
 
 
 @scalar
-def _lane_direction(k: int, strip: int, upper: int, frame: Matrix, grid: TileGrid) -> Vector:
+def _lane_direction(
+    k: int, strip: int, upper: int, frame: Matrix, grid: TileGrid
+) -> Vector:
     """Return the direction of the ray through sample k of the tiles of a strip from a row on.
 
     The numbers are int32 so that they are as wide as the float32 ones in a vector register.
@@ -84,7 +88,9 @@ def _lane_direction(k: int, strip: int, upper: int, frame: Matrix, grid: TileGri
 
 
 @scalar
-def _keep_nearer(depth: Floats32, value: Integers32, k: int, t: np.float32, new: np.int32) -> None:
+def _keep_nearer(
+    depth: Floats32, value: Integers32, k: int, t: np.float32, new: np.int32
+) -> None:
     """Replace sample k by what lies at depth t if that is nearer, without branching."""
     old_depth = depth[k]
     old_value = value[k]
@@ -251,7 +257,12 @@ def fill_mesh(
             turn = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
             if turn * winding < ZERO:
                 continue
-            bounds = (min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy))
+            bounds = (
+                min(ax, bx, cx),
+                max(ax, bx, cx),
+                min(ay, by, cy),
+                max(ay, by, cy),
+            )
             window = samples_within(bounds, window, grid)
         if is_empty(window):
             continue

@@ -49,8 +49,18 @@ CYLINDER = 5
 BOX = 6
 MESH = 7
 
-SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)  # Geom types that can be drawn
-Interval = tuple[np.float32, np.float32]  # Ray parameters at which a ray enters and leaves a solid
+SUPPORTED = (
+    PLANE,
+    SPHERE,
+    CAPSULE,
+    ELLIPSOID,
+    CYLINDER,
+    BOX,
+    MESH,
+)  # Geom types that can be drawn
+Interval = tuple[
+    np.float32, np.float32
+]  # Ray parameters at which a ray enters and leaves a solid
 Hit = tuple[np.float32, Vector]  # Ray parameter and normal
 Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
 """b x c, c x a, a x b, the plane's normal (a - c) x (b - c), and the normal times a."""

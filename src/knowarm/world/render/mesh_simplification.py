@@ -23,7 +23,9 @@ NEIGHBOURS = 16  # Corners of the full mesh from which a corner takes its normal
 CREASE_COSINE = 0.4
 """Below this cosine between a triangle's and a corner's normal there is an edge between them."""
 
-REVISION = 2  # Part of the cache's key; to be increased with every change of the results
+REVISION = (
+    2  # Part of the cache's key; to be increased with every change of the results
+)
 
 
 class Mesh(NamedTuple):
@@ -79,12 +81,16 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
     points: Floats = sums / np.bincount(cell)[:, None]
     if len(faces) > count:
         # The library's first threshold has a fixed size, hence lengths in triangles.
-        points, faces = fast_simplification.simplify(points / side_m, faces, target_count=count)[:2]
+        points, faces = fast_simplification.simplify(
+            points / side_m, faces, target_count=count
+        )[:2]
         points = points * side_m
     if not len(faces):
         return mesh
     corners = np.asarray(points, dtype=np.float64)[faces]
-    return Mesh(points.astype(np.float32), faces.astype(np.int32), _normals(mesh, corners))
+    return Mesh(
+        points.astype(np.float32), faces.astype(np.int32), _normals(mesh, corners)
+    )
 
 
 def _cross(corners: NDArray[Any]) -> NDArray[Any]:
@@ -113,5 +119,7 @@ def _normals(full: Mesh, corners: Floats) -> Floats32:
     weight = np.maximum(cosine - CREASE_COSINE, 0.0)
     mean = np.einsum("tck,tcki->tci", weight, normals)
     length = np.linalg.norm(mean, axis=2, keepdims=True)
-    blended = np.where(length > 1e-9, mean / np.maximum(length, 1e-9), face_normal[:, None])
+    blended = np.where(
+        length > 1e-9, mean / np.maximum(length, 1e-9), face_normal[:, None]
+    )
     return np.asarray(blended, dtype=np.float32)

@@ -66,7 +66,11 @@ def vector_at(values: Floats32, start: int) -> Vector:
 @scalar
 def matrix_at(values: Floats32, start: int) -> Matrix:
     """Read nine numbers of an array, row-major."""
-    return vector_at(values, start), vector_at(values, start + 3), vector_at(values, start + 6)
+    return (
+        vector_at(values, start),
+        vector_at(values, start + 3),
+        vector_at(values, start + 6),
+    )
 
 
 @scalar

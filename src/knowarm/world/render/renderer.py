@@ -49,7 +49,9 @@ class Renderer(Protocol):
 MESH_TRIANGLE_PX = 0.71  # Size of the triangles of simplified meshes [px]
 
 
-def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int = 0) -> Renderer:
+def make_renderer(
+    scene: Scene, config: EnvConfig, size: int, num_threads: int = 0
+) -> Renderer:
     """Construct the renderer that a config names, for square images of ``size`` pixels.
 
     ``num_threads`` share a batch, 0 for one per core; OpenGL uses one.

@@ -10,12 +10,19 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.render.intersections import MESH, SUPPORTED
-from knowarm.world.render.mesh_simplification import Mesh, merge_vertices, simplified, unit_normals
+from knowarm.world.render.mesh_simplification import (
+    Mesh,
+    merge_vertices,
+    simplified,
+    unit_normals,
+)
 from knowarm.world.render.numeric import Floats32, Integers32
 from knowarm.world.scene.appearance import geom_colours
 
 NO_MESH = Mesh(
-    np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3, 3), np.float32)
+    np.empty((0, 3), np.float32),
+    np.empty((0, 3), np.int32),
+    np.empty((0, 3, 3), np.float32),
 )
 MIN_NORMAL_COSINE = 0.25
 """Below this cosine between a corner's and its triangle's normal the corner's is replaced."""
@@ -71,7 +78,9 @@ def read_scenery(
                 "geom group that is not drawn."
             )
     drawn = _without_twins(model, drawn)
-    fixed = np.array([_is_fixed(model, body) for body in model.geom_bodyid], dtype=np.bool_)
+    fixed = np.array(
+        [_is_fixed(model, body) for body in model.geom_bodyid], dtype=np.bool_
+    )
     emission = np.zeros(model.ngeom, dtype=np.float32)
     has_material = model.geom_matid >= 0
     emission[has_material] = model.mat_emission[model.geom_matid[has_material]]
@@ -99,7 +108,9 @@ def read_view(
             raise unknown_name("camera", camera, names)
         camera = names.index(camera)
     if not 0 <= camera < model.ncam:
-        raise UserError(f"Camera {camera} does not exist; the model has {model.ncam}, from 0.")
+        raise UserError(
+            f"Camera {camera} does not exist; the model has {model.ncam}, from 0."
+        )
     label = names[camera] or camera
     if not _is_fixed(model, model.cam_bodyid[camera]) or model.cam_mode[camera] != 0:
         raise UserError(
@@ -107,7 +118,10 @@ def read_view(
             "attach it to the world with mode 'fixed'."
         )
     perspective = mujoco.mjtProjection.mjPROJ_PERSPECTIVE
-    if model.cam_projection[camera] != perspective or model.cam_sensorsize[camera].any():
+    if (
+        model.cam_projection[camera] != perspective
+        or model.cam_sensorsize[camera].any()
+    ):
         raise UserError(
             f"Camera {label!r} is orthographic or has a sensor size; the ray caster needs a "
             "perspective camera given by fovy."
@@ -141,7 +155,9 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
     return lamps
 
 
-def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[np.int64]:
+def _without_twins(
+    model: mujoco.MjModel, drawn: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Leave out geoms that show the same mesh at the same place in the same colour as another.
 
     Converted models often show each mesh once to be seen and once to collide.
@@ -164,7 +180,9 @@ def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[n
 
 def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
     """Tell whether a body is permanently welded to the world (a mocap body is not)."""
-    return bool(model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0)
+    return bool(
+        model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
+    )
 
 
 def _read_meshes(
@@ -212,7 +230,9 @@ def _read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
     triangles = slice(first, first + model.mesh_facenum[mesh])
     face = model.mesh_face[triangles].astype(np.int32)
     corner = model.mesh_facenormal[triangles] + model.mesh_normaladr[mesh]
-    return Mesh(vertex, face, _plausible_normals(model.mesh_normal[corner], vertex[face]))
+    return Mesh(
+        vertex, face, _plausible_normals(model.mesh_normal[corner], vertex[face])
+    )
 
 
 def _winding(mesh: Mesh) -> int:

@@ -69,9 +69,13 @@ SLACK = np.float32(0.02)
 
 RECORD = 27  # Float numbers stored per projected geom
 EXTENT = 6  # Integers stored per projected geom
-NEAR = np.float32(1e-3)  # Points closer to the eye than this have no useful projection [m]
+NEAR = np.float32(
+    1e-3
+)  # Points closer to the eye than this have no useful projection [m]
 Rectangle = tuple[np.float32, np.float32, np.float32, np.float32]
-Window = tuple[int, int, int, int]  # First and last column, first and last row of samples
+Window = tuple[
+    int, int, int, int
+]  # First and last column, first and last row of samples
 
 WIDE = np.float32(1e6)
 EVERYWHERE = (-WIDE, WIDE, -WIDE, WIDE)
@@ -90,7 +94,9 @@ class TileGrid(NamedTuple):
     advance: np.float32  # Horizontal distance from one sample to the next
     # Horizontal distance back before sample 2, so that sample 3 stays inside the pixel
     back: np.float32
-    reach: np.float32  # Largest horizontal distance of a sample from the centre, in pixels
+    reach: (
+        np.float32
+    )  # Largest horizontal distance of a sample from the centre, in pixels
     strips: np.int32  # Number of strips of ``TILE`` columns that hold the image
     rows: np.int32  # Number of rows of samples, a multiple of ``TILE``
 
@@ -124,7 +130,9 @@ def make_grid(width: int, height: int, half_height: float, samples: int) -> Tile
 
 
 @scalar
-def sample_point(column: np.int32, row: np.int32, grid: TileGrid) -> tuple[np.float32, np.float32]:
+def sample_point(
+    column: np.int32, row: np.int32, grid: TileGrid
+) -> tuple[np.float32, np.float32]:
     """Return X and Y of the sample in a pixel column and a row of samples."""
     s = np.int32(row & grid.mask)
     half = np.int32(s >> np.int32(1))
@@ -134,7 +142,9 @@ def sample_point(column: np.int32, row: np.int32, grid: TileGrid) -> tuple[np.fl
 
 
 @scalar
-def sample_direction(column: np.int32, row: np.int32, frame: Matrix, grid: TileGrid) -> Vector:
+def sample_direction(
+    column: np.int32, row: np.int32, frame: Matrix, grid: TileGrid
+) -> Vector:
     """Return the direction of the ray through a sample, in a geom's frame."""
     right, up, backward = frame
     x, y = sample_point(column, row, grid)
@@ -234,7 +244,9 @@ def _long_bounds(p: Vector, m: Matrix, half: np.float32, end: Vector) -> Rectang
     """Bound the convex hull of two equal round ends at +-half along the local z axis."""
     _, _, z_axis = transposed(m)
     to_end = times(z_axis, half)
-    return _union(_round_bounds(plus(p, to_end), m, end), _round_bounds(minus(p, to_end), m, end))
+    return _union(
+        _round_bounds(plus(p, to_end), m, end), _round_bounds(minus(p, to_end), m, end)
+    )
 
 
 @scalar
@@ -302,7 +314,11 @@ def project_geom(
     """
     p = to_local(camera, minus(position, eye))
     x_axis, y_axis, z_axis = transposed(matrix)
-    axes = (to_local(camera, x_axis), to_local(camera, y_axis), to_local(camera, z_axis))
+    axes = (
+        to_local(camera, x_axis),
+        to_local(camera, y_axis),
+        to_local(camera, z_axis),
+    )
     frame = transposed(axes)
     bounds = _bounds(kind, p, frame, size, middle, half)
     image = (0, grid.strips * TILE - 1, 0, grid.rows - 1)

@@ -14,7 +14,9 @@ ROBOTS: dict[str, Robot] = {
 }
 """Shipped robots by name. To add one, put its two files in a folder here and add its name."""
 
-KNOWN_ARMS = {file.stem: file for file in sorted((_FOLDER / "known").glob(f"*{SUFFIX}"))}
+KNOWN_ARMS = {
+    file.stem: file for file in sorted((_FOLDER / "known").glob(f"*{SUFFIX}"))
+}
 """Descriptions of arms whose model files lie in a MuJoCo Menagerie checkout, by name."""
 
 DEFAULT_ROBOT = "irb120"
@@ -44,4 +46,6 @@ def unknown_robot(name: str) -> UserError:
             f"{name!r} is a model file. Draft a description of it, and name that instead: "
             f"knowarm doctor --robot {name} --write ROBOT{SUFFIX}."
         )
-    return UserError(f"{name!r} is no description of a robot, which is a {SUFFIX} file.")
+    return UserError(
+        f"{name!r} is no description of a robot, which is a {SUFFIX} file."
+    )

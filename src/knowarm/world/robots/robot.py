@@ -169,7 +169,10 @@ class Robot:
         count = len(joints)
         yield count > 0, "joints is empty; name at least one hinge or slide joint"
         yield len(set(joints)) == count, f"joints {joints} must be different names"
-        yield len(self.home) == count, f"home has {len(self.home)} values for {count} joints"
+        yield (
+            len(self.home) == count,
+            f"home has {len(self.home)} values for {count} joints",
+        )
         yield (
             all(0 <= index < count for index in self.start_joints),
             f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
@@ -180,7 +183,10 @@ class Robot:
                 f"joint_map must name every joint of joints; got {', '.join(self.joint_map)}",
             )
         real = [joint.name or name for name, joint in self.joint_map.items()]
-        yield len(set(real)) == len(real), f"joint_map has a name twice: {', '.join(real)}"
+        yield (
+            len(set(real)) == len(real),
+            f"joint_map has a name twice: {', '.join(real)}",
+        )
         start = self.start_fraction
         yield 0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"
         half = self.rectangle_half_size_m
@@ -203,7 +209,9 @@ class Robot:
                 changes[field_name] = value
         # The area's yaw of all targets also replaces the robot's yaws of single ones.
         yaws = self.target_yaws_deg if area.target_yaw_deg is None else {}
-        return replace(self, areas={}, target_yaws_deg={**yaws, **area.target_yaws_deg}, **changes)
+        return replace(
+            self, areas={}, target_yaws_deg={**yaws, **area.target_yaws_deg}, **changes
+        )
 
     @property
     def support_height_m(self) -> float:

@@ -88,7 +88,9 @@ def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
 def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
-    is_default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
+    is_default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(
+        axis=1
+    )
     from_material = is_default & (model.geom_matid >= 0)
     colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
     return colours
@@ -130,7 +132,9 @@ class TargetColours:
             visible = scene.geom_target == target[:, j, None]
             if marked:
                 painted = visible
-                paint = np.array(MARKED_RGB if j == 0 else UNMARKED_RGB, dtype=np.float32)
+                paint = np.array(
+                    MARKED_RGB if j == 0 else UNMARKED_RGB, dtype=np.float32
+                )
             else:
                 painted = visible & scene.geom_coloured
                 paint = scene.target_colours[target[:, j], colour[:, j], None]
@@ -142,9 +146,15 @@ class TargetColours:
 class Shown(NamedTuple):
     """Appearance of k environments: the arguments of ``Renderer.draw`` besides the poses."""
 
-    rgba: NDArray[np.float32]  # Colours of the geoms, alpha 0 for hidden ones, (k, G, 4) float32
-    views: NDArray[np.float32] | None  # Cameras, (k, 12) float32; None for the camera of the model
-    lamps: NDArray[np.float32] | None  # Lights, (k, 4, 3) float32; None for the lights of the model
+    rgba: NDArray[
+        np.float32
+    ]  # Colours of the geoms, alpha 0 for hidden ones, (k, G, 4) float32
+    views: (
+        NDArray[np.float32] | None
+    )  # Cameras, (k, 12) float32; None for the camera of the model
+    lamps: (
+        NDArray[np.float32] | None
+    )  # Lights, (k, 4, 3) float32; None for the lights of the model
     # x and y of the distractors [m], (k, D, 2) float64; None without randomization
     distractor_position: Floats | None
 
@@ -160,7 +170,9 @@ class AppearanceSource:
         self._marked = marked
         self._colours = TargetColours(scene)
 
-    def __call__(self, target: Integers, colour: Integers, position: Floats, look: Floats) -> Shown:
+    def __call__(
+        self, target: Integers, colour: Integers, position: Floats, look: Floats
+    ) -> Shown:
         """Compute the appearance of k episodes.
 
         Targets and colours are indices (k, M), ``position`` x and y of the first one, (k, 2) [m],
@@ -187,7 +199,9 @@ class AppearanceSource:
 
     def _views(self, signed: Floats) -> NDArray[np.float32]:
         scene = self._scene
-        position = scene.camera_position + self._config.camera_shift_m * signed[:, _SHIFT]
+        position = (
+            scene.camera_position + self._config.camera_shift_m * signed[:, _SHIFT]
+        )
         turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN]
         matrix = scene.camera_matrix @ Rotation.from_rotvec(turn).as_matrix()
         return np.concat([position, matrix.reshape(-1, 9)], axis=1).astype(np.float32)
@@ -202,7 +216,12 @@ class AppearanceSource:
         turn = np.concat([turn_x, turn_y, np.zeros_like(turn_x)], axis=1)
         turn *= math.radians(self._config.light_angle_deg)
         towards = -(Rotation.from_rotvec(turn).as_matrix() @ model.light_dir[0])
-        lamps = [ambient * head, headlight.diffuse * head, model.light_diffuse[0] * sun, towards]
+        lamps = [
+            ambient * head,
+            headlight.diffuse * head,
+            model.light_diffuse[0] * sun,
+            towards,
+        ]
         return np.stack(lamps, axis=1).astype(np.float32)
 
     def _surface_colours(self, signed: Floats) -> Floats:

@@ -36,14 +36,22 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     owner = f"Robot {robot.name!r}"
     part = read_mjcf(robot.mjcf, owner)
     for field in ("joints", "held_joints"):
-        check_names(owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints)
+        check_names(
+            owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints
+        )
     if robot.tcp_body is not None:
-        check_names(owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies)
+        check_names(
+            owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies
+        )
         body = part.body(robot.tcp_body)
-        body.add_site(name=robot.tcp_site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion)
+        body.add_site(
+            name=robot.tcp_site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion
+        )
     else:
         remedy = " Name one of them, or set tcp_body to have the site added."
-        check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
+        check_names(
+            owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy
+        )
     take_ranges(part, robot.joints)
     strip(part, spec)
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
@@ -82,8 +90,12 @@ def attach_target(
             f"{owner}: {target.mjcf.name} must hold one top-level body with all geoms in it; it "
             f"holds {len(bodies)}."
         )
-    check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
-    check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
+    check_names(
+        owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites
+    )
+    check_names(
+        owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms
+    )
     strip(part, spec)
     for joint in list(part.joints):
         part.delete(joint)
@@ -117,7 +129,9 @@ CONTROL_PERIOD_S = 0.1
 """Time between actions [s]. The largest MPI of a shipped robot, .10 rad, is then 1 rad/s, which is
 below the limit of all joints."""
 
-STOP_RAD = 0.01  # Wanted largest distance from its target at which friction stops a joint
+STOP_RAD = (
+    0.01  # Wanted largest distance from its target at which friction stops a joint
+)
 SLOWER = 0.3  # Wanted largest share by which damping slows it
 
 SUBSTEPS = 5  # Physics steps per control period
@@ -128,7 +142,9 @@ TABLE_RGBA = (0.52, 0.54, 0.57, 1.0)
 LEG_RGBA = (0.35, 0.36, 0.38, 1.0)
 
 
-def compose(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> mujoco.MjSpec:
+def compose(
+    robot: Robot, targets: Sequence[Target], distractors: int = 0
+) -> mujoco.MjSpec:
     """Compose floor, table, lights, camera, robot with servos, and targets as mocap bodies.
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
@@ -226,7 +242,9 @@ def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
         )
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, level_axes(backward).ravel())
-    world.add_camera(name=CAMERA, pos=position, quat=quaternion, fovy=robot.camera_fovy_deg)
+    world.add_camera(
+        name=CAMERA, pos=position, quat=quaternion, fovy=robot.camera_fovy_deg
+    )
 
 
 def level_axes(backward: Floats) -> Floats:
@@ -279,5 +297,14 @@ def _add_distractors(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
     x, y = robot.rectangle_centre_m
     for i, (kind, size, height) in enumerate(DISTRACTOR_SHAPES[:count]):
         name = f"{DISTRACTOR}{i}"
-        body = spec.worldbody.add_body(name=name, pos=[x, y, robot.support_height_m], mocap=True)
-        body.add_geom(name=name, type=kind, size=size, pos=[0, 0, height], contype=0, conaffinity=0)
+        body = spec.worldbody.add_body(
+            name=name, pos=[x, y, robot.support_height_m], mocap=True
+        )
+        body.add_geom(
+            name=name,
+            type=kind,
+            size=size,
+            pos=[0, 0, height],
+            contype=0,
+            conaffinity=0,
+        )

@@ -42,7 +42,9 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         ) from None
 
 
-_DEMO_ELEMENTS = "keys actuators sensors equalities tendons pairs excludes lights cameras"
+_DEMO_ELEMENTS = (
+    "keys actuators sensors equalities tendons pairs excludes lights cameras"
+)
 
 
 def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
@@ -62,7 +64,9 @@ def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
             continue
         joint = part.joint(actuator.target)
         if joint is not None and joint.range[0] >= joint.range[1]:
-            joint.range = np.degrees([low, high]) if part.compiler.degree else (low, high)
+            joint.range = (
+                np.degrees([low, high]) if part.compiler.degree else (low, high)
+            )
             joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 

@@ -23,7 +23,10 @@ from knowarm.world.scene.mjcf import turn_about_z
 
 Indices = NDArray[np.intp]
 
-ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
+ENDLESS_RANGE_RAD = (
+    -2 * np.pi,
+    2 * np.pi,
+)  # Range of hinges that have none of their own [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -51,7 +54,9 @@ class Scene:
     geom_coloured: Mask  # Whether a geom has its target's colour, (G,)
     # RGB by target and colour, (K, C, 3); padded with the first colour
     target_colours: NDArray[np.float32]
-    surface_geoms: tuple[int, ...]  # Ids of the floor and, if there is one, the table top
+    surface_geoms: tuple[
+        int, ...
+    ]  # Ids of the floor and, if there is one, the table top
     distractor_geoms: Indices  # Ids of the distractors' geoms, (D,)
     distractor_mocap: Indices  # Index in the mocap arrays of each distractor, (D,)
     target_mocap: Indices  # Index in the mocap arrays of each target, (K,)
@@ -105,7 +110,9 @@ def load_scene(
         if name.endswith(SUFFIX):
             description = Path(name).resolve()
             files += [description, *description.parent.glob("*.xml")]
-    written = tuple((str(file), file.stat().st_mtime_ns) for file in files if file.is_file())
+    written = tuple(
+        (str(file), file.stat().st_mtime_ns) for file in files if file.is_file()
+    )
     return _load_scene(robot, tuple(targets), distractors, area, build, written)
 
 
@@ -189,8 +196,12 @@ def describe_model(
         geom_coloured=geom_coloured,
         target_colours=colours,
         surface_geoms=tuple(model.geom(name).id for name in surfaces),
-        distractor_geoms=np.array([model.geom(name).id for name in shapes], dtype=np.intp),
-        distractor_mocap=np.array([model.body(name).mocapid[0] for name in shapes], dtype=np.intp),
+        distractor_geoms=np.array(
+            [model.geom(name).id for name in shapes], dtype=np.intp
+        ),
+        distractor_mocap=np.array(
+            [model.body(name).mocapid[0] for name in shapes], dtype=np.intp
+        ),
         target_mocap=target_mocap.astype(np.intp),
         grasp_position=data.site_xpos[grasp_sites] - data.xpos[bodies],
         grasp_matrix=data.site_xmat[grasp_sites].reshape(-1, 3, 3),
@@ -226,7 +237,9 @@ def target_places(scene: Scene, position: Floats) -> Floats:
     return np.concat([position, height], axis=-1)
 
 
-def project(scene: Scene, points: Floats, view: NDArray[np.floating] | None = None) -> Floats:
+def project(
+    scene: Scene, points: Floats, view: NDArray[np.floating] | None = None
+) -> Floats:
     """Project world points (n, 3) [m] into the square image, (n, 2).
 
     Right and up from the centre in half image widths; NaN for points behind the camera. ``view``,
@@ -246,7 +259,9 @@ def _grasp_site(model: mujoco.MjModel, target: Target) -> int:
     return int(model.site(f"{target.name}/{target.grasp_site}").id)
 
 
-def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]) -> None:
+def _turn_grasps(
+    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]
+) -> None:
     """Turn grasp frames about their z axis by the robot's ``grasp_turns_deg``."""
     for target in targets:
         name = "round" if target.round_grasp else target.name

@@ -51,7 +51,9 @@ def _name(asked: str, skill: str) -> str:
     return f"{asked}-{skill}"
 
 
-def find_task(task: "Task | Asking | Skill | str", base: "Task | None" = None) -> "Task":
+def find_task(
+    task: "Task | Asking | Skill | str", base: "Task | None" = None
+) -> "Task":
     """Return a task.
 
     Args:
@@ -67,7 +69,9 @@ def find_task(task: "Task | Asking | Skill | str", base: "Task | None" = None) -
     elif isinstance(task, Task | Asking | Skill):
         part = task
     else:
-        raise UserError(f"task must be a task, such as Task(), or its name, got {task!r}.")
+        raise UserError(
+            f"task must be a task, such as Task(), or its name, got {task!r}."
+        )
     if isinstance(part, Asking):
         return replace(base or Task(), asked=part)
     if isinstance(part, Skill):
@@ -112,7 +116,9 @@ def register_task(import_path: str) -> Any:
             return issubclass(value, Asking | Skill)
         return isinstance(value, Task)
 
-    part = load(import_path, "task", is_part, "a class derived from Skill or Asking, or a Task")
+    part = load(
+        import_path, "task", is_part, "a class derived from Skill or Asking, or a Task"
+    )
     for registry in (ASKED, SKILLS):
         registry.add(import_path)
     for kind in {*ASKED.kinds()} & {*SKILLS.kinds()}:

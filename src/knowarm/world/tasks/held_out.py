@@ -45,7 +45,9 @@ class HeldOut:
             )
 
 
-def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: str) -> list[int]:
+def allowed_colours(
+    held_out: HeldOut | None, colours: Sequence[str], target: str
+) -> list[int]:
     """Return the indices of the colours in which a target may be shown."""
     every = list(range(len(colours)))
     if held_out is None:

@@ -54,7 +54,9 @@ class Registry(dict[str, str]):
             UserError: it cannot be imported, or has no kind, or that of another class.
         """
         base = self._load(self._base)
-        for cls in _classes(load(import_path, "task", lambda part: part is not None, "a task")):
+        for cls in _classes(
+            load(import_path, "task", lambda part: part is not None, "a task")
+        ):
             if not issubclass(cls, base):
                 continue
             path = f"{cls.__module__}:{cls.__qualname__}"
@@ -72,7 +74,9 @@ class Registry(dict[str, str]):
         return f"knowarm.{self.what}"
 
     def _load(self, import_path: str) -> Any:
-        return load(import_path, self.what, lambda part: isinstance(part, type), "a class")
+        return load(
+            import_path, self.what, lambda part: isinstance(part, type), "a class"
+        )
 
 
 def kind_of(cls: type) -> str:

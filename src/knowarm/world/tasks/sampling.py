@@ -16,7 +16,13 @@ from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
+from knowarm.world.tasks.held_out import (
+    TRIES,
+    HeldOut,
+    allowed_colours,
+    check_names,
+    choose_places,
+)
 
 Colours = Literal["fixed", "randomized"]
 

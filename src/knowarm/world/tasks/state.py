@@ -41,14 +41,22 @@ class EpisodeState(Generic[SimulatorT]):
     #: (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
     facet_names: Names  #: The same in words, as "mug/red", (F,)
-    query_names: Names  #: The queries of the task, (Q,); one empty name without questions
+    query_names: (
+        Names  #: The queries of the task, (Q,); one empty name without questions
+    )
     ignore_roll: bool  #: Whether angles ignore the rotation about the approach axis
     limits: Floats  #: Thresholds of distance and angle in the config, (2,) [m, deg]
     thresholds: Floats  #: The same times the curriculum's factor, (2,) [m, deg]
-    increments: Floats  #: Joint increment of each action level [rad] (slides: [m]), (7,)
+    increments: (
+        Floats  #: Joint increment of each action level [rad] (slides: [m]), (7,)
+    )
     steps: Integers  #: Steps played in the current episode, (n,)
-    joint_targets: Floats  #: Joint angles that the servos track, (n, J) [rad]; actions add to them
-    objects: Integers  #: Indices of the visible objects into the config's targets, (n, m)
+    joint_targets: (
+        Floats  #: Joint angles that the servos track, (n, J) [rad]; actions add to them
+    )
+    objects: (
+        Integers  #: Indices of the visible objects into the config's targets, (n, m)
+    )
     colours: Integers  #: Indices into the colours of these, (n, m)
     positions: Floats  #: Their x and y, (n, m, 2) [m]
     question: Integers  #: Number of each episode's query in ``query_names``, (n,)
@@ -57,9 +65,15 @@ class EpisodeState(Generic[SimulatorT]):
     distance: Floats  #: From gripper to goal, (n,) [m]
     angle: Floats  #: Between gripper and goal frame, (n,) [deg]
     success: Mask  #: Whether the task is solved, (n,)
-    memory: NamedArrays  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
-    grasp_rotation: Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
-    first_facet: Integers  #: Number in ``facets`` of each target in its first colour, (K,)
+    memory: (
+        NamedArrays  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
+    )
+    grasp_rotation: (
+        Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
+    )
+    first_facet: (
+        Integers  #: Number in ``facets`` of each target in its first colour, (K,)
+    )
 
     @property
     def target(self) -> Integers:

@@ -34,9 +34,13 @@ class Task:
         'choose-lift'
     """
 
-    asked: Asking = field(default_factory=AskNothing, metadata=registered(ASKED.types, "task"))
+    asked: Asking = field(
+        default_factory=AskNothing, metadata=registered(ASKED.types, "task")
+    )
     """What is asked: ``AskNothing``, ``AskObject``, ``AskPart``, ``AskInstance``, or your own."""
-    skill: Skill = field(default_factory=Reach, metadata=registered(SKILLS.types, "task"))
+    skill: Skill = field(
+        default_factory=Reach, metadata=registered(SKILLS.types, "task")
+    )
     """What has to be done: ``Reach``, ``Lift``, or a skill of your own."""
 
     def __post_init__(self) -> None:
@@ -64,7 +68,9 @@ class Task:
         for name, part in (("asked", self.asked), ("skill", self.skill)):
             standard = to_dict(type(part)())
             values = to_dict(part)
-            changed[name] = {key: new for key, new in values.items() if new != standard[key]}
+            changed[name] = {
+                key: new for key, new in values.items() if new != standard[key]
+            }
         return changed
 
     def asking(self, **fields: Any) -> Self:
@@ -92,7 +98,9 @@ class Task:
 
         Mappings for `knowarm.config.override`, of which a later one counts more.
         """
-        return self.asked.training(algorithm), self.skill.training(algorithm, self.asked)
+        return self.asked.training(algorithm), self.skill.training(
+            algorithm, self.asked
+        )
 
     def area_of(self, robot: Robot) -> str:
         """Return the name of the robot's area in which episodes take place."""

@@ -21,7 +21,9 @@ from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.scene.scene import project
 from knowarm.world.tasks.sampling import Episodes
 
-FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
+FRAMES_PER_S = (
+    10  # Frames per second of the video: one per step, the speed of the real robot
+)
 _LAST_FRAMES = 10
 _LAST_MS = 1_500  # Display time of the last image of a page's film [ms]
 _MARGIN = 8
@@ -32,7 +34,10 @@ LENGTH_M = 0.08  # Length of a drawn axis [m]
 _SPHERE_POINTS = 64
 _COLOURS = ((214, 39, 40), (44, 160, 44), (31, 119, 180))  # of the x, y and z axis
 _SPHERE = (255, 255, 255)
-_SHEET = (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44)  # Size of a frame of a film [px]
+_SHEET = (
+    2 * RENDER_SIZE + 3 * _MARGIN,
+    RENDER_SIZE + 44,
+)  # Size of a frame of a film [px]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +132,9 @@ def check_page(path: Path) -> None:
         raise UserError(f"The page must be an .html file, got {path.name!r}.")
 
 
-def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
+def write_strip(
+    path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6
+) -> None:
     """Write a film strip: one row per episode, frames evenly spaced from start to end.
 
     The goal of an episode stands above its row; the suffix of the file selects the format.
@@ -149,7 +156,9 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
             frame = frames[index]
             left = _MARGIN + column * column_width
             large = Image.fromarray(frame.large)
-            strip.paste(large.resize((side, side), Image.Resampling.LANCZOS), (left, top))
+            strip.paste(
+                large.resize((side, side), Image.Resampling.LANCZOS), (left, top)
+            )
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
     with replacing(path, "Name another file.") as temporary:
         strip.save(temporary)
@@ -184,7 +193,10 @@ def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> N
         element("title", escape(title)),
         element("style", style_sheet()),
     )
-    films = [_film(f"Episode {number}", frames) for number, frames in enumerate(episodes, start=1)]
+    films = [
+        _film(f"Episode {number}", frames)
+        for number, frames in enumerate(episodes, start=1)
+    ]
     main = element("main", element("h2", escape(title)), *films)
     page = element("html", head, element("body", main), lang="en")
     with replacing(path, "Name another file.") as temporary:

@@ -108,7 +108,9 @@ def tops(model: mujoco.MjModel, data: mujoco.MjData) -> list[float]:
 
 def test_the_shipped_graph_states_what_the_templates_state():
     graph = shipped_graph("families")
-    stated = {triple for triple in graph if kind_of(triple[0].rpartition(":")[2]) in KINDS}
+    stated = {
+        triple for triple in graph if kind_of(triple[0].rpartition(":")[2]) in KINDS
+    }
     short = {tuple(each.rpartition(":")[2] for each in triple) for triple in stated}
     wanted = {
         (name, relation, value)
@@ -154,7 +156,9 @@ def recognized():
     names = ("jug-18", "vase-11", "mug-0", "candle-1")
     facets = tuple((name, colour) for name in names for colour in ("red", "blue"))
     encoder = PlaceEncoder(facets, convolutions_of(64), seed=0)
-    features = torch.rand(2, encoder.channels, 10, 12, generator=torch.Generator().manual_seed(0))
+    features = torch.rand(
+        2, encoder.channels, 10, 12, generator=torch.Generator().manual_seed(0)
+    )
     return encoder, features
 
 
@@ -165,7 +169,9 @@ def test_names_have_probabilities_by_attributes_alone(recognized):
     torch.testing.assert_close(objects.exp().sum((1, 2)), one)  # of name and place
     torch.testing.assert_close(colours.exp().sum(1), one[:, None].expand(2, 120))
     assert look_of("jug-18")[1:] == look_of("vase-11")[1:]
-    torch.testing.assert_close(objects[:, 0], objects[:, 1])  # one of them may be of a new kind
+    torch.testing.assert_close(
+        objects[:, 0], objects[:, 1]
+    )  # one of them may be of a new kind
     assert not torch.allclose(objects[:, 0], objects[:, 2])
 
 
@@ -185,7 +191,9 @@ def test_training_raises_what_is_true_of_an_object_at_its_place(recognized):
         for facet, place in zip(seen, where, strict=True):
             best = by_place[image, :, place].topk(1 + int(facet < 4)).indices
             assert facet in best  # jug-18 and vase-11 look the same
-        assert set(by_place[image].logsumexp(0).topk(2).indices.tolist()) == set(where.tolist())
+        assert set(by_place[image].logsumexp(0).topk(2).indices.tolist()) == set(
+            where.tolist()
+        )
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +211,10 @@ def shown(table) -> set[str]:
 
 def test_s3a_shows_new_instances_of_known_kinds_and_s3b_new_kinds(tables):
     train, a, b = (shown(tables[name]) for name in ("train", "S3a", "S3b"))
-    kinds = {name: set(map(kind_of, each)) for name, each in zip("tab", (train, a, b), strict=True)}
+    kinds = {
+        name: set(map(kind_of, each))
+        for name, each in zip("tab", (train, a, b), strict=True)
+    }
     assert not train & a
     assert not train & b
     assert not a & b
@@ -217,7 +228,9 @@ def test_s3a_shows_new_instances_of_known_kinds_and_s3b_new_kinds(tables):
 
 def test_s2_holds_out_a_condition_of_all_instances_of_a_kind(tables):
     train, new = tables["train"], tables["S2"]
-    single = [row for row, query in enumerate(train.queries) if len(query.conditions) == 1]
+    single = [
+        row for row, query in enumerate(train.queries) if len(query.conditions) == 1
+    ]
     for row in single:
         asked, held = (
             {kind_of(table.facets[f][0]) for f in np.flatnonzero(table.askable[row])}
@@ -233,4 +246,6 @@ def test_the_oracle_reaches_new_objects(split):
     world = ArmVectorEnv(env, 32)
     result = play(OracleAgent(world), world, evaluation_episodes(env, 32, 0))
     assert result.success.mean() > 0.9
-    assert {kind_of(scene_of(env).targets[k].name) for k in result.infos["target"]} <= set(KINDS)
+    assert {
+        kind_of(scene_of(env).targets[k].name) for k in result.infos["target"]
+    } <= set(KINDS)

@@ -36,7 +36,12 @@ OPENING_M = 0.064
 
 
 def small(**options: Any) -> EnvConfig:
-    defaults = {"task": AskPart(), "targets": FEW, "image_size": 8, "dynamics": "kinematic"}
+    defaults = {
+        "task": AskPart(),
+        "targets": FEW,
+        "image_size": 8,
+        "dynamics": "kinematic",
+    }
     return EnvConfig(**(defaults | options))
 
 
@@ -58,14 +63,23 @@ def widths(scene: Scene, k: int) -> float:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     site = model.site(f"{scene.targets[k].name}/{scene.targets[k].grasp_site}").id
-    point, (_, across, ahead) = data.site_xpos[site], data.site_xmat[site].reshape(3, 3).T
+    point, (_, across, ahead) = (
+        data.site_xpos[site],
+        data.site_xmat[site].reshape(3, 3).T,
+    )
     least = 0.3
     for depth in np.linspace(0, TIP_M, 9):
         for side in (across, -across):
             start = point + depth * ahead + 0.3 * side
             hits = [
                 mujoco.mju_rayGeom(
-                    *(data.geom_xpos[g], data.geom_xmat[g], model.geom_size[g], start, -side),
+                    *(
+                        data.geom_xpos[g],
+                        data.geom_xmat[g],
+                        model.geom_size[g],
+                        start,
+                        -side,
+                    ),
                     int(model.geom_type[g]),
                 )
                 for g in np.flatnonzero(scene.geom_target == k)
@@ -87,14 +101,22 @@ def test_no_pose_grasps_two_parts_of_an_object(scene):
                 turn = scene.grasp_matrix[a].T @ scene.grasp_matrix[b]
                 angle = np.degrees(np.arccos((np.trace(turn) - 1) / 2))
                 way = np.linalg.norm(scene.grasp_position[a] - scene.grasp_position[b])
-                assert angle > 2 * PAPER[1] or way > 2 * PAPER[0], (one.name, other.name)
+                assert angle > 2 * PAPER[1] or way > 2 * PAPER[0], (
+                    one.name,
+                    other.name,
+                )
 
 
 def test_parts_draw_their_object_once(scene):
-    names = [scene.model.geom(g).name.split("/") for g in np.flatnonzero(scene.geom_target >= 0)]
+    names = [
+        scene.model.geom(g).name.split("/")
+        for g in np.flatnonzero(scene.geom_target >= 0)
+    ]
     for whole in {object_of(name) for name in PARTS}:
         alone = build_scene(scene.robot, [TARGETS[whole]])
-        geoms = [alone.model.geom(g).name for g in np.flatnonzero(alone.geom_target >= 0)]
+        geoms = [
+            alone.model.geom(g).name for g in np.flatnonzero(alone.geom_target >= 0)
+        ]
         drawn = {part: name for name, part in names if object_of(name) == whole}
         assert sorted(drawn) == sorted(name.split("/")[1] for name in geoms)
         for part in (name for name in PARTS if object_of(name) == whole):
@@ -142,7 +164,10 @@ def test_the_other_part_of_the_right_object_is_a_mistake(drawn):
             beside = (places[:, 1:] == places[:, :1]).all(axis=2)
             self._go_to(1 + beside.argmax(axis=1))
 
-    right, wrong = play(OracleAgent(env), env, episodes), play(OtherPart(env), env, episodes)
+    right, wrong = (
+        play(OracleAgent(env), env, episodes),
+        play(OtherPart(env), env, episodes),
+    )
     assert right.success.mean() > 0.95
     assert right.infos["is_right_object"].mean() > 0.95
     assert not wrong.success.any()
@@ -161,30 +186,38 @@ def test_the_upper_bound_marks_the_part_alone():
     shown = painted & (env.running.shown.rgba[..., 3] > 0)
     for row, goal in zip(shown, env.running.target, strict=True):
         assert set(env.scene.geom_target[row]) == {goal}
-        assert {env.scene.model.geom(g).name.split("/")[1] for g in np.flatnonzero(row)} >= set(
-            PARTS[FEW[goal]].part_geoms
-        )
+        assert {
+            env.scene.model.geom(g).name.split("/")[1] for g in np.flatnonzero(row)
+        } >= set(PARTS[FEW[goal]].part_geoms)
 
 
 def test_objects_need_the_same_number_of_parts():
     with pytest.raises(UserError, match="2 of bottle, 1 of brush"):
-        number_parts((("bottle.neck", "red"), ("bottle.stopper", "red"), ("brush.block", "red")))
+        number_parts(
+            (("bottle.neck", "red"), ("bottle.stopper", "red"), ("brush.block", "red"))
+        )
 
 
 def test_a_task_with_one_object_has_one_part_of_each():
     one = EnvConfig(targets=("bottle.neck", "brush"))
     assert evaluation_episodes(one, 8, 0).objects.max() == 1
     with pytest.raises(UserError, match="several parts of one object"):
-        evaluation_episodes(replace(one, targets=("bottle.neck", "bottle.stopper")), 8, 0)
+        evaluation_episodes(
+            replace(one, targets=("bottle.neck", "bottle.stopper")), 8, 0
+        )
 
 
 @pytest.mark.parametrize("split", ["S2", "S4", "S5"])
 def test_every_split_asks_about_parts(split):
     env = experiment_config("irb120-purpose-bm-fast").env
     trained, tested = (
-        questions_of(replace(env, task=env.task.asking(split=each))) for each in ("train", split)
+        questions_of(replace(env, task=env.task.asking(split=each)))
+        for each in ("train", split)
     )
-    asked = {(q, object_of(trained.facets[f][0])) for q, f in np.argwhere(tested.askable).tolist()}
+    asked = {
+        (q, object_of(trained.facets[f][0]))
+        for q, f in np.argwhere(tested.askable).tolist()
+    }
     assert asked
     others = tested.satisfies[:, tested.parts].sum(axis=2)
     assert (others[tested.askable] == 1).all()

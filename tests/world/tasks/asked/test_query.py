@@ -33,11 +33,22 @@ NUMBERS = STREAMS % np.uint64(7)
 SECOND_TRY = 26
 """Step at which an agent that tries objects goes to the next one: half of an episode."""
 
-METRICS = ("distance", "reached_object", "is_right_object", "query", "objects", "object_positions")
+METRICS = (
+    "distance",
+    "reached_object",
+    "is_right_object",
+    "query",
+    "objects",
+    "object_positions",
+)
 
 
 def small(robot: str = "irb120", **options: Any) -> EnvConfig:
-    defaults: dict[str, Any] = {"task": AskObject(), "image_size": 8, "dynamics": "kinematic"}
+    defaults: dict[str, Any] = {
+        "task": AskObject(),
+        "image_size": 8,
+        "dynamics": "kinematic",
+    }
     return EnvConfig(robot=robot, **(defaults | options))
 
 
@@ -127,7 +138,10 @@ def test_objects_do_not_overlap_and_stay_in_the_rectangle(robot: str) -> None:
     scene = scene_of(config)
     episodes = EpisodeSource(config)(STREAMS, NUMBERS)
     position, objects = episodes.positions, episodes.objects
-    inside = np.abs(position - scene.robot.rectangle_centre_m) <= scene.robot.rectangle_half_size_m
+    inside = (
+        np.abs(position - scene.robot.rectangle_centre_m)
+        <= scene.robot.rectangle_half_size_m
+    )
     assert inside.all()
     assert (np.sort(objects)[:, 1:] != np.sort(objects)[:, :-1]).all(), "all different"
     angles = np.linspace(0, np.pi, 16, endpoint=False)
@@ -157,7 +171,9 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
         own = running.objects[:, j]
         alone = rgba.copy()
         alone[..., 3] = np.where(
-            (scene.geom_target >= 0) & (scene.geom_target != own[:, None]), 0, alone[..., 3]
+            (scene.geom_target >= 0) & (scene.geom_target != own[:, None]),
+            0,
+            alone[..., 3],
         )
         seen = owner[raycaster.trace(*poses, alone).geom] == own[:, None, None]
         left = owner[together] == own[:, None, None]
@@ -173,7 +189,9 @@ def test_only_the_query_tells_which_object_is_meant() -> None:
     sets, number = np.unique(chosen.facets, axis=0, return_inverse=True)
     asked = np.zeros(sets.shape, dtype=int)
     np.add.at(asked, (number.reshape(-1), chosen.goal), 1)
-    assert (asked == asked[:, :1]).all(), "each object of a set is asked for equally often"
+    assert (asked == asked[:, :1]).all(), (
+        "each object of a set is asked for equally often"
+    )
     satisfied = table.satisfies[chosen.query[:, None], chosen.facets]
     assert (satisfied.sum(axis=1) == 1).all(), "exactly one object satisfies the query"
     assert satisfied[np.arange(len(chosen)), chosen.goal].all()
@@ -266,7 +284,9 @@ def test_marked_objects_show_the_answer() -> None:
     env.reset(seed=0)
     wanted = env.scene.geom_target == env.running.target[:, None]
     assert (env.running.shown.rgba[wanted] == [1, 0, 1, 1]).all()
-    others = (env.running.shown.rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
+    others = (
+        (env.running.shown.rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
+    )
     assert (np.ptp(env.running.shown.rgba[others][:, :3], axis=1) == 0).all(), "grey"
 
 
@@ -277,7 +297,9 @@ def test_marked_objects_show_the_answer() -> None:
         ({"targets": ("mug",) * 4}, "twice"),
     ],
 )
-def test_configs_that_do_not_fit_are_refused(options: dict[str, Any], message: str) -> None:
+def test_configs_that_do_not_fit_are_refused(
+    options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(UserError, match=message):
         small(**options)
 

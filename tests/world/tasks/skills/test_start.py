@@ -20,7 +20,9 @@ from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
 from knowarm.world.tasks.reward import measure
 from knowarm.world.tasks.skills.reach import Reach
 
-starts = pytest.mark.parametrize("start", [Reach(), Reach(start="near")], ids=["far", "near"])
+starts = pytest.mark.parametrize(
+    "start", [Reach(), Reach(start="near")], ids=["far", "near"]
+)
 
 
 def start_poses(scene: Scene, count: int = 9) -> np.ndarray:
@@ -34,7 +36,9 @@ def start_poses(scene: Scene, count: int = 9) -> np.ndarray:
     return np.clip(poses, scene.joint_lower, scene.joint_upper)
 
 
-def collisions(model: mujoco.MjModel, scene: Scene, poses: np.ndarray) -> list[set[tuple]]:
+def collisions(
+    model: mujoco.MjModel, scene: Scene, poses: np.ndarray
+) -> list[set[tuple]]:
     """Pairs of geoms that touch in each pose."""
     data = mujoco.MjData(model)
     found = []
@@ -80,7 +84,9 @@ def test_the_papers_a3c_starts_near_and_everything_else_far():
         assert experiment_config(f"irb120-full-{algorithm}").env.task.skill == Reach()
 
 
-def test_an_area_changes_what_it_names_and_a_robot_without_a_near_start_is_refused(monkeypatch):
+def test_an_area_changes_what_it_names_and_a_robot_without_a_near_start_is_refused(
+    monkeypatch,
+):
     robot = ROBOTS["irb120"]
     area = Area(home=(0.1,) * 6, target_yaws_deg={"mug": 5.0})
     monkeypatch.setitem(ROBOTS, "irb120", replace(robot, areas={"near": area}))
@@ -91,7 +97,9 @@ def test_an_area_changes_what_it_names_and_a_robot_without_a_near_start_is_refus
     monkeypatch.setitem(ROBOTS, "irb120", replace(robot, areas={}))
     with pytest.raises(UserError, match=r"no near start.*\[areas.near\].*start='far'"):
         knowarm.make("irb120", task=Reach(start="near"))
-    with pytest.raises(UserError, match=r"areas\.near: Robot 'irb120': home has 1 values"):
+    with pytest.raises(
+        UserError, match=r"areas\.near: Robot 'irb120': home has 1 values"
+    ):
         replace(robot, areas={"near": Area(home=(0.1,))})
 
 
@@ -136,4 +144,6 @@ def test_a_turned_grasp_is_as_far_and_turned_half_about_the_approach():
     other = (turned.grasp_matrix * [-1, -1, 1]).reshape(-1, 9)
     distance, angle = measure(position, matrix, position, other, False)
     assert (distance[0], angle[0]) == pytest.approx((0, 180))
-    assert measure(position, matrix, position, other, True)[1][0] == pytest.approx(0, abs=1e-5)
+    assert measure(position, matrix, position, other, True)[1][0] == pytest.approx(
+        0, abs=1e-5
+    )

@@ -95,7 +95,9 @@ def test_practice_starts_lie_around_the_way_and_depend_on_the_stream_only():
     start, points = plain.running.joint_targets, moved.running.joint_targets
     np.testing.assert_array_equal(moved.running.positions, plain.running.positions)
     np.testing.assert_array_equal(other.running.joint_targets, points[:32])
-    goals = Teacher(plain.running).goals(plain.running.objects[:, 0], plain.running.positions[:, 0])
+    goals = Teacher(plain.running).goals(
+        plain.running.objects[:, 0], plain.running.positions[:, 0]
+    )
     step = plain.scene.robot.mpi_rad
     way = goals - start
     far = np.abs(way).argmax(axis=1)
@@ -104,7 +106,9 @@ def test_practice_starts_lie_around_the_way_and_depend_on_the_stream_only():
     assert 0.4 < share.mean() < 0.6
     assert share.std() > 0.2
     # A joint with a short way has arrived by then in most episodes.
-    short = (np.abs(way) > step) & (np.abs(way) < 0.3 * np.abs(way).max(axis=1, keepdims=True))
+    short = (np.abs(way) > step) & (
+        np.abs(way) < 0.3 * np.abs(way).max(axis=1, keepdims=True)
+    )
     late = short & (share > 0.4)[:, None]
     assert late.any()
     assert 0.5 < (points - goals)[late].std() / (PRACTICE_NOISE * step) < 2
@@ -117,4 +121,6 @@ def test_without_practice_episodes_start_as_they_are_drawn():
     env.practice_share = 0.0
     env.reset(seed=1)
     plain.reset(seed=1)
-    np.testing.assert_array_equal(env.running.joint_targets, plain.running.joint_targets)
+    np.testing.assert_array_equal(
+        env.running.joint_targets, plain.running.joint_targets
+    )

@@ -10,7 +10,13 @@ from knowarm.measures import Measure
 from knowarm.questions import QuestionTable
 from knowarm.world.tasks.probe import BaseProbe, ReportTable
 from knowarm.world.tasks.registry import kind_of
-from knowarm.world.tasks.sampling import Colours, Facets, ObjectSampler, OneObject, Setting
+from knowarm.world.tasks.sampling import (
+    Colours,
+    Facets,
+    ObjectSampler,
+    OneObject,
+    Setting,
+)
 from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 if TYPE_CHECKING:

@@ -64,7 +64,9 @@ class StraightApproach(ShortestWay):
         way = [joints]
         for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
             position = state.goal_position + distance * back
-            joints = solver.solve(position, state.goal_matrix, joints, attempts=1).joints
+            joints = solver.solve(
+                position, state.goal_matrix, joints, attempts=1
+            ).joints
             way.append(joints)
         self._way = np.stack(way[::-1])
         self._next = np.zeros(len(back), dtype=np.int64)

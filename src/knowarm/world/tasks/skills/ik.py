@@ -24,7 +24,9 @@ ROTATION_WEIGHT = 0.05
 REACHED_M = 0.01
 REACHED_DEG = 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
-MARGIN_DEG = REACHED_DEG + 2.0  # Distance of an easier orientation from its threshold [deg]
+MARGIN_DEG = (
+    REACHED_DEG + 2.0
+)  # Distance of an easier orientation from its threshold [deg]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +71,17 @@ class InverseKinematics:
         self._eased_deg = eased_deg
         self.reached_deg = REACHED_DEG + eased_deg
         model = scene.model
-        self._joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
+        self._joints = [
+            model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints
+        ]
         self._is_hinge = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_HINGE
 
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
         """Make the solver of a task's episodes, which uses what an easier orientation allows."""
-        return cls.within_angle(scene, float(state.limits[1]), state.ignore_roll, **options)
+        return cls.within_angle(
+            scene, float(state.limits[1]), state.ignore_roll, **options
+        )
 
     @classmethod
     def within_angle(
@@ -115,7 +121,9 @@ class InverseKinematics:
         simulation.set_joints(joints)
         return simulation.tcp_position.copy(), simulation.tcp_matrix.copy()
 
-    def _solve_once(self, position: Floats, matrix: Floats, start: Floats, seed: int) -> IKSolution:
+    def _solve_once(
+        self, position: Floats, matrix: Floats, start: Floats, seed: int
+    ) -> IKSolution:
         n, joints = start.shape
         lower = self.scene.joint_lower
         upper = self.scene.joint_upper
@@ -168,7 +176,9 @@ class InverseKinematics:
             simulation.set_joints(old, active)
             tcp = simulation.tcp_position[active]
             goal = matrix[active]
-            error = _pose_error(tcp, simulation.tcp_matrix[active], position[active], goal)
+            error = _pose_error(
+                tcp, simulation.tcp_matrix[active], position[active], goal
+            )
             joint = (active[:, None], self._joints)
             jacobian = self._jacobian(tcp, anchors[joint], axes[joint])
             if self._ignore_roll:
@@ -188,7 +198,10 @@ class InverseKinematics:
         arm = tcp[:, None] - anchors
         following = [1, 2, 0]
         last = [2, 0, 1]
-        turning = axes[..., following] * arm[..., last] - axes[..., last] * arm[..., following]
+        turning = (
+            axes[..., following] * arm[..., last]
+            - axes[..., last] * arm[..., following]
+        )
         is_hinge = self._is_hinge[:, None]
         moving = np.where(is_hinge, turning, axes)
         rotating = np.where(is_hinge, axes, 0.0)
@@ -198,11 +211,15 @@ class InverseKinematics:
         """Shift hinges by whole turns to the angle nearest to the start."""
         turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
         unwound = q - 2 * np.pi * turns
-        is_inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
+        is_inside = (unwound >= self.scene.joint_lower) & (
+            unwound <= self.scene.joint_upper
+        )
         return np.where(is_inside, unwound, q)
 
 
-def _without_roll(error: Floats, jacobian: Floats, matrix: Floats) -> tuple[Floats, Floats]:
+def _without_roll(
+    error: Floats, jacobian: Floats, matrix: Floats
+) -> tuple[Floats, Floats]:
     """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
     axis = matrix.reshape(-1, 3, 3)[:, :, 2]
     across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
@@ -212,7 +229,9 @@ def _without_roll(error: Floats, jacobian: Floats, matrix: Floats) -> tuple[Floa
     return error, np.concatenate([jacobian[:, :3], turning], axis=1)
 
 
-def _pose_error(tcp: Floats, tcp_matrix: Floats, position: Floats, matrix: Floats) -> Floats:
+def _pose_error(
+    tcp: Floats, tcp_matrix: Floats, position: Floats, matrix: Floats
+) -> Floats:
     """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)

@@ -158,7 +158,9 @@ class Skill:
 
     def success(self, state: EpisodeState) -> Mask:
         """Return which episodes are solved, (n,) bool; a solved one ends."""
-        return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
+        return is_success(
+            state.distance, state.angle, state.thresholds[0], state.thresholds[1]
+        )
 
     def failure(self, state: EpisodeState) -> Mask | None:
         """Return which episodes are lost before the time limit, (n,) bool, or None."""

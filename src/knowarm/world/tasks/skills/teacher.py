@@ -67,7 +67,9 @@ class GoalTable:
         is_reached = solution.within(REACHED_M, self._solver.reached_deg)
         missed = float((~is_reached).mean())
         if missed > MISSED:
-            log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
+            log.warning(
+                "The teacher reaches %.0f %% of the places.", 100 * (1 - missed)
+            )
         self._joints = solution.joints.reshape(len(targets), NODES, NODES, -1)
 
     def shifted(self, shift: Floats) -> "GoalTable":
@@ -147,7 +149,12 @@ class Teacher:
         return replace(episodes, joint_offsets=offsets)
 
     def practice_point(
-        self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
+        self,
+        episodes: Episodes,
+        start: Floats,
+        share: Floats,
+        noise: Floats,
+        choice: Floats,
     ) -> Floats:
         """Return joint angles on the way from start to solution, (k, J) [rad].
 

@@ -15,7 +15,9 @@ from knowarm.world.tasks.skills.lift.probe import LiftProbe
 
 
 def test_the_lift_test_counts_what_physics_holds():
-    config = EvaluationConfig(episodes=6, distance_m=0.002, angle_deg=1.0, probes=(LiftProbe(),))
+    config = EvaluationConfig(
+        episodes=6, distance_m=0.002, angle_deg=1.0, probes=(LiftProbe(),)
+    )
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=120)
     result = evaluate(ApproachAgent, env, config)
     outcomes = result.episodes["lift"]
@@ -33,7 +35,9 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     robot = dataclasses.replace(ROBOTS["irb120"], cannot_hold={"mug": "for this test"})
     monkeypatch.setitem(ROBOTS, "irb120", robot)
     _load_scene.cache_clear()
-    config = EvaluationConfig(episodes=6, distance_m=9.0, angle_deg=180.0, probes=(LiftProbe(),))
+    config = EvaluationConfig(
+        episodes=6, distance_m=9.0, angle_deg=180.0, probes=(LiftProbe(),)
+    )
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
     summary = evaluate(ZeroAgent(), env, config).summary
     _load_scene.cache_clear()

@@ -59,14 +59,19 @@ def gantry(tmp_path) -> Robot:
 CAPSULE = 'type="capsule" size=".006" fromto=".064 {y} 0 .14 {y} 0"'
 MESH = 'type="mesh" mesh="pad" pos=".102 {y} 0"'
 PAD = " ".join(
-    f"{x} {y} {z}" for z in (-0.01, 0.01) for y in (-0.006, 0.006) for x in (-0.04, 0.03)
+    f"{x} {y} {z}"
+    for z in (-0.01, 0.01)
+    for y in (-0.006, 0.006)
+    for x in (-0.04, 0.03)
 )
 
 
 @pytest.mark.parametrize("shape", [CAPSULE, MESH])
 def test_fingers_may_be_geoms_of_any_shape(shape, tmp_path):
     irb120 = ROBOTS["irb120"]
-    text = irb120.mjcf.read_text().replace("</asset>", f'<mesh name="pad" vertex="{PAD}"/></asset>')
+    text = irb120.mjcf.read_text().replace(
+        "</asset>", f'<mesh name="pad" vertex="{PAD}"/></asset>'
+    )
     for side, y in (("left", 0.038), ("right", -0.038)):
         new = f'<geom name="finger_{side}" {shape.format(y=y)} material="finger" mass=".05"/>'
         text, count = re.subn(rf'<geom name="finger_{side}"[^/]*/>', new, text)
@@ -98,7 +103,9 @@ def lifts(robot: Robot, paths: list[np.ndarray], target: str = "bottle"):
 
 def test_the_pose_of_the_fingers_decides(gantry):
     x, y, z = *AT, 0.222
-    aside = np.array([[x, y + 0.3, 0.1], *np.linspace([x, y + 0.3, 0.1], [x, y, 0.1], 12)])
+    aside = np.array(
+        [[x, y + 0.3, 0.1], *np.linspace([x, y + 0.3, 0.1], [x, y, 0.1], 12)]
+    )
     paths = [
         down_to(x, y, z),  # on the stopper
         down_to(x, y, z + 0.05),  # above it
@@ -139,7 +146,9 @@ def test_without_friction_the_bottle_stays(gantry, monkeypatch):
 
 def test_an_arm_that_cannot_rise_is_named(gantry):
     path = gantry.mjcf
-    path.write_text(GANTRY.replace('axis="0 0 1" range="-1 1"', 'axis="0 0 1" range="-1 .24"'))
+    path.write_text(
+        GANTRY.replace('axis="0 0 1" range="-1 1"', 'axis="0 0 1" range="-1 .24"')
+    )
     low = replace(gantry, home=(0.0, 0.0, 0.2))
     assert lifts(low, [down_to(*AT, 0.222)[8:]]).outcome.tolist() == ["arm"]
 
@@ -148,7 +157,8 @@ def test_the_way_upwards_is_straight(gantry):
     way = plan_lifts(build_scene(gantry, [TARGETS["mug"]]), np.array([[0.1, 0.2, 0.3]]))
     heights = 0.3 + LIFT_M * np.arange(1, WAYPOINTS + 1) / WAYPOINTS
     assert np.allclose(
-        way[0], np.stack([np.full(WAYPOINTS, 0.1), np.full(WAYPOINTS, 0.2), heights], axis=1)
+        way[0],
+        np.stack([np.full(WAYPOINTS, 0.1), np.full(WAYPOINTS, 0.2), heights], axis=1),
     )
 
 
@@ -164,7 +174,9 @@ def test_all_objects_stand_still_with_their_masses(name, opening_m):
         data.qpos[start : start + 7] = scene.rest[i]
         data.qpos[start : start + 2] = 2 + 0.5 * (i % 6), 0.5 * (i // 6)
     bodies = [model.body(f"{name}/{name}").id for name in TARGETS]
-    assert model.body_mass[bodies] == pytest.approx([t.mass_kg for t in TARGETS.values()])
+    assert model.body_mass[bodies] == pytest.approx(
+        [t.mass_kg for t in TARGETS.values()]
+    )
     mujoco.mj_forward(model, data)
     before = data.xipos[bodies].copy()
     mujoco.mj_step(model, data, nstep=500)
@@ -186,7 +198,10 @@ def test_the_reaching_scene_knows_no_fingers():
 
 @pytest.mark.parametrize(
     ("fingers", "message"),
-    [((), "names no fingers"), (("left", "rihgt"), "fingers names 'rihgt', which gantry.xml")],
+    [
+        ((), "names no fingers"),
+        (("left", "rihgt"), "fingers names 'rihgt', which gantry.xml"),
+    ],
 )
 def test_a_robot_without_fingers_is_refused(gantry, fingers, message):
     with pytest.raises(UserError, match=message):
@@ -195,9 +210,13 @@ def test_a_robot_without_fingers_is_refused(gantry, fingers, message):
 
 def test_a_finger_without_geoms_is_refused(tmp_path, gantry):
     path = tmp_path / "bare.xml"
-    path.write_text(GANTRY.replace('<body name="left">', '<body name="bare"/><body name="left">'))
+    path.write_text(
+        GANTRY.replace('<body name="left">', '<body name="bare"/><body name="left">')
+    )
     bare = replace(gantry, mjcf=path, fingers=("bare", "right"))
-    with pytest.raises(UserError, match="fingers names the body 'bare', which has no geoms"):
+    with pytest.raises(
+        UserError, match="fingers names the body 'bare', which has no geoms"
+    ):
         build_lift_scene(bare, [TARGETS["mug"]])
 
 
@@ -210,7 +229,9 @@ def test_an_object_has_its_mass_whatever_its_file_says(tmp_path, gantry, own):
         <site name="grasp" pos="0 0 .04"/><light/></body></worldbody>
         <sensor><clock/></sensor></mujoco>"""
     )
-    brick = replace(TARGETS["mug"], name="brick", mjcf=path, xml=None, coloured_geoms=("top",))
+    brick = replace(
+        TARGETS["mug"], name="brick", mjcf=path, xml=None, coloured_geoms=("top",)
+    )
     scene = build_lift_scene(gantry, [replace(brick, grasp_site="grasp", mass_kg=0.3)])
     assert scene.model.body_mass[scene.bodies] == pytest.approx([0.3])
     assert scene.model.nlight == 1

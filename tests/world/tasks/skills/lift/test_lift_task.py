@@ -51,7 +51,9 @@ def test_the_oracle_lifts(robot):
     env = make_env(robot)
     result = play(OracleAgent(env), env, evaluation_episodes(env.config, COUNT, 0))
     assert result.success.mean() >= 0.9
-    assert (result.infos["rise"][result.success] >= env.config.task.skill.height_m).all()
+    assert (
+        result.infos["rise"][result.success] >= env.config.task.skill.height_m
+    ).all()
     assert result.infos["gripped"][result.success].all()
     assert np.median(result.length) < 70
 
@@ -62,7 +64,9 @@ def test_an_arm_that_rests_moves_no_object(robot):
     start(env)
     before = env.running.positions[:, 0]
     for _ in range(10):
-        _, _, terminated, _, infos = env.step(np.zeros(env.action_space.shape, dtype=np.int64))
+        _, _, terminated, _, infos = env.step(
+            np.zeros(env.action_space.shape, dtype=np.int64)
+        )
         assert not terminated.any()
     place = env.simulation.place(env.running.target)
     assert np.abs(place - before).max() < 0.002
@@ -138,7 +142,9 @@ def test_rewards_rise_from_the_way_to_the_grip_to_the_lift():
     oracle = OracleAgent(env)
     oracle.reset(Batch.of(env))
     for _ in range(70):
-        _, reward, _, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
+        _, reward, _, _, infos = env.advance(
+            oracle.act({}), np.zeros(8, dtype=np.bool_)
+        )
         held = infos["gripped"] & ~infos["is_success"]
         rise = (infos["rise"] / task.skill.height_m).clip(0, 1)
         np.testing.assert_allclose(reward[held], 1 + 4 * rise[held])
@@ -155,8 +161,12 @@ def test_a_lift_has_to_last():
     oracle.reset(Batch.of(env))
     up = np.zeros(8, dtype=np.int64)
     for _ in range(80):
-        _, _, terminated, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
-        up = np.where(infos["gripped"] & (infos["rise"] >= task.skill.height_m), up + 1, 0)
+        _, _, terminated, _, infos = env.advance(
+            oracle.act({}), np.zeros(8, dtype=np.bool_)
+        )
+        up = np.where(
+            infos["gripped"] & (infos["rise"] >= task.skill.height_m), up + 1, 0
+        )
         new = terminated & infos["is_success"] & ~ended
         assert (up[new] == task.skill.hold_steps).all()
         ended |= terminated
@@ -222,7 +232,11 @@ def test_the_policy_has_an_action_for_the_fingers_and_episodes_take_longer():
     assert EnvConfig().max_episode_steps == 50
     names = scene_of(config.env).joint_names
     assert names == config.env.task.skill.joint_names(ROBOTS["irb120"])
-    assert build(config).policy_shape.joints == len(names) == len(ROBOTS["irb120"].joints) + 1
+    assert (
+        build(config).policy_shape.joints
+        == len(names)
+        == len(ROBOTS["irb120"].joints) + 1
+    )
 
 
 def test_a_solid_scene_is_simulated_in_larger_steps():

@@ -63,7 +63,9 @@ def instance(name: str) -> Target:
 def facts(name: str) -> dict[str, tuple[str, ...]]:
     """Return what holds for an instance: the values of each relation."""
     shape = _Shape(name)
-    values = {relation: tuple(listed) for relation, listed in shape.kind["facts"].items()}
+    values = {
+        relation: tuple(listed) for relation, listed in shape.kind["facts"].items()
+    }
     values["hasShape"] = (shape.kind["shape"],)
     values["hasPart"] = tuple(shape.parts)
     return values
@@ -100,7 +102,9 @@ class _Shape:
         seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
         self._rng = np.random.default_rng(seed)
         shares = self.kind["parts"]
-        self.parts = [part for part in _SIZES if self._rng.random() < shares.get(part, 0)]
+        self.parts = [
+            part for part in _SIZES if self._rng.random() < shares.get(part, 0)
+        ]
         self.coloured: list[str] = []
         self._lines: list[str] = []
         is_round = self.kind["shape"] == "round"
@@ -112,7 +116,9 @@ class _Shape:
         self._low = 0.0  # Height of the lower end of the body
         if "foot" in self.parts:
             self._add_foot(**self._sizes("foot"))
-        self._top = self._low + self._height  # Upper end of what is assembled, and its radius
+        self._top = (
+            self._low + self._height
+        )  # Upper end of what is assembled, and its radius
         self._wide = 0.6 * self._radius if is_round else self._radius
         self._add_body()
         self._handle = ""
@@ -138,7 +144,9 @@ class _Shape:
     def _add_foot(self, radius: float, height: float, thickness: float) -> None:
         """Add disc and stem, on which the body stands."""
         half = height / 2 + 0.002
-        self._add(name="foot", type="cylinder", size=f"{_metres(radius)} .005", pos="0 0 .005")
+        self._add(
+            name="foot", type="cylinder", size=f"{_metres(radius)} .005", pos="0 0 .005"
+        )
         self._add(
             name="stem",
             type="cylinder",
@@ -209,10 +217,14 @@ class _Shape:
         pos = _metres(0, 0, self._top - knob)
         self._add(name="knob", type="sphere", size=_metres(knob), pos=pos, rgba=_DARK)
 
-    def _add_disc(self, name: str, radius: float, height: float, top: float, rgba: str) -> None:
+    def _add_disc(
+        self, name: str, radius: float, height: float, top: float, rgba: str
+    ) -> None:
         half = height / 2
         pos = _metres(0, 0, top - half)
-        self._add(name=name, type="cylinder", size=_metres(radius, half), pos=pos, rgba=rgba)
+        self._add(
+            name=name, type="cylinder", size=_metres(radius, half), pos=pos, rgba=rgba
+        )
 
     def _add(self, **attributes: str) -> None:
         """Add a geom, in the object's colour unless it has one of its own."""

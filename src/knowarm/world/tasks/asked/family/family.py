@@ -18,6 +18,8 @@ class AskInstance(AskObject):
     kind: Literal["families"] = "families"  # type: ignore[assignment]
     """Tag in JSON."""
     queries: GraphQueries | NameQueries = field(
-        default_factory=partial(GraphQueries, graph="families", hold_out=("S3b", "S3a", "S4", "S2"))
+        default_factory=partial(
+            GraphQueries, graph="families", hold_out=("S3b", "S3a", "S4", "S2")
+        )
     )
     """Where the questions come from, and which objects answer them."""

@@ -15,7 +15,9 @@ from knowarm.world.tasks.asked.query.object_sets import ObjectSets, draw_object_
 from knowarm.world.tasks.asked.query.query_source import QuerySource
 from knowarm.world.tasks.sampling import DrawnObjects, Facets, Setting, derive, uniforms
 
-_ROUNDS = 6  # Layouts drawn for each set before it counts as too large for the rectangle
+_ROUNDS = (
+    6  # Layouts drawn for each set before it counts as too large for the rectangle
+)
 MIN_FITTING = 0.05  # Least share of the sets of objects that must fit the rectangle
 
 
@@ -32,7 +34,9 @@ class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
     def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        arrangements = arrange(setting.scene, setting.facets, queries, objects, queries.version())
+        arrangements = arrange(
+            setting.scene, setting.facets, queries, objects, queries.version()
+        )
         table = arrangements.table
         parts = table.parts.shape[1]
         self.draws = draws(objects // parts)

@@ -84,7 +84,9 @@ class LayoutSource:
         rows = np.arange(len(objects))
         fitting = np.ones(len(objects), dtype=np.bool_)
         placed: list[Floats] = []
-        hidden: list[Floats] = []  # Share of each placed object that others hide, (n, 1) each
+        hidden: list[
+            Floats
+        ] = []  # Share of each placed object that others hide, (n, 1) each
         for j, new in enumerate(objects.T):
             signed = 2 * uniforms[:, j] - 1
             drawn = self._centre + signed * self._half
@@ -129,7 +131,9 @@ class LayoutSource:
         share_b[~is_nearer] = 0.0
         return share_a, share_b
 
-    def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, Floats, Floats]:
+    def _in_image(
+        self, position: Floats, objects: Integers
+    ) -> tuple[Floats, Floats, Floats]:
         """Return corners (n, T, 2) of the rectangles around objects in the image, and depths."""
         camera = position @ self._slope + self._offset
         centre = camera[..., :2]

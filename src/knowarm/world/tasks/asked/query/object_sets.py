@@ -32,7 +32,9 @@ class ObjectSets:
 
     def select(self, rows: Mask) -> "ObjectSets":
         """Return some of the sets."""
-        return ObjectSets(self.query[rows], self.facets[rows], self.goal[rows], self.balanced)
+        return ObjectSets(
+            self.query[rows], self.facets[rows], self.goal[rows], self.balanced
+        )
 
 
 def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
@@ -59,7 +61,9 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     return _ask_first(table, objects, generator)
 
 
-def _draw_sets(table: QuestionTable, objects: int, generator: np.random.Generator) -> Integers:
+def _draw_sets(
+    table: QuestionTable, objects: int, generator: np.random.Generator
+) -> Integers:
     """Draw sets of facets of different objects that are shown, askable and related, (n, m)."""
     number = table.objects
     usable = table.shown & table.askable.any(axis=0)
@@ -86,7 +90,9 @@ def _object_weights(table: QuestionTable, usable: Mask) -> Floats:
     return 1.0 / np.maximum(1, np.bincount(number, weights=usable))[number]
 
 
-def _pick(candidates: Mask, weights: Floats, generator: np.random.Generator) -> Integers:
+def _pick(
+    candidates: Mask, weights: Floats, generator: np.random.Generator
+) -> Integers:
     """Draw one candidate per row (n, F), with probabilities proportional to weights (F,)."""
     # The largest of log(weight) + Gumbel noise is such a draw.
     scores = np.log(weights) + generator.gumbel(size=candidates.shape)
@@ -100,7 +106,9 @@ def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
     return table.askable.T[sets] & alone
 
 
-def _ask_each(table: QuestionTable, sets: Integers, generator: np.random.Generator) -> ObjectSets:
+def _ask_each(
+    table: QuestionTable, sets: Integers, generator: np.random.Generator
+) -> ObjectSets:
     """Give every object of every set a query, with rare queries preferred."""
     n, m = sets.shape
     own = _own_queries(table, sets).reshape(n * m, -1)
@@ -109,7 +117,9 @@ def _ask_each(table: QuestionTable, sets: Integers, generator: np.random.Generat
     return ObjectSets(query, np.repeat(sets, m, axis=0), goal, balanced=True)
 
 
-def _ask_first(table: QuestionTable, objects: int, generator: np.random.Generator) -> ObjectSets:
+def _ask_first(
+    table: QuestionTable, objects: int, generator: np.random.Generator
+) -> ObjectSets:
     """Draw query and target, and then distractors, with every query and object equally likely."""
     count = SETS * objects
     asked = np.flatnonzero(table.askable.any(axis=1))

@@ -18,8 +18,29 @@ from knowarm.world.tasks.sampling import Facets, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState, NamedArrays
 
 CHOOSE_TARGETS = (
-    *("mug", "bottle", "teapot", "kettle", "pitcher", "wine_glass", "bowl", "vase", "pot", "pan"),
-    *("jar", "can", "candle", "lamp", "flashlight", "mallet", "brush", "basket", "bucket"),
+    *(
+        "mug",
+        "bottle",
+        "teapot",
+        "kettle",
+        "pitcher",
+        "wine_glass",
+        "bowl",
+        "vase",
+        "pot",
+        "pan",
+    ),
+    *(
+        "jar",
+        "can",
+        "candle",
+        "lamp",
+        "flashlight",
+        "mallet",
+        "brush",
+        "basket",
+        "bucket",
+    ),
     *("watering_can", "clock", "book", "toolbox", "dumbbell", "bell", "globe"),
 )
 """Objects among which is chosen."""
@@ -47,7 +68,10 @@ class AskObject(Asking):
     measures: ClassVar[tuple[Measure, ...]] = (
         Measure("choice", "right choices", "choice_correct"),
         Measure(
-            "success_if_chosen", "success if chosen rightly", "success", among="choice_correct"
+            "success_if_chosen",
+            "success if chosen rightly",
+            "success",
+            among="choice_correct",
         ),
     )
 
@@ -91,7 +115,9 @@ class AskObject(Asking):
 
     def questions(self, facets: Facets) -> QuestionTable:
         """Return the questions, cached per process."""
-        return question_table(self.queries, facets, self.visible, self.queries.version())
+        return question_table(
+            self.queries, facets, self.visible, self.queries.version()
+        )
 
     def knowledge_rows(self, facets: Facets) -> list[str]:
         """Name the rows of the knowledge table: one per query."""

@@ -31,7 +31,10 @@ RISE_REWARD = 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
-SHARE = (0.25, 0.75)  # Size of a drafted area relative to the rectangle: that of shipped robots
+SHARE = (
+    0.25,
+    0.75,
+)  # Size of a drafted area relative to the rectangle: that of shipped robots
 STEP_M = 0.018
 """Way of the gripper by the largest step of the first joint in a drafted area. A gripper of larger
 steps stops beside its grasp; one of smaller steps is slow, and objects turn in its grip."""
@@ -101,14 +104,18 @@ class Lift(Skill):
         radius = float(np.linalg.norm(robot.rectangle_centre_m))
         area = {
             "centre_m": list(robot.rectangle_centre_m),
-            "half_size_m": np.round(np.multiply(SHARE, robot.rectangle_half_size_m), 3).tolist(),
+            "half_size_m": np.round(
+                np.multiply(SHARE, robot.rectangle_half_size_m), 3
+            ).tolist(),
             "mpi_rad": round(min(robot.mpi_rad, STEP_M / radius), 3),
         }
         for turned in TURNS:
             yield area | turned
 
     @staticmethod
-    def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> LiftScene:
+    def build_scene(
+        robot: Robot, targets: Sequence[Target], distractors: int
+    ) -> LiftScene:
         """Build a scene with fingers that move and objects that can be pushed and lifted."""
         return build_lift_scene(robot, targets, distractors)
 
@@ -174,7 +181,9 @@ class Lift(Skill):
         """
         rise = (_rise(state) / self.height_m).clip(0.0, 1.0)
         held = GRIP_REWARD + RISE_REWARD * rise
-        value = np.where(state.simulator.touched(state.target), held, super().reward(state))
+        value = np.where(
+            state.simulator.touched(state.target), held, super().reward(state)
+        )
         return np.where(state.success, SUCCESS_REWARD, value)
 
     def infos(self, state: State) -> NamedArrays:

@@ -20,7 +20,11 @@ from knowarm.world.tasks.state import Indices
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
-PAD_FRICTION = (1.0, 0.005, 0.0001)  # Sliding, torsional [m] and rolling [m] friction of fingers
+PAD_FRICTION = (
+    1.0,
+    0.005,
+    0.0001,
+)  # Sliding, torsional [m] and rolling [m] friction of fingers
 PAD_SOLREF = (0.004, 1.0)  # Stiff contacts of the fingers
 PAD_SOLIMP = (0.95, 0.99)
 GRIP_FORCE_N = 40.0  # Largest force of each finger
@@ -182,7 +186,9 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
                 f"Robot {robot.name!r}: fingers names the body {name!r}, which has no geoms; name "
                 "the bodies that hold those of the fingers."
             )
-    opening = min(mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in product(*geoms))
+    opening = min(
+        mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in product(*geoms)
+    )
     if opening < LEAST_OPENING_M:
         raise UserError(
             f"Robot {robot.name!r}: its fingers {' and '.join(robot.fingers)} touch where they are "
@@ -207,7 +213,9 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
     return float(opening)
 
 
-def _add_slide(spec: mujoco.MjSpec, finger: mujoco.MjsBody, axis: Floats, range_m: float) -> None:
+def _add_slide(
+    spec: mujoco.MjSpec, finger: mujoco.MjsBody, axis: Floats, range_m: float
+) -> None:
     """Give a finger a slide along an axis of its frame, a servo, and geoms that grip."""
     finger.add_joint(
         name=finger.name,
@@ -235,7 +243,9 @@ def _add_slide(spec: mujoco.MjSpec, finger: mujoco.MjsBody, axis: Floats, range_
     servo.forcerange = [-GRIP_FORCE_N, GRIP_FORCE_N]
 
 
-def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str) -> list[int]:
+def _finger_geoms(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str
+) -> list[int]:
     """Return the ids of a finger's geoms that grip."""
     full_name = ROBOT_PREFIX + name
     if spec.body(full_name) is not None:
@@ -249,12 +259,16 @@ def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name
     return [model.geom(full_name).id]
 
 
-def _geom_to_body(spec: mujoco.MjSpec, model: mujoco.MjModel, number: int) -> mujoco.MjsBody:
+def _geom_to_body(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, number: int
+) -> mujoco.MjsBody:
     """Move a geom into a body of its own, at the frame of the body it was in."""
     old = spec.geom(model.geom(number).name)
     names = "name type meshname material rgba mass density group contype conaffinity"
     fields = {name: copy(getattr(old, name)) for name in names.split()}
-    if old.type == mujoco.mjtGeom.mjGEOM_MESH:  # whose compiled pose is that of its inertia
+    if (
+        old.type == mujoco.mjtGeom.mjGEOM_MESH
+    ):  # whose compiled pose is that of its inertia
         fields["pos"] = copy(old.pos)
         fields["quat"] = copy(old.quat)
     else:
@@ -272,7 +286,9 @@ def _body_name(spec: mujoco.MjSpec, target: Target) -> str:
     return str(spec.site(f"{target.name}/{target.grasp_site}").parent.name)
 
 
-def _free(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target) -> Floats:
+def _free(
+    spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target
+) -> Floats:
     """Make a target a solid free body with its mass; return its pose on the support, (7,)."""
     model = data.model
     support = model.geom("table" if robot.table else "floor").id
@@ -286,7 +302,9 @@ def _free(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target
     for geom in body.geoms:
         geom.contype = OBJECT_BIT
         geom.conaffinity = ROBOT_BIT | OBJECT_BIT
-        gap = mujoco.mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
+        gap = mujoco.mj_geomDistance(
+            model, data, model.geom(geom.name).id, support, 1.0, None
+        )
         if gap > -SUNK_M:
             geom.conaffinity |= SUPPORT_BIT
             lowest = min(lowest, gap)
@@ -307,7 +325,9 @@ def _set_mass(body: mujoco.MjsBody, mass_kg: float, own_kg: float) -> None:
     """Scale the masses of a body, of which its file gives ``own_kg`` together."""
     for geom in body.geoms:
         geom.density = geom.density * mass_kg / own_kg
-        geom.mass = geom.mass * mass_kg / own_kg  # not a number where the density is given
+        geom.mass = (
+            geom.mass * mass_kg / own_kg
+        )  # not a number where the density is given
     body.mass = body.mass * mass_kg / own_kg  # of bodies that give it themselves
     body.inertia = body.inertia * (mass_kg / own_kg)
     body.fullinertia = body.fullinertia * (mass_kg / own_kg)

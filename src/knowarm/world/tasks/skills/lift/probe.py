@@ -26,7 +26,9 @@ LIFT_STEPS = 20
 HOLD_STEPS = 20
 LIFT_M = 0.10  # Way of the gripper upwards
 LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
-MOVED_M = 0.02  # Way of the object before the fingers close from which it counts as pushed
+MOVED_M = (
+    0.02  # Way of the object before the fingers close from which it counts as pushed
+)
 WAYPOINTS = 5  # Poses of the way upwards
 
 OUTCOMES = {
@@ -53,7 +55,9 @@ class Lifts:
     moved: Floats  # Way of the centre of mass before the fingers close [m], (n,)
 
 
-def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Floats) -> Lifts:
+def lift(
+    scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Floats
+) -> Lifts:
     """Replay n joint paths among solid objects, and lift the first object where each ends.
 
     Episodes with the same objects are simulated as one batch; the result of one depends on itself
@@ -80,7 +84,9 @@ def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Fl
         targets = [scene.targets[k] for k in visible[columns]]
         trial = LiftTrial(build_trial_scene(scene.robot, targets), len(rows))
         places = positions[rows][:, columns]
-        for _ in trial.play([paths[row] for row in rows.tolist()], upward[rows], places):
+        for _ in trial.play(
+            [paths[row] for row in rows.tolist()], upward[rows], places
+        ):
             pass
         outcome[rows] = trial.outcome()
         rise[rows] = trial.rise
@@ -128,12 +134,16 @@ class LiftTrial:
     def __init__(self, scene: LiftScene, num_trials: int) -> None:
         threads = min(num_trials, available_cores())
         substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
-        self.simulator = LiftSimulator(scene, num_trials, threads, free_substeps=substeps)
+        self.simulator = LiftSimulator(
+            scene, num_trials, threads, free_substeps=substeps
+        )
         self._first = np.zeros(num_trials, dtype=np.int64)
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
 
-    def play(self, paths: Sequence[Floats], upward: Floats, positions: Floats) -> Iterator[str]:
+    def play(
+        self, paths: Sequence[Floats], upward: Floats, positions: Floats
+    ) -> Iterator[str]:
         """Simulate n lifts; yield the phase after each control period.
 
         Shorter paths wait at their end for the longest.
@@ -147,7 +157,10 @@ class LiftTrial:
         first = self._first
         fingers = 0.0
         steps = max(map(len, paths))
-        whole = [np.pad(path, ((0, steps - len(path)), (0, 0)), mode="edge") for path in paths]
+        whole = [
+            np.pad(path, ((0, steps - len(path)), (0, 0)), mode="edge")
+            for path in paths
+        ]
         ways = np.stack(whole, axis=1)
         simulator.reset(np.arange(len(paths)), _beside(ways[0], fingers), positions)
         placed = simulator.centre(first)
@@ -181,7 +194,12 @@ class LiftTrial:
     def outcome(self) -> Names:
         """Name how each lift ended, (n,); see ``OUTCOMES``."""
         held = self._held & (self.rise >= LIFTED_M)
-        causes = [held, self.moved > MOVED_M, ~self._touched, self._gripper_rise < LIFTED_M]
+        causes = [
+            held,
+            self.moved > MOVED_M,
+            ~self._touched,
+            self._gripper_rise < LIFTED_M,
+        ]
         return np.select(causes, list(OUTCOMES)[:4], "slipped")
 
 
@@ -202,7 +220,13 @@ def _of_successes(episodes: Columns) -> Mask:
 
 _MEASURES = (
     Measure("lifted", "lifted of all", "lift", equals="lifted", among=_of_all),
-    Measure("grasps", "lifted of the successes", "lift", equals="lifted", among=_of_successes),
+    Measure(
+        "grasps",
+        "lifted of the successes",
+        "lift",
+        equals="lifted",
+        among=_of_successes,
+    ),
     *[
         Measure(f"lift_{name}", name, "lift", equals=name, among=_of_all, about=about)
         for name, about in OUTCOMES.items()
@@ -220,7 +244,9 @@ class LiftProbe(BaseProbe):
     """
 
     label = "lift"
-    about = "Lift the object where an episode succeeds, in a simulation with solid objects."
+    about = (
+        "Lift the object where an episode succeeds, in a simulation with solid objects."
+    )
     measures: ClassVar[tuple[Measure, ...]] = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
@@ -259,7 +285,9 @@ class LiftProbe(BaseProbe):
         rise = np.zeros(len(episodes))
         if len(chosen):
             paths = played.paths(chosen)
-            lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
+            lifts = lift(
+                scene, paths, episodes.objects[chosen], episodes.positions[chosen]
+            )
             outcome[chosen] = lifts.outcome
             rise[chosen] = lifts.rise
         findings.columns |= {"lift": outcome, "lift_rise_m": rise}

@@ -9,11 +9,15 @@ from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
 from knowarm.world.tasks.state import Indices
 
-PARKED_M = 1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
+PARKED_M = (
+    1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
+)
 
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
-_CONTACTS = mujoco.mjtStage.mjSTAGE_ACC.value  # The sensors of touch need the contacts' forces
+_CONTACTS = (
+    mujoco.mjtStage.mjSTAGE_ACC.value
+)  # The sensors of touch need the contacts' forces
 
 
 class LiftSimulator(MujocoSimulator):
@@ -68,7 +72,9 @@ class LiftSimulator(MujocoSimulator):
         """Return whether both fingers touch one target per environment, (n,)."""
         return (self._touch[self._rows, targets] > 0).all(axis=1)
 
-    def _place_targets(self, ids: Indices, position: Floats, visible: Mask | None) -> None:
+    def _place_targets(
+        self, ids: Indices, position: Floats, visible: Mask | None
+    ) -> None:
         """Put the targets on their support, or far above, and the second finger as the first."""
         rows = ids[:, None]
         self._qpos[rows, self._fingers] = self._qpos[rows, self._fingers[:1]]
@@ -87,7 +93,9 @@ class LiftSimulator(MujocoSimulator):
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self._objects.bodies]
-        distance = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(axis=1)
+        distance = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(
+            axis=1
+        )
         can_grip = (distance < NEAR_M) & (joint_targets[:, -1] > 0)
         self._advance(np.flatnonzero(~can_grip), self._free_substeps)
         self._advance(np.flatnonzero(can_grip), self._substeps)

@@ -19,7 +19,10 @@ from knowarm.world.tasks.skills.teacher import (
 )
 from knowarm.world.tasks.state import EpisodeState
 
-APPROACH_M = (0.035, 0.07)  # Distances of the poses of the approach from the grasp frame
+APPROACH_M = (
+    0.035,
+    0.07,
+)  # Distances of the poses of the approach from the grasp frame
 OVER_M = 0.05  # Height of the first pose above the start of the approach
 RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the way upwards
 POINTS = 6  # Points between two poses
@@ -89,14 +92,21 @@ class LiftTeacher(Teacher):
         pose = approach[following, rows]
         pose = np.where(is_held[:, None], rise[above, rows], pose)
         pose = np.where(is_closing[:, None], joints, pose)
-        is_at_grasp = is_success(state.distance, state.angle, self._close_m, self._close_deg)
+        is_at_grasp = is_success(
+            state.distance, state.angle, self._close_m, self._close_deg
+        )
         closes = is_held | is_closing | (~is_closed & is_at_grasp)
         finger_goals = np.where(closes, closed_m, 0.0)
         goals = np.column_stack([pose, finger_goals])
         return (goals - state.joint_targets) / self._largest
 
     def practice_point(
-        self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
+        self,
+        episodes: Episodes,
+        start: Floats,
+        share: Floats,
+        noise: Floats,
+        choice: Floats,
     ) -> Floats:
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
         way = _points(self._approach, episodes.target, episodes.position)
