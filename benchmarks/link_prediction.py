@@ -197,7 +197,10 @@ def main() -> None:
             rows.append([name, side, *columns, spread])
             values.append({"model": name, "side": side, **mean, "runs": runs})
             print(rows[-1], flush=True)
-    title = f"Link prediction: {split.graph}, {len(split.test)} test triples, {arguments.seeds} seeds"
+    title = (
+        f"Link prediction: {split.graph}, {len(split.test)} test triples, "
+        f"{arguments.seeds} seeds"
+    )
     headings = [
         "model",
         "library",

@@ -119,7 +119,8 @@ def conclusion(task: TaskData) -> str:
                 continue
             final = run.evaluations.get(group.label)
             trained = run.metrics["success"][-ROWS:]
-            line = f"- `{group.name}`: {100 * np.nanmean(trained):.1f} % of its last training episodes"
+            share = f"{100 * np.nanmean(trained):.1f} %"
+            line = f"- `{group.name}`: {share} of its last training episodes"
             if final:
                 success = f"{100 * final.summary['success']:.1f} %"
                 line += (

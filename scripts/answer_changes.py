@@ -197,7 +197,10 @@ def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
     groups = groups_of(best)
     share = f"{100 * ENOUGH:.0f} % of the success of all {len(GROUPS)} changes"
     if best == "all":
-        return f"No smaller set that three seeds tried for {steps / 1e6:g} million steps has {share}."
+        return (
+            "No smaller set that three seeds tried for "
+            f"{steps / 1e6:g} million steps has {share}."
+        )
     missing = [name for name in GROUPS if name not in groups]
     which = (
         quoted(groups) if len(groups) < len(missing) else f"all but {quoted(missing)}"

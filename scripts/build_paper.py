@@ -304,7 +304,8 @@ def state_of(folder: Path) -> str:
         if run.state != "done"
     ]
     if others:
-        return f"{len(runs) - len(others)} of {len(runs)} runs are complete; not: {', '.join(others)}."
+        complete = f"{len(runs) - len(others)} of {len(runs)} runs are complete"
+        return f"{complete}; not: {', '.join(others)}."
     return f"All {len(runs)} runs are complete."
 
 

@@ -94,7 +94,10 @@ def test_an_ambiguous_object_is_not_described_and_blocks_no_question():
         (B + "mug", B + "color", B + "red"),
     ]
     graph = graph_of([*triples, (A + "pot", A + "usedFor", A + "cooking")])
-    message = "'mug' names 2 entities of the graph: http://a.org/mug, http://b.org/mug.*not described"
+    message = (
+        "'mug' names 2 entities of the graph: "
+        "http://a.org/mug, http://b.org/mug.*not described"
+    )
     with pytest.warns(DataWarning, match=message):
         assert names(graph, "usedFor cooking or usedFor drinking") == {"pot"}
     assert names(graph, "usedFor drinking", {"mug": A + "mug"}) == {"mug"}

@@ -316,7 +316,10 @@ def test_a_client_may_vanish_in_a_step(parts, server):
 @pytest.mark.slow(10)
 def test_the_command_says_who_connects_and_ctrl_c_ends_the_connections_too():
     # A shell that starts the tests in the background ignores Ctrl-C for all that they start.
-    program = "import signal as s; s.signal(s.SIGINT, s.default_int_handler); import knowarm.cli.main"
+    program = (
+        "import signal as s; s.signal(s.SIGINT, s.default_int_handler); "
+        "import knowarm.cli.main"
+    )
     program += " as m, sys; sys.exit(m.main(sys.argv[1:]))"
     command = [
         sys.executable,

@@ -74,7 +74,10 @@ def test_what_axioms_say_is_stated(tmp_path):
 def test_axioms_that_state_no_fact_are_counted_by_kind(tmp_path):
     _, local, warning = read(tmp_path, NO_FACTS)
     assert not any(relation in ("holds", "has", "in") for _, relation, _ in local)
-    kinds = "1 allValuesFrom, 1 circle, 1 complementOf, 1 minCardinality, 2 someValuesFrom, 2 unionOf"
+    kinds = (
+        "1 allValuesFrom, 1 circle, 1 complementOf, 1 minCardinality, "
+        "2 someValuesFrom, 2 unionOf"
+    )
     assert (
         f"0 facts follow from class axioms of OWL and were added; {kinds}"
         in warning.replace("class axioms that state none: ", "")

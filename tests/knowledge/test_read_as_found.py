@@ -334,7 +334,10 @@ def test_labels_of_nodes_and_columns(tmp_path):
         graph = read_graph(write(tmp_path / "a.graphml", GRAPHML))
     assert list(graph) == [("n0", "usedFor", "n1")]
     assert graph.labels == {"n0": "Mug"}
-    kgtk = "node1\tlabel\tnode2\tnode1;label\tlabel;label\tnode2;label\nQ1\tP1\tQ2\tmug\tused for\t\n"
+    kgtk = (
+        "node1\tlabel\tnode2\tnode1;label\tlabel;label\tnode2;label\n"
+        "Q1\tP1\tQ2\tmug\tused for\t\n"
+    )
     graph = read_graph(write(tmp_path / "a.tsv", kgtk))
     assert list(graph) == [("Q1", "P1", "Q2")]
     assert graph.labels == {"Q1": "mug", "P1": "used for"}

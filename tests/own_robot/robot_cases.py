@@ -31,7 +31,10 @@ SECOND = ARM[ARM.index(BASE) : ARM.index("</worldbody>")].replace('name="', 'nam
 JAW = """<body name="jaw" pos="0 .03 .04"><joint name="{}" axis="1 0 0" range="-.2 1.2"/>
   <geom type="box" size=".01 .005 .03" pos="0 0 .03"/></body>"""
 FIXED = '<geom type="box" size=".01 .005 .03" pos="0 -.03 .06"/>'
-CUBE = '<body name="cube{0}" pos=".4 .1 .{0}"><freejoint/><geom type="box" size=".03 .03 .03"/></body>'
+CUBE = (
+    '<body name="cube{0}" pos=".4 .1 .{0}"><freejoint/>'
+    '<geom type="box" size=".03 .03 .03"/></body>'
+)
 TORSO = """<body name="waist"><joint name="w1" axis="0 0 1" range="-1 1"/><geom size=".1"/>
   <body name="chest" pos="0 0 .1"><joint name="w2" axis="0 1 0" range="-.5 1"/><geom size=".1"/>
   <body name="head" pos="0 0 .3"><joint name="neck" axis="0 0 1"/><geom size=".1"/></body>"""
