@@ -109,7 +109,7 @@ def content(folder):
     return stored, curves
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", range(2))
 def test_a_run_killed_at_a_random_moment_goes_on_from_a_copy_to_the_same_bytes(
     tmp_path, uninterrupted, number
 ):
