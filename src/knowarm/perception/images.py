@@ -32,6 +32,10 @@ class LabelledImages(NamedTuple):
     grasp_position: Tensor  # (N, m, 3) float32 [m], world
     grasp_axes: Tensor  # (N, m, 6) float32: x and z axis of the grasp frames, world
 
+    def of(self, rows: Tensor) -> "LabelledImages":
+        """Return some of the images (n,) int64 with their labels."""
+        return LabelledImages(*(tensor[rows] for tensor in self))
+
 
 class QueryAnswers(NamedTuple):
     """Facets (Q, F) bool that answer Q queries, and for which the task may ask them."""
