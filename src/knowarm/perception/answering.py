@@ -91,8 +91,8 @@ class AnswerGrounding(FrameRecognition):
         answering = by_place + counted.log()[:, :, None]
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
-        at_place = answering.take_along_dim(place[:, None, None], 2)
-        facet = at_place.squeeze(2).argmax(1)
+        index = place[:, None, None].expand(-1, answering.shape[1], 1)
+        facet = answering.gather(2, index).squeeze(2).argmax(1)
         cell = self.network.cells(place, facet)
         frames = self.network.frames(features, cell[:, None])[:, 0]
         return frames, scores, by_place

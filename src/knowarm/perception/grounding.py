@@ -199,8 +199,9 @@ class GroundingNetwork(nn.Module):
     def frames_of(self, inputs: Tensor, part: Tensor) -> Tensor:
         """Predict frames (..., 9) of the parts (...) int64 from `frame_inputs` (..., D)."""
         frames = self.frame(inputs).unflatten(-1, (-1, FRAME))  # of all parts
-        of_part = frames.take_along_dim(part[..., None, None], -2)
-        return cast(Tensor, of_part.squeeze(-2))
+        # `take_along_dim` would fix the batch size of an ONNX export.
+        index = part[..., None, None].expand(*part.shape, 1, FRAME)
+        return cast(Tensor, frames.gather(-2, index).squeeze(-2))
 
     def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
         """Return what frames at places (n, m) are predicted from: features, and where they are.
@@ -211,7 +212,7 @@ class GroundingNetwork(nn.Module):
         padded = nn.functional.pad(features, (around,) * 4)
         # A view of the places around every place: (n, C, h, w, side, side).
         windows = padded.unfold(2, self._side, 1).unfold(3, self._side, 1)
-        image = torch.arange(len(places), device=places.device)[:, None]
+        image = torch.arange(places.shape[0], device=places.device)[:, None]
         row = places // features.shape[3]
         column = places % features.shape[3]
         inputs = windows[image, :, row, column].flatten(2)
