@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from knowarm.learn.parallel.processes import (
     ChildProcess,
@@ -39,6 +40,20 @@ class CompletedEvaluation(NamedTuple):
     results: Metrics
 
 
+class Evaluator:
+    """Evaluates policies of one structure by their parameters (P,)."""
+
+    def __init__(self, make_policy: MakePolicy, make_evaluate: MakeEvaluate) -> None:
+        self._policy = make_policy()
+        self._values = FlatParameters(self._policy).values
+        self._evaluate = make_evaluate()
+
+    def __call__(self, values: Tensor) -> Metrics:
+        """Evaluate the policy with these parameters."""
+        self._values.copy_(values)
+        return self._evaluate(self._policy)
+
+
 class Evaluations:
     """Runs interim evaluations, in the training process or in a child process.
 
@@ -60,15 +75,14 @@ class Evaluations:
     ) -> None:
         self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._completed: list[CompletedEvaluation] = []
-        self._evaluate: Evaluate | None = None
+        self._evaluator: Evaluator | None = None
         self.process: SupervisedProcess | None = None
         if make_evaluate is not None and in_background:
             context = context or process_context()
             # Parameters do not fit into a pipe: sending them would block while the child starts.
             parameters = sum(p.numel() for p in policy.parameters())
-            self._shared = SharedTensors(
-                context, {"values": ((parameters,), torch.float32)}
-            )
+            specs = {"values": ((parameters,), torch.float32)}
+            self._shared = SharedTensors(context, specs)
             arguments = (policy.maker(), make_evaluate, self._shared)
             self.process = SupervisedProcess(
                 lambda restarts: ChildProcess.start(
@@ -76,15 +90,12 @@ class Evaluations:
                 )
             )
         elif make_evaluate is not None:
-            self._evaluate = make_evaluate()
-            self._policy = policy.maker()()
-            self._parameters = FlatParameters(self._policy)
+            self._evaluator = Evaluator(policy.maker(), make_evaluate)
 
     def submit(self, step: int, values: np.ndarray) -> None:
         """Evaluate the policy with the parameters ``values`` (P,)."""
-        if self._evaluate is not None:
-            self._parameters.values.copy_(torch.from_numpy(values))
-            results = self._evaluate(self._policy)
+        if self._evaluator is not None:
+            results = self._evaluator(torch.from_numpy(values))
             self._completed.append(CompletedEvaluation(step, values, results))
         elif self.process is not None:
             self._pending.append((step, values))
@@ -133,10 +144,7 @@ def run_evaluator(
     connection: Connection,
 ) -> None:
     """Entry point of the evaluator process: evaluate until the parent process exits."""
-    judge = make_policy()
-    parameters = FlatParameters(judge)
-    evaluate = make_evaluate()
+    evaluate = Evaluator(make_policy, make_evaluate)
     while True:
         connection.recv()
-        parameters.values.copy_(shared["values"])
-        connection.send(evaluate(judge))
+        connection.send(evaluate(shared["values"]))

@@ -2,7 +2,6 @@
 
 import logging
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -10,6 +9,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
+from knowarm.learn.checkpoint import Tensors
 from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 
@@ -26,9 +26,7 @@ class FiniteGuard:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
-    def check(
-        self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]
-    ) -> None:
+    def check(self, terms: Tensors, step: int, batch: Tensors) -> None:
         """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
             if torch.isfinite(value).all():
@@ -71,7 +69,7 @@ class FiniteGuard:
         terms["the gradient's norm"] = norm
         self.check(terms, step, rollout.tensors())
 
-    def _save(self, folder: Path, step: int, batch: Mapping[str, Tensor]) -> Path:
+    def _save(self, folder: Path, step: int, batch: Tensors) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"not-finite-{step}.safetensors"
         save_file(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
+from knowarm.learn.checkpoint import Arrays
 from knowarm.perception.config import FRAME
 from knowarm.perception.grounding import GroundingNetwork, in_batches
 from knowarm.perception.images import axes_of
@@ -112,11 +113,11 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         """As `TorchArmVectorEnv.knowledge`."""
         return self._perceived
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """As `TorchArmVectorEnv.get_state`, with what was recognized."""
         return super().get_state() | {"perceived": self._perceived.cpu().numpy().copy()}
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """As `TorchArmVectorEnv.set_state`."""
         state = dict(state)
         perceived = state.pop("perceived", None)
@@ -146,7 +147,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
 
 
 @torch.inference_mode()
-def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndarray]:
+def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> Arrays:
     """Return what an agent knows in the episode of one environment with this first image.
 
     ``knowledge`` (K,) is what its policy receives, ``recognition`` (P, P) the likelihood of the

@@ -5,9 +5,9 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from knowarm.perception.config import Facets
 from knowarm.perception.looks import attribute_codes, code_matrix
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
-from knowarm.questions import ObjectColour
 from knowarm.seeding import torch_generator
 
 
@@ -30,9 +30,7 @@ class PlaceEncoder(nn.Module):
     code: Tensor | None
     """(objects, outputs) buffer; see `AttributeCode`. None: each object has its own score."""
 
-    def __init__(
-        self, facets: tuple[ObjectColour, ...], channels: int, seed: int
-    ) -> None:
+    def __init__(self, facets: Facets, channels: int, seed: int) -> None:
         super().__init__()
         self.channels = channels
         self.register_buffer("facet_parts", number_facets(facets), persistent=False)
@@ -142,7 +140,7 @@ class PlaceEncoder(nn.Module):
         return cast(Tensor, of_place + of_shape + of_parts + of_kind + of_colour)
 
 
-def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:
+def number_facets(facets: Facets) -> Tensor:
     """Return object and colour of each facet, (2, F) int64, numbered by first appearance."""
     numbers = []
     for names in zip(*facets, strict=True):

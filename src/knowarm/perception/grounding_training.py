@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from knowarm.cores import torch_threads
-from knowarm.learn.checkpoint import to_arrays, to_tensors
+from knowarm.learn.checkpoint import Tensors, to_arrays, to_tensors
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import (
@@ -246,9 +246,7 @@ def train_frame_head(
     return network
 
 
-def _parameters(
-    network: GroundingNetwork, beginnings: tuple[str, ...]
-) -> dict[str, Tensor]:
+def _parameters(network: GroundingNetwork, beginnings: tuple[str, ...]) -> Tensors:
     """Return the parameters and buffers whose names begin so."""
     state = network.state_dict().items()
     return {name: value for name, value in state if name.startswith(beginnings)}
@@ -273,5 +271,5 @@ def _read(file: Path, network: GroundingNetwork, trained: tuple[str, ...]) -> bo
     return False
 
 
-def _shapes(tensors: dict[str, Tensor]) -> dict[str, torch.Size]:
+def _shapes(tensors: Tensors) -> dict[str, torch.Size]:
     return {name: value.shape for name, value in tensors.items()}

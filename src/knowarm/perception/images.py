@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.perception.config import GroundingSpec
+from knowarm.learn.checkpoint import Arrays
+from knowarm.perception.config import Facets, GroundingSpec
 from knowarm.perception.looks import look_of
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
@@ -51,9 +52,7 @@ class QueryAnswers(NamedTuple):
         )
 
 
-def query_answers(
-    env: EnvConfig, facets: tuple[ObjectColour, ...]
-) -> QueryAnswers | None:
+def query_answers(env: EnvConfig, facets: Facets) -> QueryAnswers | None:
     """Return the answers to a task's queries among some facets; None without queries."""
     table = questions_of(env)
     if table is None:
@@ -89,11 +88,11 @@ class ImageSampler:
         fields = zip(*batches, strict=True)
         return LabelledImages(*(torch.cat(tensors)[:count] for tensors in fields))
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Copy all that determines the following images."""
         return self._world.get_state()
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Restore a state of `get_state`."""
         self._seed = None
         self._world.set_state(state)

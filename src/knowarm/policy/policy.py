@@ -258,18 +258,17 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
         with torch.device("meta"):
             return Policy(config, shape).parameter_counts()["total"]
 
-    def without(hidden: int) -> PolicyConfig:
-        return replace(config, fusion="none", hidden=hidden)
+    target = count(config)
 
-    def count_without(hidden: int) -> int:
-        return count(without(hidden))
+    def excess(hidden: int) -> int:
+        return count(replace(config, fusion="none", hidden=hidden)) - target
 
     # The count grows with the hidden size: find the first that is not below the target.
-    target = count(config)
     sizes = range(1, 2**20)
-    high = bisect_left(sizes, target, key=count_without)
+    high = bisect_left(sizes, 0, key=excess)
     nearest = sizes[max(0, high - 1) : high + 1]
-    return without(min(nearest, key=lambda hidden: abs(count_without(hidden) - target)))
+    hidden = min(nearest, key=lambda hidden: abs(excess(hidden)))
+    return replace(config, fusion="none", hidden=hidden)
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from knowarm.learn.checkpoint import Tensors
 from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy, State
@@ -42,7 +43,7 @@ class WorkerGradients:
         self._encoded = torch.zeros(*shape, encoder.width)
         tensors = Rollout.zeros(steps, workers, policy).tensors()
         self.rollout = Rollout(**tensors | {"patches": self._patches.transpose(0, 1)})
-        self.gradients: dict[str, Tensor] = {}
+        self.gradients: Tensors = {}
 
     def infer(
         self, rollout: Rollout, t: int, image: Tensor, state: State

@@ -41,15 +41,10 @@ class A3CWorker:
         env = args.make_env(config.envs_per_worker, 1)
         self._curriculum = ThresholdCurriculum(config, env)
         stream = (args.index, args.restarts)
-        self._collector = Collector(
-            env,
-            self._policy,
-            seed=args.seed,
-            stream=stream,
-            curriculum=self._curriculum,
-        )
+        self._collector = Collector(env, self._policy, seed=args.seed, stream=stream)
         if args.state is not None:
             self._collector.set_state(args.state)
+            self._curriculum.set_state(args.state)
         elif args.threshold_factor is not None and self._curriculum.is_used:
             self._curriculum.factor = args.threshold_factor
         self._rollout = Rollout.zeros(
@@ -60,9 +55,8 @@ class A3CWorker:
     def run(self) -> None:
         """Answer the trainer's requests and train between them."""
         while True:
-            is_idle = (
-                bool(self._shared["paused"]) or self._step() >= self.args.total_steps
-            )
+            is_done = self._step() >= self.args.total_steps
+            is_idle = is_done or bool(self._shared["paused"])
             if self._connection.poll(IDLE_S if is_idle else 0):
                 request: StateRequest = self._connection.recv()
                 self._connection.send(self._state(request))
@@ -136,7 +130,7 @@ class A3CWorker:
         index = self.args.index
         state = WorkerState(
             is_last=request.is_last,
-            collector=self._collector.get_state(),
+            collector=self._collector.get_state() | self._curriculum.get_state(),
             steps=int(self._shared["steps"][index]),
         )
         if index > 0:
