@@ -155,9 +155,10 @@ class NumpyToTorch:
         """As `TorchVectorEnv.step`."""
         images, reward, terminated, truncated, infos = self.env.step(actions.numpy())
         result: Infos = {}
-        if "final_info" in infos and "is_success" in infos["final_info"]:
-            success = np.asarray(infos["final_info"]["is_success"], np.bool_)
-            result["final_info"] = {"is_success": torch.from_numpy(success)}
+        success = infos.get("final_info", {}).get("is_success")
+        if success is not None:
+            success = torch.from_numpy(np.asarray(success, np.bool_))
+            result["final_info"] = {"is_success": success}
         ids = np.flatnonzero(truncated)
         if len(ids):
             final = np.zeros_like(images)

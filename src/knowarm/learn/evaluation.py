@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from knowarm.learn.parallel.processes import (
     ChildProcess,
@@ -34,24 +33,9 @@ class CompletedEvaluation(NamedTuple):
     """Result of one interim evaluation."""
 
     step: int
-    values: (
-        np.ndarray
-    )  # (P,) float32, the parameters of the evaluated policy; see `FlatParameters`
+    values: np.ndarray
+    """(P,) float32, the parameters of the evaluated policy; see `FlatParameters`."""
     results: Metrics
-
-
-class Evaluator:
-    """Evaluates policies of one structure by their parameters (P,)."""
-
-    def __init__(self, make_policy: MakePolicy, make_evaluate: MakeEvaluate) -> None:
-        self._policy = make_policy()
-        self._values = FlatParameters(self._policy).values
-        self._evaluate = make_evaluate()
-
-    def __call__(self, values: Tensor) -> Metrics:
-        """Evaluate the policy with these parameters."""
-        self._values.copy_(values)
-        return self._evaluate(self._policy)
 
 
 class Evaluations:
@@ -75,7 +59,7 @@ class Evaluations:
     ) -> None:
         self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._completed: list[CompletedEvaluation] = []
-        self._evaluator: Evaluator | None = None
+        self._evaluate: Evaluate | None = None
         self.process: SupervisedProcess | None = None
         if make_evaluate is not None and in_background:
             context = context or process_context()
@@ -90,12 +74,15 @@ class Evaluations:
                 )
             )
         elif make_evaluate is not None:
-            self._evaluator = Evaluator(policy.maker(), make_evaluate)
+            self._evaluate = make_evaluate()
+            self._policy = policy.maker()()
+            self._parameters = FlatParameters(self._policy)
 
     def submit(self, step: int, values: np.ndarray) -> None:
         """Evaluate the policy with the parameters ``values`` (P,)."""
-        if self._evaluator is not None:
-            results = self._evaluator(torch.from_numpy(values))
+        if self._evaluate is not None:
+            self._parameters.values.copy_(torch.from_numpy(values))
+            results = self._evaluate(self._policy)
             self._completed.append(CompletedEvaluation(step, values, results))
         elif self.process is not None:
             self._pending.append((step, values))
@@ -144,7 +131,10 @@ def run_evaluator(
     connection: Connection,
 ) -> None:
     """Entry point of the evaluator process: evaluate until the parent process exits."""
-    evaluate = Evaluator(make_policy, make_evaluate)
+    judge = make_policy()
+    parameters = FlatParameters(judge)
+    evaluate = make_evaluate()
     while True:
         connection.recv()
-        connection.send(evaluate(shared["values"]))
+        parameters.values.copy_(shared["values"])
+        connection.send(evaluate(judge))

@@ -5,11 +5,11 @@ import math
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.checkpoint import Tensors
+from knowarm.learn.checkpoint import Tensors, to_arrays
 from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 
@@ -33,9 +33,10 @@ class FiniteGuard:
                 continue
             where = ""
             if self._folder is not None:
-                where = (
-                    f"; the rollout is saved in {self._save(self._folder, step, batch)}"
-                )
+                self._folder.mkdir(parents=True, exist_ok=True)
+                path = self._folder / f"not-finite-{step}.safetensors"
+                save_file(to_arrays(batch), path)
+                where = f"; the rollout is saved in {path}"
             raise NotFiniteError(
                 f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
                 "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
@@ -68,15 +69,6 @@ class FiniteGuard:
                 terms[f"the gradient of {name}"] = parameter.grad
         terms["the gradient's norm"] = norm
         self.check(terms, step, rollout.tensors())
-
-    def _save(self, folder: Path, step: int, batch: Tensors) -> Path:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"not-finite-{step}.safetensors"
-        save_file(
-            {name: value.detach().cpu().contiguous() for name, value in batch.items()},
-            path,
-        )
-        return path
 
 
 class HealthMonitor:

@@ -314,8 +314,8 @@ class Learner:
         for index, _ in enumerate(commands, 1):
             exchange = self._shared.exchange
             self.gradient += exchange["gradients"][index]
-            others = exchange["terms"][index, : len(terms)]
-            for term, other in zip(terms.values(), others, strict=True):
+            of_worker = exchange["terms"][index, : len(terms)]
+            for term, other in zip(terms.values(), of_worker, strict=True):
                 term.add_(other)
         return terms
 

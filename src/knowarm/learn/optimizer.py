@@ -153,7 +153,7 @@ def resolve_precision(choice: Precision, device: torch.device) -> MatmulPrecisio
     """
     if choice != "auto":
         return choice
-    is_fast = torch.cuda.is_bf16_supported
-    if device.type == "cpu":
-        is_fast = cpu_has_bfloat16
-    return "bfloat16" if is_fast() else "float32"
+    is_fast = (
+        cpu_has_bfloat16() if device.type == "cpu" else torch.cuda.is_bf16_supported()
+    )
+    return "bfloat16" if is_fast else "float32"

@@ -105,7 +105,7 @@ class MinibatchTrainer(SynchronousTrainer):
         self._collector = Collector(
             env, policy, seed=seed, final_values=final_values, greedy=greedy
         )
-        self._generator = torch_generator(seed, "minibatches", device=device)
+        self._minibatch_generator = torch_generator(seed, "minibatches", device=device)
         parameters = network.parameters_by_name()
         self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
         self._guard = FiniteGuard(self.failure_folder)
@@ -126,16 +126,12 @@ class MinibatchTrainer(SynchronousTrainer):
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        self.policy.matmul_precision = self.matmul_precision
-        try:
-            with self._learner.running():
-                return super()._train(total_steps)
-        finally:
-            self.policy.matmul_precision = "float32"
+        with self.policy.computing(self.matmul_precision), self._learner.running():
+            return super()._train(total_steps)
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
-        state = to_arrays({"order": self._generator.get_state()})
+        state = to_arrays({"order": self._minibatch_generator.get_state()})
         for prefix, part in self._parts:
             state |= prefixed(prefix, part.get_state())
         if self._head is not None:
@@ -154,7 +150,7 @@ class MinibatchTrainer(SynchronousTrainer):
             self._head.load_state_dict(to_tensors(select(state, "auxiliary/")))
         for prefix, part in self._parts:
             part.set_state(select(state, prefix))
-        self._generator.set_state(torch.tensor(state["order"]))
+        self._minibatch_generator.set_state(torch.tensor(state["order"]))
 
     def update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
@@ -193,7 +189,7 @@ class MinibatchTrainer(SynchronousTrainer):
         measured: list[Terms] = []
         for _ in range(config.epochs):
             # Environments stay whole, since a recurrent state passes through all of their steps.
-            generator = self._generator
+            generator = self._minibatch_generator
             order = torch.randperm(
                 config.num_envs, generator=generator, device=generator.device
             )

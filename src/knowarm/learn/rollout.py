@@ -36,9 +36,8 @@ class Rollout:
     reward: Tensor  # (T, B) float32, unscaled
     terminated: Tensor  # (T, B) bool
     truncated: Tensor  # (T, B) bool
-    final_value: (
-        Tensor  # (T, B) float32: value of the final observation where truncated, else 0
-    )
+    # (T, B) float32: value of the final observation where truncated, else 0
+    final_value: Tensor
     last_value: Tensor  # (B,) float32: value of the observation after the last step
     start_h: Tensor  # (B, H) float32: hidden state before the first step
     start_c: Tensor  # (B, H) float32: cell state before the first step
@@ -271,9 +270,8 @@ class Collector:
             else:
                 rollout.action[t] = sample(logits, self.generator)
             begin = time.perf_counter()
-            self._image, reward, terminated, truncated, infos = self.env.step(
-                rollout.action[t]
-            )
+            result = self.env.step(rollout.action[t])
+            self._image, reward, terminated, truncated, infos = result
             self.environment_s += time.perf_counter() - begin
             rollout.reward[t] = reward
             rollout.terminated[t] = terminated
@@ -296,17 +294,12 @@ class Collector:
         rollout.log_probability[:count] = log_probability(
             torch.stack(all_logits), rollout.action[:count]
         )
-        if self._final_values and not self.is_at_start:
+        if self._final_values and not self._start.all():
             _, value, _ = self.policy.step(
                 self._image, self.env.knowledge, self._state, self._start
             )
             rollout.last_value.copy_(value)
         return count
-
-    @property
-    def is_at_start(self) -> bool:
-        """Whether all environments are at the start of an episode."""
-        return bool(self._start.all())
 
     def restart(self, seed: int | None = None) -> Tensor:
         """Start new episodes in all environments; return their images.
@@ -325,11 +318,12 @@ class Collector:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
         ids = cut.nonzero().squeeze(1)
         if len(ids):
-            image = infos["final_obs"][ids]
-            state = (self._state[0][ids], self._state[1][ids])
-            start = torch.zeros_like(cut[ids])
+            h, c = self._state
             _, value, _ = self.policy.step(
-                image, rollout.knowledge[t, ids], state, start
+                infos["final_obs"][ids],
+                rollout.knowledge[t, ids],
+                (h[ids], c[ids]),
+                torch.zeros_like(cut[ids]),
             )
             rollout.final_value[t, ids] = value
 
@@ -340,15 +334,11 @@ class Collector:
             "episode_start": self._start,
             "h": self._state[0],
             "c": self._state[1],
+            "generator": self.generator.get_state(),
         }
         state = to_arrays(tensors)
         state |= prefixed("episode/", self.statistics.get_state())
-        state |= self.get_state_between_episodes()
         return state | prefixed("env/", self.env.get_state())
-
-    def get_state_between_episodes(self) -> Arrays:
-        """Return all that is needed where the next rollout starts new streams of episodes."""
-        return to_arrays({"generator": self.generator.get_state()})
 
     def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
@@ -360,9 +350,5 @@ class Collector:
         self._start = tensor("episode_start")
         self._state = (tensor("h"), tensor("c"))
         self.statistics.set_state(select(state, "episode/"))
-        self.set_state_between_episodes(state)
-        self.env.set_state(select(state, "env/"))
-
-    def set_state_between_episodes(self, state: Arrays) -> None:
-        """Continue from the result of `get_state_between_episodes`."""
         self.generator.set_state(torch.tensor(state["generator"]))
+        self.env.set_state(select(state, "env/"))

@@ -138,10 +138,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         if self.has_teacher:
             frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
-            rows = (
-                self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
-            )
-            frames = self._recognition(images[ids], rows)
+            frames = self._recognition(images[ids], self.knowledge_input[ids])
         self._perceived = self._perceived.index_copy(0, ids, frames)
         return images
 
@@ -159,11 +156,11 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> Arrays:
     knowledge = agent.knowledge
     if knowledge is None:
         knowledge = agent.recognize(images)
-    arrays = {"knowledge": knowledge[0]}
+    arrays = {"knowledge": knowledge[0].numpy()}
     recognition = agent.recognition
     if recognition is not None:
         scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
         likelihood = scores[0].softmax(0)
         side = round(len(likelihood) ** 0.5)
-        arrays["recognition"] = likelihood.reshape(side, -1)
-    return {name: value.numpy() for name, value in arrays.items()}
+        arrays["recognition"] = likelihood.reshape(side, -1).numpy()
+    return arrays

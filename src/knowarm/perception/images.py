@@ -26,9 +26,8 @@ class LabelledImages(NamedTuple):
 
     images: Tensor  # (N, H, W, 3) uint8
     facets: Tensor  # (N, m) int64, facets of the network
-    queries: (
-        Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
-    )
+    # (N,) int64, rows of the knowledge table; 0 for a task without queries
+    queries: Tensor
     pixels: Tensor  # (N, m, 2) float32: column and row of the objects [px]
     grasp_position: Tensor  # (N, m, 3) float32 [m], world
     grasp_axes: Tensor  # (N, m, 6) float32: x and z axis of the grasp frames, world

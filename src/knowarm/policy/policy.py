@@ -10,7 +10,8 @@ independent, so log-probabilities and entropies of an action are sums over the j
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -164,10 +165,7 @@ class Policy(nn.Module):
         self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by T steps; see `unroll_with_features`."""
-        logits, values, state, _ = self.unroll_with_features(
-            image, knowledge, state, episode_start
-        )
-        return logits, values, state
+        return self.unroll_with_features(image, knowledge, state, episode_start)[:3]
 
     def unroll_with_features(
         self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
@@ -208,6 +206,15 @@ class Policy(nn.Module):
     def maker(self) -> "MakePolicy":
         """Return a function that builds a policy with this structure."""
         return partial(Policy, self.config, self.shape)
+
+    @contextmanager
+    def computing(self, precision: MatmulPrecision) -> Iterator[None]:
+        """Use a precision of products, in place of float32, until the context ends."""
+        self.matmul_precision = precision
+        try:
+            yield
+        finally:
+            self.matmul_precision = "float32"
 
     def autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""

@@ -1,8 +1,6 @@
 """A3C on a fixed schedule: all workers in one process, their updates one after another."""
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -58,7 +56,7 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         self._precision = resolve_precision(config.matmul_precision, cpu)
         self._mean_square = torch.zeros_like(FlatParameters(policy).values)
         workers = config.workers
-        with self._running():
+        with torch_threads(1), policy.computing(self._precision):
             self._workers = WorkerGradients(policy, config.rollout_steps, workers)
         env = make_env(workers, 1)
         self._curriculum = ThresholdCurriculum(config, env)
@@ -67,18 +65,8 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        with self._running():
+        with torch_threads(1), self.policy.computing(self._precision):
             return super()._train(total_steps)
-
-    @contextmanager
-    def _running(self) -> Iterator[None]:
-        """Use one PyTorch thread, and the precision of training, until the context ends."""
-        self.policy.matmul_precision = self._precision
-        try:
-            with torch_threads(1):
-                yield
-        finally:
-            self.policy.matmul_precision = "float32"
 
     def update(self, total_steps: int) -> Metrics:
         """Play and learn for `A3CConfig.log_every_steps`; see `SynchronousTrainer.update`."""
@@ -162,10 +150,11 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
+        collector = self._collector
         if self.config.rollout_ends_with_episode:
-            state = self._collector.get_state_between_episodes()
+            state = to_arrays({"generator": collector.generator.get_state()})
         else:
-            state = self._collector.get_state()
+            state = collector.get_state()
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer=to_arrays({"mean_square": self._mean_square}),
@@ -174,12 +163,13 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """See `Trainer.restore`."""
+        state = checkpoint.state
         self._mean_square.copy_(torch.from_numpy(checkpoint.optimizer["mean_square"]))
         if self.config.rollout_ends_with_episode:
-            self._collector.set_state_between_episodes(checkpoint.state)
+            self._collector.generator.set_state(torch.tensor(state["generator"]))
         else:
-            self._collector.set_state(checkpoint.state)
-        self._curriculum.set_state(checkpoint.state)
+            self._collector.set_state(state)
+        self._curriculum.set_state(state)
 
 
 def first_episodes(done: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
+    copy_vectors,
     mean_metrics,
     shared_state_specs,
 )
@@ -173,7 +174,7 @@ class A3CTrainer(Trainer):
 
     def _read(self) -> None:
         """Handle the messages of the workers, waiting briefly for the first one."""
-        senders = {}
+        senders: dict[Any, int] = {}
         for index, worker in enumerate(self._workers):
             if not self._has_exited(index):
                 senders[worker.child.connection] = index
@@ -274,9 +275,7 @@ class A3CTrainer(Trainer):
 
         A worker that has not updated, or not since the checkpoint, continues from there.
         """
-        missing = [
-            index for index in range(self.config.workers) if index not in self._states
-        ]
+        missing = sorted(set(range(self.config.workers)) - set(self._states))
         if missing:
             log.warning(
                 "No state arrived from the workers %s; they were stopped.", missing
@@ -289,22 +288,19 @@ class A3CTrainer(Trainer):
                 is_last=True,
                 collector=self._collectors.get(index, {}),
                 steps=steps,
-                values=self._shared.copy("values"),
-                mean_square=self._shared.copy("mean_square"),
+                vectors=copy_vectors(self._shared),
             )
 
     def _checkpoint(self) -> Checkpoint:
-        first = self._states[0]
-        assert first.values is not None
-        assert first.mean_square is not None
-        collectors = {}
+        vectors = self._states[0].vectors
+        collectors: Arrays = {}
         steps = np.zeros(self.config.workers, np.int64)
         for index, state in sorted(self._states.items()):
             steps[index] = state.steps
             collectors |= prefixed(f"worker-{index}/", state.collector)
         return Checkpoint(
-            policy=unflatten_parameters(self.policy, first.values),
-            optimizer={"mean_square": first.mean_square, "steps": steps},
+            policy=unflatten_parameters(self.policy, vectors["values"]),
+            optimizer={"mean_square": vectors["mean_square"], "steps": steps},
             state=collectors,
             facts={
                 "step": int(steps.sum()),

@@ -10,6 +10,7 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
+    copy_vectors,
     sums_of,
 )
 from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
@@ -97,9 +98,8 @@ class A3CWorker:
         )
         shared["steps"][args.index] += steps
         episodes = self._collector.statistics.take()
-        self._curriculum.update(
-            episodes.summary().get("success", 0.0), after / args.total_steps
-        )
+        success = episodes.summary().get("success", 0.0)
+        self._curriculum.update(success, after / args.total_steps)
         sums = {
             "updates": 1,
             "steps": steps,
@@ -128,16 +128,11 @@ class A3CWorker:
 
     def _state(self, request: StateRequest) -> WorkerState:
         index = self.args.index
-        state = WorkerState(
+        return WorkerState(
             is_last=request.is_last,
             collector=self._collector.get_state() | self._curriculum.get_state(),
             steps=int(self._shared["steps"][index]),
-        )
-        if index > 0:
-            return state
-        return state._replace(
-            values=self._shared.copy("values"),
-            mean_square=self._shared.copy("mean_square"),
+            vectors={} if index > 0 else copy_vectors(self._shared),
         )
 
 
