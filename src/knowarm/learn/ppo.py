@@ -26,7 +26,7 @@ from knowarm.learn.learner import Learner, Loss, Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, advantages, ppo_loss
 from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.processes import keep_freed_memory
-from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.parallel.shared_tensors import TensorSpecs, clip_gradient
 from knowarm.learn.privileged import PrivilegedRecorder, StateCritic
 from knowarm.learn.rollout import Collector, Rollout
 from knowarm.learn.trainer import StopReason, SynchronousTrainer
@@ -195,12 +195,10 @@ class MinibatchTrainer(SynchronousTrainer):
             )
             for env_ids in order.chunk(config.minibatches):
                 loss = learner.compute_gradient(env_ids)
-                norm = torch.linalg.vector_norm(learner.gradient)
+                norm = clip_gradient(learner.gradient, config.max_grad_norm)
                 self._guard.check_update(
                     self.policy, loss, norm, self.step, learner.rollout
                 )
-                if norm > config.max_grad_norm:
-                    learner.gradient.mul_(config.max_grad_norm / norm)
                 self._optimizer.step()
                 del loss["total"]
                 measured.append({**loss, "grad_norm": norm})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.checkpoint import Arrays
+from knowarm.learn.checkpoint import Arrays, to_arrays
 from knowarm.perception.config import FRAME
 from knowarm.perception.grounding import GroundingNetwork, in_batches
 from knowarm.perception.images import axes_of
@@ -115,7 +115,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
 
     def get_state(self) -> Arrays:
         """As `TorchArmVectorEnv.get_state`, with what was recognized."""
-        return super().get_state() | {"perceived": self._perceived.cpu().numpy().copy()}
+        return super().get_state() | to_arrays({"perceived": self._perceived})
 
     def set_state(self, state: Arrays) -> None:
         """As `TorchArmVectorEnv.set_state`."""
@@ -126,7 +126,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
                 "The state does not hold what was recognized in this number of environments: "
                 "it belongs to another kind of environment."
             )
-        self._perceived = torch.from_numpy(np.array(perceived)).to(self.device)
+        self._perceived = torch.tensor(perceived, device=self.device)
         super().set_state(state)
 
     def _observe(self) -> Tensor:

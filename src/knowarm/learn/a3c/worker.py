@@ -17,7 +17,11 @@ from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.optimizer import resolve_precision
-from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
+from knowarm.learn.parallel.shared_tensors import (
+    FlatParameters,
+    SharedTensors,
+    clip_gradient,
+)
 from knowarm.learn.rollout import Collector, Rollout
 
 IDLE_S = 0.05
@@ -87,7 +91,7 @@ class A3CWorker:
         loss = rollout_loss(self._policy, config, rollout)
         parameters.gradient.zero_()
         loss["total"].backward()
-        norm = parameters.clip_gradient(config.max_grad_norm)
+        norm = clip_gradient(parameters.gradient, config.max_grad_norm)
         self._guard.check_update(self._policy, loss, norm, after, rollout)
         rmsprop_update(
             shared["values"],

@@ -89,12 +89,13 @@ class FlatParameters:
             parameter.data = views[name]
             parameter.grad = gradients[name]
 
-    def clip_gradient(self, max_norm: float) -> Tensor:
-        """Scale the gradient down to ``max_norm`` if it is longer; return its norm before."""
-        norm = torch.linalg.vector_norm(self.gradient)
-        if norm > max_norm:
-            self.gradient.mul_(max_norm / norm)
-        return norm
+
+def clip_gradient(gradient: Tensor, max_norm: float) -> Tensor:
+    """Scale a gradient (P,) down to ``max_norm`` if it is longer; return its norm before."""
+    norm = torch.linalg.vector_norm(gradient)
+    if norm > max_norm:
+        gradient.mul_(max_norm / norm)
+    return norm
 
 
 def parameter_views(module: nn.Module, vector: Tensor) -> Tensors:
