@@ -93,13 +93,13 @@ def test_a_killed_worker_is_restarted_and_nothing_is_lost(caplog):
 
 def test_a_failing_worker_stops_training_with_its_traceback():
     learner, beyond = noisy_learner(2), GradientCommand(np.array([99]), 0.5)
-    with learner.running():
-        learner._send([beyond])
-        with pytest.raises(
-            RuntimeError,
-            match=r"(?s)learner worker 1 failed.*Traceback.*index.*3 times",
-        ):
-            learner._wait([beyond])
+    message = r"(?s)learner worker 1 failed.*Traceback.*index.*3 times"
+    with (
+        learner.running(),
+        pytest.raises(RuntimeError, match=message),
+        learner._executing([beyond]),
+    ):
+        pass
 
 
 def test_workers_exit_with_the_context():

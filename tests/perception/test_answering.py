@@ -149,7 +149,7 @@ def test_a_query_selects_a_part_at_a_place(parted):
         one = rows[row : row + 1]
         query = labels.queries[one]
         loss = network.place_loss(
-            features[one], labels, one, network.knowledge[query], asked.of(query)
+            features[one], labels.of(one), network.knowledge[query], asked.of(query)
         )
         torch.testing.assert_close(loss, -likelihood[row], rtol=1e-4, atol=1e-4)
 

@@ -140,10 +140,11 @@ def test_a_marked_image_answers_for_the_marked_object_only(config, network, labe
     assert means_others
     with torch.no_grad():
         others, own = torch.tensor(means_others), labels.queries[5:6]
-        features = network.features(labels.images[row])
+        shown = labels.of(row)
+        features = network.features(shown.images)
         for queries, is_asked in ((others, False), (own, True)):
             known = network.knowledge[queries]
-            loss = network.place_loss(features, labels, row, known, answers.of(queries))
+            loss = network.place_loss(features, shown, known, answers.of(queries))
             assert (loss > 0) == is_asked
 
 
@@ -154,11 +155,12 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
     column = {facets.index(facet): number for number, facet in enumerate(table.facets)}
     errors, named, frames = [], [], []
     with torch.no_grad():
-        features = network.features(labels.images[rows])
+        some = labels.of(rows)
+        features = network.features(some.images)
         place = network.place_loss(
-            features, labels, rows, network.knowledge[queries], answers.of(queries)
+            features, some, network.knowledge[queries], answers.of(queries)
         )
-        naming, frame = network.recognition_losses(features, labels, rows)
+        naming, frame = network.recognition_losses(features, some)
         for row in rows.tolist():
             features = network.encoder.features(labels.images[row][None])
             shown = [column[facet] for facet in labels.facets[row].tolist()]

@@ -29,6 +29,11 @@ SHORTEST_WAY = 0.5
 """Way at least assumed in the weights of imitation [largest steps]; within it a joint stays."""
 
 
+Schedule = Literal["constant", "linear", "cosine"]
+Optimizer = Literal["adam", "muon", "muon-float32"]
+Precision = Literal["auto", "float32", "bfloat16"]
+
+
 class AlgorithmConfig:
     """Base class of the algorithms' configs, which have a literal field ``name``."""
 
@@ -41,7 +46,7 @@ class ScheduleConfig(AlgorithmConfig):
 
     learning_rate: float
     """Learning rate at the start of training."""
-    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "linear"
+    learning_rate_schedule: Schedule = "linear"
     """How the learning rate decreases over the whole training."""
     learning_rate_final: float = 0.1
     """Learning rate at the end of training, as a fraction of the initial one."""
@@ -113,7 +118,7 @@ class MinibatchConfig(ScheduleConfig):
     """Passes over each rollout per update."""
     minibatches: int = 4
     """Groups of environments that a pass is divided into; one gradient step per group."""
-    optimizer: Literal["adam", "muon", "muon-float32"] = "adam"
+    optimizer: Optimizer = "adam"
     """Adam, or Muon for some matrices and Adam for all else, at the same learning rate. "muon"
     updates the fully connected layer and the LSTM by five iterations, in bfloat16 where the
     processor computes it; "muon-float32" the fully connected layer and the convolution kernels by
@@ -124,7 +129,7 @@ class MinibatchConfig(ScheduleConfig):
     """Gradients are clipped to this norm."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of policy, rollouts and gradients; simulation and rendering use the CPU."""
-    matmul_precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    matmul_precision: Precision = "auto"
     """Precision of the matrix products in encoder and LSTM during training: "auto" is bfloat16
     where the device computes it in hardware, else float32. Parameters, cell state, heads and
     losses are always float32."""
@@ -201,7 +206,7 @@ class DistilConfig(MinibatchConfig):
     rollout_steps: int = 1
     epochs: int = 1
     minibatches: int = 16
-    optimizer: Literal["adam", "muon", "muon-float32"] = "muon-float32"
+    optimizer: Optimizer = "muon-float32"
     learning_rate: float = 3e-3
     learning_rate_final: float = 0.02
 
@@ -270,7 +275,7 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
     The lineage lets it end with zero, as after a success."""
     learning_rate: float = 1e-4
 
-    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "constant"
+    learning_rate_schedule: Schedule = "constant"
 
     rmsprop_eps: float = 1e-8
     """Epsilon of RMSprop, added to the root of the mean squared gradient."""
@@ -287,7 +292,7 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
     """Factor of every reward in learning; reported returns are not scaled."""
     max_grad_norm: float = 40.0
     """Gradients are clipped to this norm."""
-    matmul_precision: Literal["auto", "float32", "bfloat16"] = "float32"
+    matmul_precision: Precision = "float32"
     """Precision of the matrix products in encoder and LSTM; "auto" is bfloat16 where the CPU
     computes it in hardware, about twice as fast with many environments per worker."""
     log_every_steps: int = 10_000

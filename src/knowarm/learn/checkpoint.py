@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 from torch import Tensor, nn
 
+from knowarm.config import differences
 from knowarm.errors import UserError
 from knowarm.reading import UnreadableFileError, digest, read_json, reading
 
@@ -27,6 +28,10 @@ log = logging.getLogger("knowarm.learn")
 
 Arrays = dict[str, np.ndarray]
 """Arrays by name."""
+Tensors = dict[str, Tensor]
+"""Tensors by name."""
+Description = Mapping[str, Any]
+"""JSON values by name."""
 FORMAT = 1
 PARTS = ("policy", "optimizer", "state")
 
@@ -45,6 +50,16 @@ class Checkpoint:
     """JSON values: step, best result, ..."""
 
 
+class HasState(Protocol):
+    """What checkpoints hold the state of."""
+
+    def get_state(self) -> Arrays:
+        """Return all that `set_state` needs."""
+
+    def set_state(self, state: Arrays) -> None:
+        """Continue from the result of `get_state`, among other arrays."""
+
+
 class CheckpointStore:
     """The checkpoints ``latest``, ``previous`` and ``best`` of one run.
 
@@ -54,7 +69,7 @@ class CheckpointStore:
             JSON values; a checkpoint with another description is rejected.
     """
 
-    def __init__(self, folder: Path, description: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, description: Description) -> None:
         self.folder = folder
         self.description = json.loads(json.dumps(dict(description)))
 
@@ -82,10 +97,10 @@ class CheckpointStore:
             UserError: there is none, all are damaged, or they belong to another run.
         """
         problems = []
-        for name in ("latest", "previous"):
-            if (self.folder / name).is_dir():
+        for folder in (self.folder / "latest", self.folder / "previous"):
+            if folder.is_dir():
                 try:
-                    return read_checkpoint(self.folder / name, self.description)
+                    return read_checkpoint(folder, self.description)
                 except UnreadableFileError as error:
                     log.warning("%s", error)
                     problems.append(str(error))
@@ -136,9 +151,7 @@ class CheckpointStore:
         _sync(folder)
 
 
-def read_checkpoint(
-    folder: Path, description: Mapping[str, Any] | None = None
-) -> Checkpoint:
+def read_checkpoint(folder: Path, description: Description | None = None) -> Checkpoint:
     """Read a checkpoint folder and verify its digests.
 
     Args:
@@ -185,7 +198,7 @@ def _former(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}-old")
 
 
-def select(state: Mapping[str, np.ndarray], prefix: str) -> Arrays:
+def select(state: Arrays, prefix: str) -> Arrays:
     """Return the entries whose names start with ``prefix``, without the prefix."""
     return {
         name.removeprefix(prefix): array
@@ -194,21 +207,19 @@ def select(state: Mapping[str, np.ndarray], prefix: str) -> Arrays:
     }
 
 
-def prefixed(prefix: str, state: Mapping[str, np.ndarray]) -> Arrays:
+def prefixed(prefix: str, state: Arrays) -> Arrays:
     """Return the entries with ``prefix`` before their names; `select` is the inverse."""
     return {f"{prefix}{name}": array for name, array in state.items()}
 
 
-def to_arrays(tensors: Mapping[str, Tensor]) -> Arrays:
+def to_arrays(tensors: Tensors) -> Arrays:
     """Copy tensors of any device."""
     return {
         name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()
     }
 
 
-def to_tensors(
-    arrays: Mapping[str, np.ndarray], device: torch.device | None = None
-) -> dict[str, Tensor]:
+def to_tensors(arrays: Arrays, device: torch.device | None = None) -> Tensors:
     """Copy arrays to a device; None: the CPU."""
     return {name: torch.tensor(array, device=device) for name, array in arrays.items()}
 
@@ -218,19 +229,11 @@ def policy_arrays(policy: nn.Module) -> Arrays:
     return to_arrays(policy.state_dict())
 
 
-def _compare(
-    folder: Path, written: Mapping[str, Any], wanted: Mapping[str, Any]
-) -> None:
+def _compare(folder: Path, written: Description, wanted: Description) -> None:
     """Raise a `UserError` that shows the differences between two descriptions."""
-    different = [
-        key
-        for key in sorted({*written, *wanted})
-        if written.get(key) != wanted.get(key)
-    ]
+    different = sorted(differences(written, wanted).items())
     if different:
-        pairs = "; ".join(
-            f"{k}: {written.get(k)!r} | {wanted.get(k)!r}" for k in different
-        )
+        pairs = "; ".join(f"{name}: {a!r} | {b!r}" for name, (a, b) in different)
         raise UserError(
             f"The checkpoint {folder} belongs to another run (checkpoint | this run): {pairs}. "
             "Resume it with its own settings or choose another run folder."

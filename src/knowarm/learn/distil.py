@@ -88,8 +88,6 @@ class DistilTrainer(MinibatchTrainer):
         config: DistilConfig,
         policy: Policy,
         env: TorchVectorEnv,
-        *,
-        seed: int,
         **options: Any,
     ) -> None:
         lessons = LessonRecorder(env, config.rollout_steps)
@@ -99,7 +97,6 @@ class DistilTrainer(MinibatchTrainer):
             config,
             policy,
             env,
-            seed=seed,
             loss=partial(minibatch_loss, config),
             targets={
                 "actions": (tuple(lessons.actions.shape), torch.int64),

@@ -126,17 +126,15 @@ class NumpyToTorch:
             )
         self.env = env
         self.num_envs: int = env.num_envs
-        self._table = (
-            None if table is None else torch.as_tensor(table, dtype=torch.float32)
-        )
+        if table is None:
+            table = np.zeros((1, 0))
+        self._table = torch.as_tensor(table, dtype=torch.float32)
 
     @property
     def knowledge(self) -> Tensor:
         """As `TorchVectorEnv.knowledge`."""
-        if self._table is None:
-            return torch.zeros(self.num_envs, 0)
-        if not hasattr(self.env, "knowledge_input"):
-            return self._table[torch.zeros(self.num_envs, dtype=torch.int64)]
+        if not hasattr(self.env, "knowledge_input") or not self._table.shape[1]:
+            return self._table[0].expand(self.num_envs, -1)
         rows = torch.from_numpy(np.asarray(self.env.knowledge_input, np.int64))
         highest = int(rows.max())
         if highest >= len(self._table):
@@ -157,9 +155,10 @@ class NumpyToTorch:
         """As `TorchVectorEnv.step`."""
         images, reward, terminated, truncated, infos = self.env.step(actions.numpy())
         result: Infos = {}
-        if "final_info" in infos and "is_success" in infos["final_info"]:
-            success = np.asarray(infos["final_info"]["is_success"], np.bool_)
-            result["final_info"] = {"is_success": torch.from_numpy(success)}
+        success = infos.get("final_info", {}).get("is_success")
+        if success is not None:
+            success = torch.from_numpy(np.asarray(success, np.bool_))
+            result["final_info"] = {"is_success": success}
         ids = np.flatnonzero(truncated)
         if len(ids):
             final = np.zeros_like(images)
@@ -217,6 +216,17 @@ class ThresholdCurriculum:
     def factor(self, factor: float) -> None:
         self._env.threshold_factor = factor
 
+    def get_state(self) -> Arrays:
+        """Return the factor, if the curriculum is used."""
+        if not self.is_used:
+            return {}
+        return {"threshold_factor": np.array(self.factor)}
+
+    def set_state(self, state: Arrays) -> None:
+        """Continue from the result of `get_state`."""
+        if self.is_used:
+            self.factor = float(state["threshold_factor"])
+
     def update(self, success: float, progress: float) -> None:
         """Decrease the factor after an update.
 
@@ -228,12 +238,11 @@ class ThresholdCurriculum:
         """
         if not self.is_used:
             return
+        config = self._config
         factor = self.factor
         if success > MIN_SUCCESS:
-            factor -= self._config.threshold_decrease
+            factor -= config.threshold_decrease
         begin, end = LATEST
-        remaining = (end - progress) / (end - begin)
-        largest = 1 + (self._config.threshold_factor - 1) * min(
-            max(remaining, 0.0), 1.0
-        )
+        remaining = min(max((end - progress) / (end - begin), 0.0), 1.0)
+        largest = 1 + (config.threshold_factor - 1) * remaining
         self.factor = max(1.0, min(factor, largest))

@@ -33,9 +33,8 @@ class CompletedEvaluation(NamedTuple):
     """Result of one interim evaluation."""
 
     step: int
-    values: (
-        np.ndarray
-    )  # (P,) float32, the parameters of the evaluated policy; see `FlatParameters`
+    values: np.ndarray
+    """(P,) float32, the parameters of the evaluated policy; see `FlatParameters`."""
     results: Metrics
 
 
@@ -66,9 +65,8 @@ class Evaluations:
             context = context or process_context()
             # Parameters do not fit into a pipe: sending them would block while the child starts.
             parameters = sum(p.numel() for p in policy.parameters())
-            self._shared = SharedTensors(
-                context, {"values": ((parameters,), torch.float32)}
-            )
+            specs = {"values": ((parameters,), torch.float32)}
+            self._shared = SharedTensors(context, specs)
             arguments = (policy.maker(), make_evaluate, self._shared)
             self.process = SupervisedProcess(
                 lambda restarts: ChildProcess.start(

@@ -2,14 +2,14 @@
 
 import logging
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
+from knowarm.learn.checkpoint import Tensors, to_arrays
 from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 
@@ -26,18 +26,17 @@ class FiniteGuard:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
-    def check(
-        self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]
-    ) -> None:
+    def check(self, terms: Tensors, step: int, batch: Tensors) -> None:
         """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
             if torch.isfinite(value).all():
                 continue
             where = ""
             if self._folder is not None:
-                where = (
-                    f"; the rollout is saved in {self._save(self._folder, step, batch)}"
-                )
+                self._folder.mkdir(parents=True, exist_ok=True)
+                path = self._folder / f"not-finite-{step}.safetensors"
+                save_file(to_arrays(batch), path)
+                where = f"; the rollout is saved in {path}"
             raise NotFiniteError(
                 f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
                 "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
@@ -70,15 +69,6 @@ class FiniteGuard:
                 terms[f"the gradient of {name}"] = parameter.grad
         terms["the gradient's norm"] = norm
         self.check(terms, step, rollout.tensors())
-
-    def _save(self, folder: Path, step: int, batch: Mapping[str, Tensor]) -> Path:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"not-finite-{step}.safetensors"
-        save_file(
-            {name: value.detach().cpu().contiguous() for name, value in batch.items()},
-            path,
-        )
-        return path
 
 
 class HealthMonitor:

@@ -222,53 +222,47 @@ class Learner:
     ) -> None:
         self.network = network.to(device)
         self.policy = network.policy
-        torch.backends.cudnn.allow_tf32 = (
-            False  # float32 means float32 in convolutions, too
-        )
+        # float32 means float32 in convolutions, too.
+        torch.backends.cudnn.allow_tf32 = False
         self.processes = count_processes(config) if device.type == "cpu" else 1
         self._loss = loss
         self._precision = precision
         self._workers: list[SupervisedProcess] = []
-        steps = config.rollout_steps
-        rollout_tensors = rollout_specs(steps, config.num_envs, network.policy)
+        table = (config.rollout_steps, config.num_envs)
+        rollout = rollout_specs(*table, network.policy)
         if network.auxiliary_targets:
-            shape = (steps, config.num_envs, network.auxiliary_targets)
+            shape = (*table, network.auxiliary_targets)
             targets = {**targets, "auxiliary": (shape, torch.float32)}
         if self.processes > 1:
-            self._share(rollout_tensors, targets, config.num_envs)
+            self._share(rollout, targets, config.num_envs)
         else:
-            self.rollout = Rollout(**zeros(rollout_tensors, device))
+            self.rollout = Rollout(**zeros(rollout, device))
             self.targets = zeros(targets, device)
             self.gradient = FlatParameters(network).gradient
 
     def _share(self, rollout: TensorSpecs, targets: TensorSpecs, num_envs: int) -> None:
         """Allocate what all processes read and write."""
-        policy = self.policy
-        image = (policy.shape.image_size, policy.shape.image_size, 3)
+        shape = self.policy.shape
         flat = FlatParameters(self.network)
         count = len(flat.values)
-        exchange: TensorSpecs = {
+        state = ((num_envs, self.policy.hidden_size), torch.float32)
+        specs: TensorSpecs = {
             "parameters": ((count,), torch.float32),
             "gradients": ((self.processes, count), torch.float32),
             "terms": ((self.processes, MAX_TERMS), torch.float32),
-            "image": ((num_envs, *image), torch.uint8),
-            "h": ((num_envs, policy.hidden_size), torch.float32),
-            "c": ((num_envs, policy.hidden_size), torch.float32),
-            "logits": (
-                (num_envs, policy.shape.joints, policy.shape.levels),
-                torch.float32,
-            ),
+            "image": ((num_envs, shape.image_size, shape.image_size, 3), torch.uint8),
+            "h": state,
+            "c": state,
+            "logits": ((num_envs, shape.joints, shape.levels), torch.float32),
         }
         self._context = process_context()
-        self._shared = SharedBuffers(
-            SharedTensors(self._context, rollout),
-            SharedTensors(self._context, targets),
-            SharedTensors(self._context, exchange),
-        )
+        shared = partial(SharedTensors, self._context)
+        exchange = shared(specs)
+        self._shared = SharedBuffers(shared(rollout), shared(targets), exchange)
         self.rollout = Rollout(**self._shared.rollout.tensors)
         self.targets = self._shared.targets.tensors
-        self.gradient = self._shared.exchange["gradients"][0]
-        parameters = self._shared.exchange["parameters"]
+        self.gradient = exchange["gradients"][0]
+        parameters = exchange["parameters"]
         parameters.copy_(flat.values)
         FlatParameters(self.network, parameters, self.gradient)
 
@@ -299,10 +293,8 @@ class Learner:
         if state[0] is not exchange["h"]:
             exchange["h"].copy_(state[0])
             exchange["c"].copy_(state[1])
-        commands = [InferCommand(t, envs) for envs in others]
-        self._send(commands)
-        infer_shared(self.policy, rollout, exchange, t, image, first)
-        self._wait(commands)
+        with self._executing([InferCommand(t, envs) for envs in others]):
+            infer_shared(self.policy, rollout, exchange, t, image, first)
         return exchange["logits"].clone(), (exchange["h"], exchange["c"])
 
     def compute_gradient(self, env_ids: Tensor) -> Terms:
@@ -312,20 +304,18 @@ class Learner:
         commands = [
             GradientCommand(chunk.numpy(), len(chunk) / count) for chunk in others
         ]
-        self._send(commands)
-        self.gradient.zero_()
         weight = len(first) / count
-        terms = add_gradient(
-            self.network, self._loss, self.rollout, self.targets, first, weight
-        )
-        self._wait(commands)
+        self.gradient.zero_()
+        with self._executing(commands):
+            terms = add_gradient(
+                self.network, self._loss, self.rollout, self.targets, first, weight
+            )
         # A small minibatch may have fewer chunks than there are processes.
-        for index in range(1, 1 + len(commands)):
+        for index, _ in enumerate(commands, 1):
             exchange = self._shared.exchange
             self.gradient += exchange["gradients"][index]
-            for term, other in zip(
-                terms.values(), exchange["terms"][index], strict=False
-            ):
+            of_worker = exchange["terms"][index, : len(terms)]
+            for term, other in zip(terms.values(), of_worker, strict=True):
                 term.add_(other)
         return terms
 
@@ -342,12 +332,14 @@ class Learner:
             index,
         )
 
-    def _send(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
+    @contextmanager
+    def _executing(
+        self, commands: Sequence[InferCommand | GradientCommand]
+    ) -> Iterator[None]:
+        """Let workers execute a command each meanwhile; a restarted one executes it again."""
         for worker, command in zip(self._workers, commands, strict=False):
             worker.child.send(command)
-
-    def _wait(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
-        """Wait until every worker has executed its command; a restarted one executes it again."""
+        yield
         for worker, command in zip(self._workers, commands, strict=False):
             while isinstance(worker.receive(), Restarted):
                 worker.child.send(command)

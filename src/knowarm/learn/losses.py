@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.checkpoint import Tensors
 from knowarm.policy.policy import (
     entropy,
     log_probabilities,
@@ -19,7 +20,7 @@ from knowarm.policy.policy import (
     of_actions,
 )
 
-Terms = dict[str, Tensor]
+Terms = Tensors
 """Scalar terms of a loss by the name of their metric; ``total`` is minimized."""
 
 
@@ -118,7 +119,7 @@ def next_values(
     """
     following = torch.cat((values[1:], last_values[None]))
     following = torch.where(truncated, final_values, following)
-    return torch.where(terminated, torch.zeros_like(following), following)
+    return following.masked_fill(terminated, 0)
 
 
 def n_step_returns(

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
-from knowarm.learn.algorithms import MinibatchConfig
+from knowarm.learn.algorithms import MinibatchConfig, Precision
 from knowarm.learn.checkpoint import Arrays, prefixed, select, to_arrays, to_tensors
 from knowarm.policy import MatmulPrecision
 from knowarm.private_apis import cpu_has_bfloat16, without_compiler
@@ -94,11 +93,14 @@ class PolicyOptimizer:
     ) -> None:
         self._parameters = parameters
         others = dict(parameters)
-        matrices = [others.pop(name) for name in MUON_PARAMETERS[config.optimizer]]
+        muons = {}
+        for name in MUON_PARAMETERS[config.optimizer]:
+            muons[name] = _muon(others.pop(name), config)
         adam = Adam(others.values(), lr=config.learning_rate, eps=ADAM_EPS, fused=True)
-        self._optimizers = [adam, *(_muon(matrix, config) for matrix in matrices)]
+        self._optimizers = [adam, *muons.values()]
+        self._optimizer_of = dict.fromkeys(others, adam) | muons
         self._pool = None
-        if matrices and processes > 1:
+        if muons and processes > 1:
             self._pool = ThreadPoolExecutor(1)
 
     def set_learning_rate(self, rate: float) -> None:
@@ -123,7 +125,7 @@ class PolicyOptimizer:
         """Return the state as arrays named ``<parameter>/<quantity>``."""
         arrays: Arrays = {}
         for name, parameter in self._parameters.items():
-            state = self._optimizer_of(parameter).state.get(parameter, {})
+            state = self._optimizer_of[name].state.get(parameter, {})
             arrays |= prefixed(f"{name}/", to_arrays(state))
         return arrays
 
@@ -131,35 +133,20 @@ class PolicyOptimizer:
         """Continue from the result of `get_state`."""
         for name, parameter in self._parameters.items():
             tensors = to_tensors(select(state, f"{name}/"), parameter.device)
-            self._optimizer_of(parameter).state[parameter] = tensors
-
-    def _optimizer_of(self, parameter: nn.Parameter) -> torch.optim.Optimizer:
-        adam, *others = self._optimizers
-        for optimizer in others:
-            (matrix,) = optimizer.param_groups[0]["params"]
-            if parameter is matrix:
-                return optimizer
-        return adam
+            self._optimizer_of[name].state[parameter] = tensors
 
 
 def _muon(matrix: nn.Parameter, config: MinibatchConfig) -> torch.optim.Optimizer:
     """Return the optimizer of one matrix; its updates have the size of Adam's."""
+    rate = config.learning_rate
     if config.optimizer == "muon-float32":
-        return Float32Muon([matrix], lr=config.learning_rate, iterations=3)
+        return Float32Muon([matrix], rate, iterations=3)
     if resolve_precision("auto", matrix.device) == "float32":
-        return Float32Muon([matrix], lr=config.learning_rate)
-    return Muon(
-        [matrix],
-        lr=config.learning_rate,
-        weight_decay=0.0,
-        adjust_lr_fn="match_rms_adamw",
-    )
+        return Float32Muon([matrix], rate)
+    return Muon([matrix], rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
 
 
-PrecisionChoice = Literal["auto"] | MatmulPrecision
-
-
-def resolve_precision(choice: PrecisionChoice, device: torch.device) -> MatmulPrecision:
+def resolve_precision(choice: Precision, device: torch.device) -> MatmulPrecision:
     """Return the precision that a choice means on a device.
 
     "auto" is bfloat16 where the device computes it in hardware, else float32.

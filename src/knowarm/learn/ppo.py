@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.learn.algorithms import MinibatchConfig, PPOConfig
 from knowarm.learn.checkpoint import (
     Checkpoint,
+    HasState,
     policy_arrays,
     prefixed,
     select,
@@ -25,7 +26,7 @@ from knowarm.learn.learner import Learner, Loss, Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, advantages, ppo_loss
 from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.processes import keep_freed_memory
-from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.parallel.shared_tensors import TensorSpecs, clip_gradient
 from knowarm.learn.privileged import PrivilegedRecorder, StateCritic
 from knowarm.learn.rollout import Collector, Rollout
 from knowarm.learn.trainer import StopReason, SynchronousTrainer
@@ -48,15 +49,13 @@ class MinibatchTrainer(SynchronousTrainer):
         policy: trained in place, on the environment's device.
         env: ``config.num_envs`` environments; see `knowarm.learn.NumpyToTorch` for those of
             Gymnasium.
-        seed: of the run; episodes, actions and minibatches have a stream each.
         loss: of a minibatch; picklable.
         targets: shapes and dtypes of what the loss needs besides rollout and auxiliary targets.
         recorder: records the simulator's state, if the algorithm uses it.
         auxiliary_coef: coefficient of the auxiliary loss; 0: no auxiliary head.
-        curriculum: of the success thresholds.
         greedy: collect with the most probable actions.
         final_values: as `Collector`.
-        options: as `Trainer`.
+        options: as `Trainer`; with streams of ``seed`` for episodes, actions and minibatches.
 
     Attributes:
         matmul_precision: what ``config.matmul_precision`` means on this machine.
@@ -72,53 +71,48 @@ class MinibatchTrainer(SynchronousTrainer):
         policy: Policy,
         env: TorchVectorEnv,
         *,
-        seed: int,
         loss: Loss,
         targets: TensorSpecs,
         recorder: PrivilegedRecorder | None,
         auxiliary_coef: float,
-        curriculum: ThresholdCurriculum | None = None,
         greedy: bool = False,
         final_values: bool = False,
         **options: Any,
     ) -> None:
-        super().__init__(policy, seed=seed, **options)
+        super().__init__(policy, **options)
         if env.num_envs != config.num_envs:
             raise UserError(
                 f"The config's num_envs is {config.num_envs} and the environment has "
                 f"{env.num_envs}; make them equal."
             )
-        self._device = env.device
-        if config.device == "cuda" and self._device.type != "cuda":
+        device = env.device
+        if config.device == "cuda" and device.type != "cuda":
             raise UserError(
-                f"The config's device is 'cuda' and the environment is on {self._device}: create "
+                f"The config's device is 'cuda' and the environment is on {device}: create "
                 "the environment with device='cuda', or pass device='cpu' in the config."
             )
         self.config = config
         self._recorder = recorder
-        self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
+        precision = resolve_precision(config.matmul_precision, device)
+        self.matmul_precision = precision
         auxiliary_targets = 0
         if recorder is not None and auxiliary_coef:
             auxiliary_targets = recorder.auxiliary_targets
-        network = TrainingNetwork(policy.to(self._device), auxiliary_targets, seed)
+        seed = self.seed
+        network = TrainingNetwork(policy.to(device), auxiliary_targets, seed)
         self._head = network.head
-        self._learner = Learner(
-            network, config, loss, targets, self.matmul_precision, self._device
-        )
+        self._learner = Learner(network, config, loss, targets, precision, device)
         self._collector = Collector(
-            env,
-            policy,
-            seed=seed,
-            final_values=final_values,
-            greedy=greedy,
-            curriculum=curriculum,
+            env, policy, seed=seed, final_values=final_values, greedy=greedy
         )
-        self._minibatch_generator = torch_generator(
-            seed, "minibatches", device=self._device
-        )
+        self._minibatch_generator = torch_generator(seed, "minibatches", device=device)
         parameters = network.parameters_by_name()
         self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
         self._guard = FiniteGuard(self.failure_folder)
+        # What has a state in checkpoints, with the prefix of its arrays there.
+        self._parts: list[tuple[str, HasState]] = [("collector/", self._collector)]
+        if recorder is not None:
+            self._parts.append(("privileged/", recorder.normalizer))
 
     @abstractmethod
     def set_targets(self) -> None:
@@ -132,19 +126,14 @@ class MinibatchTrainer(SynchronousTrainer):
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        self.policy.matmul_precision = self.matmul_precision
-        try:
-            with self._learner.running():
-                return super()._train(total_steps)
-        finally:
-            self.policy.matmul_precision = "float32"
+        with self.policy.computing(self.matmul_precision), self._learner.running():
+            return super()._train(total_steps)
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
         state = to_arrays({"order": self._minibatch_generator.get_state()})
-        state |= prefixed("collector/", self._collector.get_state())
-        if self._recorder is not None:
-            state |= prefixed("privileged/", self._recorder.normalizer.get_state())
+        for prefix, part in self._parts:
+            state |= prefixed(prefix, part.get_state())
         if self._head is not None:
             state |= prefixed("auxiliary/", policy_arrays(self._head))
         return Checkpoint(
@@ -159,21 +148,20 @@ class MinibatchTrainer(SynchronousTrainer):
         self._optimizer.set_state(checkpoint.optimizer)
         if self._head is not None:
             self._head.load_state_dict(to_tensors(select(state, "auxiliary/")))
-        if self._recorder is not None:
-            self._recorder.normalizer.set_state(select(state, "privileged/"))
-        self._collector.set_state(select(state, "collector/"))
+        for prefix, part in self._parts:
+            part.set_state(select(state, prefix))
         self._minibatch_generator.set_state(torch.tensor(state["order"]))
 
     def update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
         rollout = self._learner.rollout
+        collector = self._collector
         progress = self.step / total_steps
         rate = self.config.learning_rate_at(progress)
         self._optimizer.set_learning_rate(rate)
+        collector.environment_s = 0.0
         begin = time.perf_counter()
-        environment_s = self._collector.environment_s
         self.collect(progress)
-        environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
         # Stop before a number that is not finite reaches the parameters.
@@ -186,11 +174,11 @@ class MinibatchTrainer(SynchronousTrainer):
         means = self._learn()
         learned = time.perf_counter()
         return {
-            **self._collector.statistics.take().summary(),
+            **collector.statistics.take().summary(),
             **means,
             "learning_rate": rate,
-            "environment_s": environment_s,
-            "inference_s": collected - begin - environment_s,
+            "environment_s": collector.environment_s,
+            "inference_s": collected - begin - collector.environment_s,
             "learn_s": learned - collected,
         }
 
@@ -201,19 +189,16 @@ class MinibatchTrainer(SynchronousTrainer):
         measured: list[Terms] = []
         for _ in range(config.epochs):
             # Environments stay whole, since a recurrent state passes through all of their steps.
+            generator = self._minibatch_generator
             order = torch.randperm(
-                config.num_envs,
-                generator=self._minibatch_generator,
-                device=self._device,
+                config.num_envs, generator=generator, device=generator.device
             )
             for env_ids in order.chunk(config.minibatches):
                 loss = learner.compute_gradient(env_ids)
-                norm = torch.linalg.vector_norm(learner.gradient)
+                norm = clip_gradient(learner.gradient, config.max_grad_norm)
                 self._guard.check_update(
                     self.policy, loss, norm, self.step, learner.rollout
                 )
-                if norm > config.max_grad_norm:
-                    learner.gradient.mul_(config.max_grad_norm / norm)
                 self._optimizer.step()
                 del loss["total"]
                 measured.append({**loss, "grad_norm": norm})
@@ -253,8 +238,6 @@ class PPOTrainer(MinibatchTrainer):
         config: PPOConfig,
         policy: Policy,
         env: TorchVectorEnv,
-        *,
-        seed: int,
         **options: Any,
     ) -> None:
         aids = config.privileged
@@ -267,24 +250,24 @@ class PPOTrainer(MinibatchTrainer):
                     f"{type(env).__name__} has {', '.join(recorder.columns)}. Add them, or set it "
                     "to 0."
                 )
-        self._critic = None
-        if recorder is not None and aids.critic:
-            self._critic = StateCritic(len(recorder.columns), env.device, seed)
         self._curriculum = ThresholdCurriculum(aids, env)
         table = ((config.rollout_steps, config.num_envs), torch.float32)
         super().__init__(
             config,
             policy,
             env,
-            seed=seed,
             loss=partial(minibatch_loss, config),
             targets={"advantage": table, "returns": table},
             recorder=recorder,
             auxiliary_coef=aids.auxiliary_coef,
-            curriculum=self._curriculum,
-            final_values=self._critic is None,
+            final_values=not aids.critic,
             **options,
         )
+        self._parts.append(("collector/", self._curriculum))
+        self._critic = None
+        if recorder is not None and aids.critic:
+            self._critic = StateCritic(len(recorder.columns), env.device, self.seed)
+            self._parts.append(("critic/", self._critic))
         self._health = HealthMonitor(
             policy.shape.joints, policy.shape.levels, config.gamma
         )
@@ -324,14 +307,14 @@ class PPOTrainer(MinibatchTrainer):
         """Return the rewards of learning, (T, B): with those for progress, and scaled."""
         reward = self._learner.rollout.reward
         recorder = self._recorder
-        if recorder is not None and self.config.privileged.progress_coef:
+        coefficient = self.config.privileged.progress_coef
+        if recorder is not None and coefficient:
             decrease = recorder.state - recorder.next_state
             progress = torch.zeros_like(reward)
             for name, factor in PROGRESS.items():
-                progress = (
-                    progress + factor * decrease[..., recorder.columns.index(name)]
-                )
-            reward = reward + self.config.privileged.progress_coef * progress
+                column = recorder.columns.index(name)
+                progress = progress + factor * decrease[..., column]
+            reward = reward + coefficient * progress
         return reward * self.config.reward_scale
 
     def update(self, total_steps: int) -> Metrics:
@@ -352,19 +335,6 @@ class PPOTrainer(MinibatchTrainer):
                 metrics.get("success", 0.0), self.step / total_steps
             )
         return metrics
-
-    def checkpoint(self) -> Checkpoint:
-        """See `SynchronousTrainer.checkpoint`."""
-        checkpoint = super().checkpoint()
-        if self._critic is not None:
-            checkpoint.state.update(prefixed("critic/", self._critic.get_state()))
-        return checkpoint
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """See `Trainer.restore`."""
-        super().restore(checkpoint)
-        if self._critic is not None:
-            self._critic.set_state(select(checkpoint.state, "critic/"))
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:

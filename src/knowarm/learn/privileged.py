@@ -78,12 +78,9 @@ class StateCritic:
         last = nn.Linear(CRITIC_WIDTH, 1)
         orthogonal(first, RELU_GAIN, weights)
         orthogonal(second, RELU_GAIN, weights)
-        orthogonal(
-            last, 0.01, weights
-        )  # so small that the first values are nearly zero
-        self.network = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), last).to(
-            device
-        )
+        orthogonal(last, 0.01, weights)  # so that the first values are nearly zero
+        network = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), last)
+        self.network = network.to(device)
         self._optimizer = Adam(
             self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True
         )
@@ -148,9 +145,8 @@ class PrivilegedRecorder:
         self.state = torch.zeros(shape, device=env.device)
         self.next_state = torch.zeros(shape, device=env.device)
         self.standardized = (self.state, self.next_state)
-        self._auxiliary = torch.tensor(
-            auxiliary_columns(self.columns), device=env.device
-        )
+        auxiliary = auxiliary_columns(self.columns)
+        self._auxiliary = torch.tensor(auxiliary, device=env.device)
         self.normalizer = RunningNormalizer(len(self.columns), env.device)
 
     @property

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.learn.checkpoint import Arrays, prefixed, select, to_arrays
-from knowarm.learn.environment import Infos, ThresholdCurriculum, TorchVectorEnv
+from knowarm.learn.checkpoint import Arrays, Tensors, prefixed, select, to_arrays
+from knowarm.learn.environment import Infos, TorchVectorEnv
 from knowarm.learn.losses import next_values
 from knowarm.learn.parallel.shared_tensors import TensorSpecs, zeros
 from knowarm.learn.privileged import PrivilegedRecorder
@@ -36,9 +36,8 @@ class Rollout:
     reward: Tensor  # (T, B) float32, unscaled
     terminated: Tensor  # (T, B) bool
     truncated: Tensor  # (T, B) bool
-    final_value: (
-        Tensor  # (T, B) float32: value of the final observation where truncated, else 0
-    )
+    # (T, B) float32: value of the final observation where truncated, else 0
+    final_value: Tensor
     last_value: Tensor  # (B,) float32: value of the observation after the last step
     start_h: Tensor  # (B, H) float32: hidden state before the first step
     start_c: Tensor  # (B, H) float32: cell state before the first step
@@ -83,7 +82,7 @@ class Rollout:
             tensors[name] = tensor.index_select(axis, env_ids)
         return Rollout(**tensors)
 
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> Tensors:
         """Return all tensors by name."""
         return dict(vars(self))
 
@@ -91,21 +90,23 @@ class Rollout:
 def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
     """Return shapes and dtypes of the tensors of a rollout of T steps of B environments."""
     table = (steps, batch)
-    state = (batch, policy.hidden_size)
+    flag = (table, torch.bool)
+    number = (table, torch.float32)
+    state = ((batch, policy.hidden_size), torch.float32)
     return {
         "patches": ((*table, *policy.encoder.patch_shape), torch.uint8),
         "knowledge": ((*table, policy.knowledge_width), torch.float32),
-        "episode_start": (table, torch.bool),
+        "episode_start": flag,
         "action": ((*table, policy.shape.joints), torch.int64),
-        "log_probability": (table, torch.float32),
-        "value": (table, torch.float32),
-        "reward": (table, torch.float32),
-        "terminated": (table, torch.bool),
-        "truncated": (table, torch.bool),
-        "final_value": (table, torch.float32),
+        "log_probability": number,
+        "value": number,
+        "reward": number,
+        "terminated": flag,
+        "truncated": flag,
+        "final_value": number,
         "last_value": ((batch,), torch.float32),
-        "start_h": (state, torch.float32),
-        "start_c": (state, torch.float32),
+        "start_h": state,
+        "start_c": state,
     }
 
 
@@ -176,9 +177,8 @@ class EpisodeStatistics:
     def take(self, where: Tensor | None = None) -> FinishedEpisodes:
         """Return the episodes that ended since the last call, in the steps ``where`` (t, n)."""
         if not self._steps:
-            return FinishedEpisodes(
-                np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool)
-            )
+            none = np.zeros(0, np.int64)
+            return FinishedEpisodes(np.zeros(0), none, none.astype(bool))
         columns = zip(*self._steps, strict=True)
         self._steps = []
         done, returns, lengths, success = [
@@ -186,9 +186,7 @@ class EpisodeStatistics:
         ]
         if where is not None:
             done = done & where.cpu().numpy()
-        return FinishedEpisodes(
-            returns[done], lengths[done], success[done].astype(bool)
-        )
+        return FinishedEpisodes(returns[done], lengths[done], success[done])
 
     def get_state(self) -> Arrays:
         """Return the sums of the running episodes; requires that `take` was called."""
@@ -214,7 +212,7 @@ class Collector:
     draw the former. ``greedy`` collectors act by the most probable actions, as in evaluations.
 
     Attributes:
-        environment_s: total time of the environments' steps [s].
+        environment_s: time of the environments' steps, since it was set to 0 [s].
     """
 
     def __init__(
@@ -226,11 +224,9 @@ class Collector:
         stream: tuple[int, ...] = (),
         final_values: bool = True,
         greedy: bool = False,
-        curriculum: ThresholdCurriculum | None = None,
     ) -> None:
         self.env = env
         self.policy = policy
-        self.curriculum = curriculum
         self.statistics = EpisodeStatistics(env.num_envs, env.device)
         self.generator = torch_generator(seed, "actions", *stream, device=env.device)
         self.environment_s = 0.0
@@ -274,9 +270,8 @@ class Collector:
             else:
                 rollout.action[t] = sample(logits, self.generator)
             begin = time.perf_counter()
-            self._image, reward, terminated, truncated, infos = self.env.step(
-                rollout.action[t]
-            )
+            result = self.env.step(rollout.action[t])
+            self._image, reward, terminated, truncated, infos = result
             self.environment_s += time.perf_counter() - begin
             rollout.reward[t] = reward
             rollout.terminated[t] = terminated
@@ -299,17 +294,12 @@ class Collector:
         rollout.log_probability[:count] = log_probability(
             torch.stack(all_logits), rollout.action[:count]
         )
-        if self._final_values and not self.is_at_start:
+        if self._final_values and not self._start.all():
             _, value, _ = self.policy.step(
                 self._image, self.env.knowledge, self._state, self._start
             )
             rollout.last_value.copy_(value)
         return count
-
-    @property
-    def is_at_start(self) -> bool:
-        """Whether all environments are at the start of an episode."""
-        return bool(self._start.all())
 
     def restart(self, seed: int | None = None) -> Tensor:
         """Start new episodes in all environments; return their images.
@@ -328,11 +318,12 @@ class Collector:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
         ids = cut.nonzero().squeeze(1)
         if len(ids):
-            image = infos["final_obs"][ids]
-            state = (self._state[0][ids], self._state[1][ids])
-            start = torch.zeros_like(cut[ids])
+            h, c = self._state
             _, value, _ = self.policy.step(
-                image, rollout.knowledge[t, ids], state, start
+                infos["final_obs"][ids],
+                rollout.knowledge[t, ids],
+                (h[ids], c[ids]),
+                torch.zeros_like(cut[ids]),
             )
             rollout.final_value[t, ids] = value
 
@@ -343,18 +334,11 @@ class Collector:
             "episode_start": self._start,
             "h": self._state[0],
             "c": self._state[1],
+            "generator": self.generator.get_state(),
         }
         state = to_arrays(tensors)
         state |= prefixed("episode/", self.statistics.get_state())
-        state |= self.get_state_between_episodes()
         return state | prefixed("env/", self.env.get_state())
-
-    def get_state_between_episodes(self) -> Arrays:
-        """Return all that is needed where the next rollout starts new streams of episodes."""
-        state = to_arrays({"generator": self.generator.get_state()})
-        if self.curriculum is not None and self.curriculum.is_used:
-            state["threshold_factor"] = np.array(self.curriculum.factor)
-        return state
 
     def set_state(self, state: Arrays) -> None:
         """Continue from the result of `get_state`."""
@@ -366,11 +350,5 @@ class Collector:
         self._start = tensor("episode_start")
         self._state = (tensor("h"), tensor("c"))
         self.statistics.set_state(select(state, "episode/"))
-        self.set_state_between_episodes(state)
-        self.env.set_state(select(state, "env/"))
-
-    def set_state_between_episodes(self, state: Arrays) -> None:
-        """Continue from the result of `get_state_between_episodes`."""
         self.generator.set_state(torch.tensor(state["generator"]))
-        if self.curriculum is not None and self.curriculum.is_used:
-            self.curriculum.factor = float(state["threshold_factor"])
+        self.env.set_state(select(state, "env/"))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
+from knowarm.learn.checkpoint import Arrays, to_arrays
 from knowarm.perception.config import FRAME
 from knowarm.perception.grounding import GroundingNetwork, in_batches
 from knowarm.perception.images import axes_of
@@ -112,11 +113,11 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         """As `TorchArmVectorEnv.knowledge`."""
         return self._perceived
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """As `TorchArmVectorEnv.get_state`, with what was recognized."""
-        return super().get_state() | {"perceived": self._perceived.cpu().numpy().copy()}
+        return super().get_state() | to_arrays({"perceived": self._perceived})
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """As `TorchArmVectorEnv.set_state`."""
         state = dict(state)
         perceived = state.pop("perceived", None)
@@ -125,7 +126,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
                 "The state does not hold what was recognized in this number of environments: "
                 "it belongs to another kind of environment."
             )
-        self._perceived = torch.from_numpy(np.array(perceived)).to(self.device)
+        self._perceived = torch.tensor(perceived, device=self.device)
         super().set_state(state)
 
     def _observe(self) -> Tensor:
@@ -137,16 +138,13 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         if self.has_teacher:
             frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
         else:
-            rows = (
-                self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
-            )
-            frames = self._recognition(images[ids], rows)
+            frames = self._recognition(images[ids], self.knowledge_input[ids])
         self._perceived = self._perceived.index_copy(0, ids, frames)
         return images
 
 
 @torch.inference_mode()
-def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndarray]:
+def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> Arrays:
     """Return what an agent knows in the episode of one environment with this first image.
 
     ``knowledge`` (K,) is what its policy receives, ``recognition`` (P, P) the likelihood of the
@@ -158,11 +156,11 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndar
     knowledge = agent.knowledge
     if knowledge is None:
         knowledge = agent.recognize(images)
-    arrays = {"knowledge": knowledge[0]}
+    arrays = {"knowledge": knowledge[0].numpy()}
     recognition = agent.recognition
     if recognition is not None:
         scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
         likelihood = scores[0].softmax(0)
         side = round(len(likelihood) ** 0.5)
-        arrays["recognition"] = likelihood.reshape(side, -1)
-    return {name: value.numpy() for name, value in arrays.items()}
+        arrays["recognition"] = likelihood.reshape(side, -1).numpy()
+    return arrays

@@ -59,13 +59,10 @@ class AnswerGrounding(FrameRecognition):
         """Find the answers to queries, as `locate`."""
         frames, scores, by_place = self._find(images, knowledge)
         named, places = self._name(by_place)
-        of_facets = places[:, None].expand(-1, by_place.shape[1], -1)
-        at_place = by_place.gather(2, of_facets)  # (n, F, m)
+        at_place = by_place.take_along_dim(places[:, None], 2)  # (n, F, m)
         part = self.network.part_of
-        is_same = (
-            part[:, None] == part[named][:, None]
-        )  # facet is of the named part, (n, F, m)
-        likelihoods = at_place.masked_fill(~is_same, -torch.inf).softmax(1)
+        is_other = part[:, None] != part[named][:, None]  # of another part, (n, F, m)
+        likelihoods = at_place.masked_fill(is_other, -torch.inf).softmax(1)
         likelihood = (likelihoods * knowledge[:, :, None]).sum(1)
         answering = knowledge.gather(1, named) >= 0.5
         return SeenAnswers(frames, scores, named, places, answering, likelihood)
@@ -95,7 +92,7 @@ class AnswerGrounding(FrameRecognition):
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
         index = place[:, None, None].expand(-1, answering.shape[1], 1)
-        facet = answering.gather(2, index)[..., 0].argmax(1)
+        facet = answering.gather(2, index).squeeze(2).argmax(1)
         cell = self.network.cells(place, facet)
         frames = self.network.frames(features, cell[:, None])[:, 0]
         return frames, scores, by_place
@@ -118,11 +115,10 @@ class AnswerGrounding(FrameRecognition):
             facet = best // scores.shape[2]
             place = best % scores.shape[2]
             facets.append(parts[facet])
-            places.append(place[:, None].expand(-1, parts.shape[1]))
+            places.append(place[:, None].expand(-1, self.network.parts))
             # Neither the place nor the object is named again.
             scores[rows, :, place] = -torch.inf
-            is_same = objects == objects[facet][:, None]
-            scores.masked_fill_(is_same[:, :, None], -torch.inf)
+            scores[objects == objects[facet][:, None]] = -torch.inf
         return torch.cat(facets, dim=1), torch.cat(places, dim=1)
 
 
@@ -159,19 +155,13 @@ class AnsweringAgent(PolicyAgent):
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`; notes which objects may answer."""
         answers = self.recognition.of_rows(self.rows)
-        frames = []
-        places = []
-        candidates = []
-        for batch in zip(images.split(BATCH), answers.split(BATCH), strict=True):
-            seen = self.recognition.see(*batch)
-            frames.append(seen.frames)
-            places.append(seen.places)
-            candidates.append(seen.candidates(self.threshold))
+        batches = map(self.recognition.see, images.split(BATCH), answers.split(BATCH))
+        seen = SeenAnswers(*map(torch.cat, zip(*batches, strict=True)))
         self.notes = {
-            "places": torch.cat(places).numpy(),
-            "candidates": torch.cat(candidates).numpy(),
+            "places": seen.places.numpy(),
+            "candidates": seen.candidates(self.threshold).numpy(),
         }
-        return torch.cat(frames)
+        return seen.frames
 
     @property
     def visible_answers(self) -> np.ndarray:
@@ -193,5 +183,5 @@ class AnsweringAgent(PolicyAgent):
         if self.unclear == "guess":
             return np.ones(len(count), np.bool_)
         if self.unclear == "seen":
-            return np.asarray(count >= 1)
-        return np.asarray(count == 1)
+            return count >= 1
+        return count == 1

@@ -45,31 +45,31 @@ def calibrated_threshold(
         raise UserError(
             f"level is {level}; it must be above 0 and below 1, such as 0.9."
         )
-    file = cache_file(
-        "calibration", IMAGES, version("torch"), env, seed, network.to_bytes()
-    )
+    depends_on = (IMAGES, version("torch"), env, seed, network.to_bytes())
+    file = cache_file("calibration", *depends_on)
     arrays = read_arrays(file)
     if arrays is None:
-        arrays = {"likelihood": own_likelihoods(network, env, seed)}
+        arrays = {"likelihood": target_likelihoods(network, env, seed)}
         write_arrays(file, arrays)
     return quantile(arrays["likelihood"], level)
 
 
 @torch.inference_mode()
-def own_likelihoods(network: GroundingNetwork, env: EnvConfig, seed: int) -> np.ndarray:
+def target_likelihoods(
+    network: GroundingNetwork, env: EnvConfig, seed: int
+) -> np.ndarray:
     """Return the likelihood of the name of the right object in held-out images, (IMAGES,)."""
-    labels = sample_images(
-        env, network.spec, IMAGES, derive_seed(seed, "perception", STREAM)
-    )
-    answers = torch.nn.functional.one_hot(labels.facets[:, 0], len(network.spec.facets))
+    spec = network.spec
+    labels = sample_images(env, spec, IMAGES, derive_seed(seed, "perception", STREAM))
+    answers = torch.nn.functional.one_hot(labels.facets[:, 0], len(spec.facets))
     grounding = AnswerGrounding(network, answers)
 
-    def own(images: Tensor, answers: Tensor, pixels: Tensor) -> Tensor:
+    def of_targets(images: Tensor, answers: Tensor, pixels: Tensor) -> Tensor:
         seen = grounding.see(images, answers)
-        nearest = nearest_place(seen.places, pixels, network.spec.image_size)
+        nearest = nearest_place(seen.places, pixels, spec.image_size)
         return seen.likelihood.gather(1, nearest[:, None])[:, 0]
 
-    return in_batches(own, labels.images, answers, labels.pixels[:, 0]).numpy()
+    return in_batches(of_targets, labels.images, answers, labels.pixels[:, 0]).numpy()
 
 
 def quantile(scores: np.ndarray, level: float) -> float:

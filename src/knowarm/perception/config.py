@@ -2,16 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
 from knowarm.perception.looks import look_of
+from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
 
 Unclear = Literal["guess", "seen", "stop", "ask"]
 """What an agent does that sees no answer, or several: move to the most likely place ("guess"), do
 so if it sees any ("seen"), stay ("stop"), or stay and ask which one is meant ("ask")."""
+
+Facets = tuple[ObjectColour, ...]
+"""(object, colour) pairs."""
 
 FRAME = 9
 """Numbers that describe a grasp frame: standardized position, x and z axis."""
@@ -71,7 +76,7 @@ class GroundingSpec:
     """Width and height of the images [px]."""
     objects: int
     """Number of visible objects."""
-    facets: tuple[tuple[str, str], ...]
+    facets: Facets
     """The (object, colour) pairs that it distinguishes, F; one of instances that look alike."""
     config: GroundingConfig
     """How it was trained."""
@@ -87,9 +92,8 @@ class GroundingSpec:
             config=config,
         )
 
-    def check_fits(self, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:
+    def check_fits(self, env: EnvConfig, facets: Sequence[ObjectColour]) -> None:
         """Check that the network was made for a task's robot, images and (object, colour) pairs."""
-        network = "The grounding network"
         compared = (
             ("the robot", self.robot, scene_of(env).robot.name),
             ("an image size of", self.image_size, env.image_size),
@@ -97,36 +101,34 @@ class GroundingSpec:
         )
         for what, made, needed in compared:
             if made != needed:
-                text = (
-                    f"{network} was made for {what} {made}, and this task has {needed}."
+                raise UserError(
+                    f"The grounding network was made for {what} {made}, and this task has "
+                    f"{needed}. {RETRAIN}"
                 )
-                raise UserError(f"{text} {RETRAIN}")
+        known = set(self.facets)
         unknown = [
-            " ".join(reversed(facet)) for facet in facets if facet not in self.facets
+            f"{colour} {name}" for name, colour in facets if (name, colour) not in known
         ]
         if unknown:
-            text = f"{network} does not know {', '.join(unknown[:5])}, which this task shows."
-            raise UserError(f"{text} {RETRAIN}")
+            raise UserError(
+                f"The grounding network does not know {', '.join(unknown[:5])}, which this task "
+                f"shows. {RETRAIN}"
+            )
 
 
-def shown_in(env: EnvConfig) -> set[tuple[str, str]]:
+def shown_in(env: EnvConfig) -> set[ObjectColour]:
     """Return the facets that a task's episodes show."""
     table = questions_of(env)
     if table is None:
         return set(facets_of(env))
-    return {
-        facet for facet, shown in zip(table.facets, table.shown, strict=True) if shown
-    }
+    return set(compress(table.facets, table.shown))
 
 
-def _looks(
-    facets: tuple[tuple[str, str], ...], shown: set[tuple[str, str]]
-) -> tuple[tuple[str, str], ...]:
+def _looks(facets: Facets, shown: set[ObjectColour]) -> Facets:
     """Return the facets of one object per look, of one that is shown if there is any."""
-    shown_names = {name for name, _ in shown}
-    names = dict.fromkeys(name for name, _ in facets)
+    shown_names = dict(shown)
     chosen: dict[tuple[str, ...], str] = {}
-    for name in sorted(names, key=lambda name: name not in shown_names):
+    for name in sorted(dict(facets), key=lambda name: name not in shown_names):
         chosen.setdefault(look_of(name), name)
     kept = set(chosen.values())
     return tuple(facet for facet in facets if facet[0] in kept)

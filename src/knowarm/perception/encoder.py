@@ -5,17 +5,19 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from knowarm.perception.config import Facets
 from knowarm.perception.looks import attribute_codes, code_matrix
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
-from knowarm.questions import ObjectColour
 from knowarm.seeding import torch_generator
 
 
 class PlaceEncoder(nn.Module):
     """Four convolutions and two linear heads that score objects and colours at every place.
 
+    The features of a place are ``channels``, and the image has one at every fourth pixel.
+
     A facet's score is the logarithm of the sum over places of exp(object + colour), so that object
-    and colour are found at one place. Each convolution has inputs, outputs, kernel and stride.
+    and colour are found at one place.
 
     Objects that templates make are scored by their attributes, so that one of a new kind has one,
     too: at a place each attribute has a probability of its own, and a name the product of those of
@@ -28,14 +30,9 @@ class PlaceEncoder(nn.Module):
     code: Tensor | None
     """(objects, outputs) buffer; see `AttributeCode`. None: each object has its own score."""
 
-    def __init__(
-        self,
-        facets: tuple[ObjectColour, ...],
-        convolutions: tuple[tuple[int, int, int, int], ...],
-        seed: int,
-    ) -> None:
+    def __init__(self, facets: Facets, channels: int, seed: int) -> None:
         super().__init__()
-        self.channels = convolutions[-1][1]
+        self.channels = channels
         self.register_buffer("facet_parts", number_facets(facets), persistent=False)
         objects, colours = (self.facet_parts.amax(1) + 1).tolist()
         codes = attribute_codes(list(dict(facets)))  # of each name once
@@ -46,12 +43,17 @@ class PlaceEncoder(nn.Module):
             self.exclusive = codes[0].exclusive
             objects = code.shape[1]
         self.register_buffer("code", code, persistent=False)
-        self.layers = nn.ModuleList(
-            nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2)
-            for inputs, outputs, kernel, stride in convolutions
+        quarter = channels // 4
+        half = channels // 2
+        layers = (
+            nn.Conv2d(3, quarter, 5, stride=2, padding=2),
+            nn.Conv2d(quarter, half, 3, stride=2, padding=1),
+            nn.Conv2d(half, channels, 3, padding=1),
+            nn.Conv2d(channels, channels, 3, padding=1),
         )
-        self.objects = nn.Conv2d(self.channels, objects, 1)
-        self.colours = nn.Conv2d(self.channels, colours, 1)
+        self.layers = nn.ModuleList(layers)
+        self.objects = nn.Conv2d(channels, objects, 1)
+        self.colours = nn.Conv2d(channels, colours, 1)
         generator = torch_generator(seed, "perception")
         for layer in self.layers:
             orthogonal(layer, RELU_GAIN, generator)
@@ -126,12 +128,10 @@ class PlaceEncoder(nn.Module):
         rows = torch.arange(len(places))[:, None]
         objects = self.objects(features).flatten(2)
         colours = self.colours(features).flatten(2).log_softmax(1)
-        kinds = self.code.shape[1] - self.attributes - 1
-        widths = [self.exclusive, self.attributes - self.exclusive, 1, kinds]
-        shape_score, part_score, _, kind_score = objects[rows, :, places].split(
-            widths, 2
-        )
-        shape, parts, _, kind = self.code[name].split(widths, 2)
+        ends = (self.exclusive, self.attributes, self.attributes + 1)
+        at_place = objects[rows, :, places]
+        shape_score, part_score, _, kind_score = at_place.tensor_split(ends, 2)
+        shape, parts, _, kind = self.code[name].tensor_split(ends, 2)
         of_place = objects[:, self.attributes].log_softmax(1).gather(1, places)
         of_shape = (shape_score.log_softmax(2) * (shape > 0)).sum(2)
         of_parts = nn.functional.logsigmoid(parts * part_score).sum(2)
@@ -140,7 +140,7 @@ class PlaceEncoder(nn.Module):
         return cast(Tensor, of_place + of_shape + of_parts + of_kind + of_colour)
 
 
-def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:
+def number_facets(facets: Facets) -> Tensor:
     """Return object and colour of each facet, (2, F) int64, numbered by first appearance."""
     numbers = []
     for names in zip(*facets, strict=True):

@@ -6,7 +6,7 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 """
 
 import json
-import struct
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -79,40 +79,35 @@ class GroundingNetwork(nn.Module):
         super().__init__()
         self.spec = spec
         self.slots = slots
-        self.encoder = PlaceEncoder(
-            spec.facets, convolutions_of(spec.config.channels), seed
-        )
+        channels = spec.config.channels
+        self.encoder = PlaceEncoder(spec.facets, channels, seed)
         self.register_buffer(
             "knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone()
         )
         self.register_buffer("position_mean", torch.zeros(3))
         self.register_buffer("position_std", torch.ones(3))
-        parts_of_object = torch.from_numpy(
-            number_parts(spec.facets)
-        )  # of the object of each facet
+        parts_of_object = number_parts(spec.facets)  # of the object of each facet
         self.parts = parts_of_object.shape[1]
-        facet = torch.arange(len(parts_of_object))[:, None]
-        part_of = (parts_of_object == facet).int().argmax(1)
+        facet = np.arange(len(parts_of_object))[:, None]
+        part_of = torch.from_numpy((parts_of_object == facet).argmax(1))
         self.register_buffer("part_of", part_of, persistent=False)
-        channels = self.encoder.channels
-        self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
-        self.query = _layers(self.knowledge.shape[1] // slots, 2 * WIDTH, WIDTH)
-        # Places on each side of the object's that the frame head reads, and its hidden layers.
-        self._around = 0 if first_stage else 1
-        hidden = [2 * WIDTH] if first_stage else [4 * WIDTH, 4 * WIDTH]
-        inputs = channels * (1 + 2 * self._around) ** 2 + 2
-        self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        gain = RELU_GAIN if first_stage else DEEP_HEAD_GAIN
-        for layers, own_gain in (
-            (self.key, RELU_GAIN),
-            (self.query, RELU_GAIN),
-            (self.frame, gain),
-        ):
-            for layer in layers:
-                orthogonal(layer, own_gain, generator)
-        if not first_stage:  # features differ in scale, and many are zero
-            self.frame.insert(0, Standardize(inputs))
+        keys = [channels, 2 * WIDTH, WIDTH * self.parts]
+        self.key = _layers(keys, RELU_GAIN, generator)
+        queries = [self.knowledge.shape[1] // slots, 2 * WIDTH, WIDTH]
+        self.query = _layers(queries, RELU_GAIN, generator)
+        frames = FRAME * self.parts
+        if first_stage:
+            self._side = 1
+            self.frame = _layers(
+                [channels + 2, 2 * WIDTH, frames], RELU_GAIN, generator
+            )
+        else:
+            self._side = 3
+            widths = [9 * channels + 2, 4 * WIDTH, 4 * WIDTH, frames]
+            self.frame = _layers(widths, DEEP_HEAD_GAIN, generator)
+            # Features differ in scale, and many are zero.
+            self.frame.insert(0, Standardize(widths[0]))
 
     def to_bytes(self) -> bytes:
         """Return the content of the network's file."""
@@ -157,16 +152,18 @@ class GroundingNetwork(nn.Module):
             if not is_number or table.ndim != 2 or table.shape[1] % slots:
                 raise ValueError("its table of knowledge does not fit its slots")
             network = cls(spec, table, slots)
-            state = network.state_dict()
-            stored = {
-                name: tensors.pop(name.removeprefix(ENCODER), None) for name in state
-            }
-            for name, value in stored.items():
-                if tensors or value is None or value.shape != state[name].shape:
-                    raise ValueError("its arrays do not fit the facets that it names")
+            shapes = {}
+            state = {}
+            for name, value in network.state_dict().items():
+                stored = name.removeprefix(ENCODER)
+                shapes[stored] = value.shape
+                state[name] = tensors.get(stored)
+            if shapes != {name: value.shape for name, value in tensors.items()}:
+                raise ValueError("its arrays do not fit the facets that it names")
+            for value in tensors.values():
                 if not value.is_floating_point() or not value.isfinite().all():
                     raise ValueError("it contains non-finite values")
-            network.load_state_dict(stored)
+            network.load_state_dict(state)
         return network.eval().requires_grad_(False)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -178,10 +175,6 @@ class GroundingNetwork(nn.Module):
         keys = self.key(features.flatten(2).transpose(1, 2))  # (n, places, P D)
         return cast(Tensor, keys.unflatten(2, (self.parts, WIDTH)).flatten(1, 2))
 
-    def places(self, labels: LabelledImages, rows: Tensor) -> Tensor:
-        """Return the places of the objects in some images (n,) int64, (n, m) int64."""
-        return place_of(labels.pixels[rows], self.spec.image_size)
-
     def cells(self, places: Tensor, facets: Tensor) -> Tensor:
         """Return the cells of facets (...) int64 at places (...) int64."""
         return places * self.parts + self.part_of[facets]
@@ -190,11 +183,9 @@ class GroundingNetwork(nn.Module):
         """Project the knowledge of queries (Q, K) into the space of the keys: (Q, D)."""
         slots = knowledge.unflatten(1, (self.slots, -1))
         used = (slots != 0).any(2, keepdim=True)  # a slot of zeros is no condition
-        used[:, 0] |= ~used.any(
-            1
-        )  # of a query without conditions, the first slot counts
-        of_slots = self.query(slots) * used
-        return of_slots.sum(1) / WIDTH**0.5
+        # Of a query without conditions, the first slot counts.
+        used[:, 0] |= ~used.any(1)
+        return (self.query(slots) * used).sum(1) / WIDTH**0.5
 
     def frames(self, features: Tensor, cells: Tensor) -> Tensor:
         """Predict the grasp frames of the objects or parts in cells (n, m) int64, row by row.
@@ -208,30 +199,23 @@ class GroundingNetwork(nn.Module):
     def frames_of(self, inputs: Tensor, part: Tensor) -> Tensor:
         """Predict frames (..., 9) of the parts (...) int64 from `frame_inputs` (..., D)."""
         frames = self.frame(inputs).unflatten(-1, (-1, FRAME))  # of all parts
+        # `take_along_dim` would fix the batch size of an ONNX export.
         index = part[..., None, None].expand(*part.shape, 1, FRAME)
-        return cast(Tensor, frames.gather(-2, index)[..., 0, :])
+        return cast(Tensor, frames.gather(-2, index).squeeze(-2))
 
     def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
         """Return what frames at places (n, m) are predicted from: features, and where they are.
 
         The inputs (n, m, D) start with the features of 3 x 3 places; in the first stage of one.
         """
-        channels = features.shape[1]
-        side = features.shape[-1]
-        around = self._around
-        width = side + 2 * around  # of the features with a border of zeros
-        padded = nn.functional.pad(features, (around,) * 4).flatten(2)
-        line = torch.arange(1 + 2 * around, device=places.device)
-        neighbours = (
-            line[:, None] * width + line
-        ).flatten()  # from the first one, (k,)
-        first = places // side * width + places % side
-        index = first[..., None] + neighbours  # (n, m, k)
-        of_channels = index.flatten(1)[:, None].expand(-1, channels, -1)
-        gathered = padded.gather(2, of_channels).unflatten(
-            2, index.shape[1:]
-        )  # (n, C, m, k)
-        inputs = gathered.transpose(1, 2).flatten(2)  # (n, m, C k)
+        around = self._side // 2
+        padded = nn.functional.pad(features, (around,) * 4)
+        # A view of the places around every place: (n, C, h, w, side, side).
+        windows = padded.unfold(2, self._side, 1).unfold(3, self._side, 1)
+        image = torch.arange(places.shape[0], device=places.device)[:, None]
+        row = places // features.shape[3]
+        column = places % features.shape[3]
+        inputs = windows[image, :, row, column].flatten(2)
         half = self.spec.image_size / 2
         where = centres(self.spec.image_size).to(inputs) / half - 1
         return torch.cat((inputs, where[places]), 2)
@@ -261,7 +245,6 @@ class GroundingNetwork(nn.Module):
         self,
         features: Tensor,
         labels: LabelledImages,
-        rows: Tensor,
         knowledge: Tensor,
         answers: QueryAnswers,
         *,
@@ -274,35 +257,34 @@ class GroundingNetwork(nn.Module):
 
         Args:
             features: of n images.
-            labels: images and their labels.
-            rows: (n,) int64, the images.
+            labels: of these images.
             knowledge: (q, K) float32, of the queries.
             answers: to these queries, among the facets of the network.
             bfloat16: for the keys.
         """
-        facets = labels.facets[rows]
-        cells = self.cells(self.places(labels, rows), facets)
+        facets = labels.facets
+        places = place_of(labels.pixels, self.spec.image_size)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             keys = self.keys(features)
         scores = keys.float() @ self.project_queries(knowledge).T  # (n, cells, q)
         satisfies = answers.satisfies[:, facets].transpose(0, 1)  # (n, q, m)
         askable = answers.askable[:, facets].transpose(0, 1)
-        is_only_answer = satisfies.sum(2) == 1
-        asked = is_only_answer & (satisfies & askable).any(2)
+        asked = (satisfies.sum(2) == 1) & (satisfies & askable).any(2)
         if answers.marked:  # the image answers for the marked object only
             asked &= satisfies[..., 0]
+        cells = self.cells(places, facets)
         cell = cells.gather(1, satisfies.float().argmax(2))
         likelihood = scores.log_softmax(1).gather(1, cell[:, None])[:, 0]
         return -(likelihood * asked).sum() / asked.sum().clamp(min=1)
 
     def recognition_losses(
-        self, features: Tensor, labels: LabelledImages, rows: Tensor
+        self, features: Tensor, labels: LabelledImages
     ) -> tuple[Tensor, Tensor]:
         """Compute the cross-entropy of the visible names and the squared error of their frames."""
-        facets = labels.facets[rows]
-        places = self.places(labels, rows)
+        facets = labels.facets
+        places = place_of(labels.pixels, self.spec.image_size)
         likelihood = self.encoder.facet_likelihood(features, facets, places)
-        truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
+        truth = self.standardized(labels.grasp_position, labels.grasp_axes)
         frames = self.frames(features, self.cells(places, facets))
         return -likelihood.mean(), (frames - truth).square().mean()
 
@@ -337,36 +319,28 @@ def in_batches(compute: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
 
 def _metadata(data: bytes) -> dict[str, Any]:
     """Return what a file of safetensors says about itself."""
-    (length,) = struct.unpack_from("<Q", data)
+    length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
     metadata = header.get("__metadata__") or {}
     about: dict[str, Any] = json.loads(metadata.get(METADATA, "{}"))
     return about
 
 
-def convolutions_of(channels: int) -> tuple[tuple[int, int, int, int], ...]:
-    """Return inputs, outputs, kernel and stride of each convolution."""
-    quarter = channels // 4
-    half = channels // 2
-    return (
-        (3, quarter, 5, 2),
-        (quarter, half, 3, 2),
-        (half, channels, 3, 1),
-        (channels, channels, 3, 1),
-    )
-
-
-def _layers(*widths: int) -> nn.Sequential:
-    """Return linear layers of these widths, with ReLU between them."""
+def _layers(
+    widths: list[int], gain: float, generator: torch.Generator
+) -> nn.Sequential:
+    """Return linear layers of these widths, initialized, with ReLU between them."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(widths):
-        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
+        linear = nn.Linear(inputs, outputs)
+        orthogonal(linear, gain, generator)
+        layers += [linear, nn.ReLU()]
     return nn.Sequential(*layers[:-1])
 
 
 def place_of(pixel: Tensor, image_size: int) -> Tensor:
     """Return the place (...) int64 of image points (..., 2), column and row [px]."""
-    side = -(-image_size // STRIDE)
+    side = math.ceil(image_size / STRIDE)
     place = (pixel / STRIDE).long().clamp(0, side - 1)
     column, row = place.unbind(-1)
     return row * side + column
@@ -374,6 +348,6 @@ def place_of(pixel: Tensor, image_size: int) -> Tensor:
 
 def centres(image_size: int) -> Tensor:
     """Return column and row of the centre of every place, (P, 2) float32 [px]."""
-    line = (torch.arange(-(-image_size // STRIDE)) + 0.5) * STRIDE
+    line = (torch.arange(math.ceil(image_size / STRIDE)) + 0.5) * STRIDE
     row, column = torch.meshgrid(line, line, indexing="ij")
     return torch.stack((column.flatten(), row.flatten()), dim=1)

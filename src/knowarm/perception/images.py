@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.perception.config import GroundingSpec
+from knowarm.learn.checkpoint import Arrays
+from knowarm.perception.config import Facets, GroundingSpec
 from knowarm.perception.looks import look_of
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
@@ -25,12 +26,15 @@ class LabelledImages(NamedTuple):
 
     images: Tensor  # (N, H, W, 3) uint8
     facets: Tensor  # (N, m) int64, facets of the network
-    queries: (
-        Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
-    )
+    # (N,) int64, rows of the knowledge table; 0 for a task without queries
+    queries: Tensor
     pixels: Tensor  # (N, m, 2) float32: column and row of the objects [px]
     grasp_position: Tensor  # (N, m, 3) float32 [m], world
     grasp_axes: Tensor  # (N, m, 6) float32: x and z axis of the grasp frames, world
+
+    def of(self, rows: Tensor) -> "LabelledImages":
+        """Return some of the images (n,) int64 with their labels."""
+        return LabelledImages(*(tensor[rows] for tensor in self))
 
 
 class QueryAnswers(NamedTuple):
@@ -47,9 +51,7 @@ class QueryAnswers(NamedTuple):
         )
 
 
-def query_answers(
-    env: EnvConfig, facets: tuple[ObjectColour, ...]
-) -> QueryAnswers | None:
+def query_answers(env: EnvConfig, facets: Facets) -> QueryAnswers | None:
     """Return the answers to a task's queries among some facets; None without queries."""
     table = questions_of(env)
     if table is None:
@@ -85,11 +87,11 @@ class ImageSampler:
         fields = zip(*batches, strict=True)
         return LabelledImages(*(torch.cat(tensors)[:count] for tensors in fields))
 
-    def get_state(self) -> dict[str, np.ndarray]:
+    def get_state(self) -> Arrays:
         """Copy all that determines the following images."""
         return self._world.get_state()
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Arrays) -> None:
         """Restore a state of `get_state`."""
         self._seed = None
         self._world.set_state(state)

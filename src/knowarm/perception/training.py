@@ -10,12 +10,20 @@ from torch import Tensor, nn
 from torch.optim import Adam
 from torch.optim.lr_scheduler import OneCycleLR
 
-from knowarm.learn.checkpoint import select
+from knowarm.learn.checkpoint import prefixed, select, to_arrays, to_tensors
 from knowarm.perception.config import GroundingConfig
+from knowarm.perception.images import ImageSampler
 from knowarm.world.cache import read_arrays, write_arrays
 
 Step = tuple[int, Tensor, Tensor]
 """Number of images of a gradient step, the loss that is minimized, and the one that is reported."""
+
+
+Report = Callable[[str], None]
+"""Receives a line of text."""
+
+ShouldStop = Callable[[], bool]
+"""Called at every gradient step; true ends the training."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +31,8 @@ class PassProgress:
     """A file in the user's cache with the state of `minimize` after its last whole pass."""
 
     file: Path
-    get_state: Callable[[], dict[str, np.ndarray]]  # of all that draws the steps
-    set_state: Callable[[dict[str, np.ndarray]], None]
+    sampler: ImageSampler  # draws the images of the steps
+    generator: torch.Generator  # draws all else
 
     def save(
         self, number: int, module: nn.Module, optimizer: Adam, schedule: OneCycleLR
@@ -35,34 +43,29 @@ class PassProgress:
             "number": np.array(number),
             "rate": np.array([group["lr"], *group["betas"]]),
             "step": np.array(schedule.last_epoch),
+            **prefixed("module/", to_arrays(module.state_dict())),
         }
-        for name, value in module.state_dict().items():
-            arrays[f"module/{name}"] = value.numpy()
         for index, moments in optimizer.state_dict()["state"].items():
-            for name, value in moments.items():
-                arrays[f"adam/{index}/{name}"] = value.numpy()
-        for name, array in self.get_state().items():
-            arrays[f"draws/{name}"] = array
-        write_arrays(self.file, arrays)
+            arrays |= prefixed(f"adam/{index}/", to_arrays(moments))
+        arrays["draws/generator"] = self.generator.get_state().numpy()
+        write_arrays(self.file, arrays | prefixed("draws/", self.sampler.get_state()))
 
     def restore(self, module: nn.Module, optimizer: Adam, schedule: OneCycleLR) -> int:
         """Restore the stored state, if there is one; return the number of passes done."""
         arrays = read_arrays(self.file)
         if arrays is None:
             return 0
-        parameters = select(arrays, "module/").items()
-        module.load_state_dict({n: torch.from_numpy(value) for n, value in parameters})
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in select(arrays, "adam/").items():
-            index, _, key = name.partition("/")
-            moments.setdefault(int(index), {})[key] = torch.from_numpy(value)
-        optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+        module.load_state_dict(to_tensors(select(arrays, "module/")))
+        state = optimizer.state_dict()
+        for index in state["param_groups"][0]["params"]:
+            state["state"][index] = to_tensors(select(arrays, f"adam/{index}/"))
+        optimizer.load_state_dict(state)
         rate, *betas = arrays["rate"].tolist()
         optimizer.param_groups[0].update(lr=rate, betas=tuple(betas))
-        schedule.load_state_dict(
-            {**schedule.state_dict(), "last_epoch": int(arrays["step"])}
-        )
-        self.set_state(select(arrays, "draws/"))
+        schedule.last_epoch = int(arrays["step"])
+        draws = select(arrays, "draws/")
+        self.generator.set_state(torch.from_numpy(draws.pop("generator")))
+        self.sampler.set_state(draws)
         return int(arrays["number"])
 
 
@@ -72,8 +75,8 @@ def minimize(
     steps: Callable[[int], Iterator[Step]],
     passes: int,
     name: str,
-    report: Callable[[str], None],
-    should_stop: Callable[[], bool] = lambda: False,
+    report: Report,
+    should_stop: ShouldStop,
     progress: PassProgress | None = None,
 ) -> bool:
     """Minimize the losses of each pass's steps with Adam; return whether it was not stopped.

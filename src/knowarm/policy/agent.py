@@ -60,9 +60,9 @@ class PolicyAgent:
         self.policy = policy
         self.recognition = recognition
         self.notes = {}
-        self.table = (
-            None if table is None else torch.as_tensor(table, dtype=torch.float32)
-        )
+        self.table: Tensor | None = None
+        if table is not None:
+            self.table = torch.as_tensor(table, dtype=torch.float32)
         self.greedy = greedy
         self.generator = generator
 
@@ -105,9 +105,8 @@ class PolicyAgent:
                 f"The image must be ({size}, {size}, 3) uint8, or n of them, got {image.shape} "
                 f"{image.dtype}: resize it, and keep values of 0 to 255."
             )
-        images = torch.from_numpy(
-            image.copy()
-        )  # also of backward views and read-only arrays
+        # A copy, as the array may be a backward view or read-only.
+        images = torch.from_numpy(image.copy())
         if self.knowledge is None:
             self.knowledge = self.recognize(images)
         logits, _, self._state = self.policy.step(

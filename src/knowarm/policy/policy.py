@@ -10,7 +10,8 @@ independent, so log-probabilities and entropies of an action are sums over the j
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -164,10 +165,7 @@ class Policy(nn.Module):
         self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by T steps; see `unroll_with_features`."""
-        logits, values, state, _ = self.unroll_with_features(
-            image, knowledge, state, episode_start
-        )
-        return logits, values, state
+        return self.unroll_with_features(image, knowledge, state, episode_start)[:3]
 
     def unroll_with_features(
         self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
@@ -208,6 +206,15 @@ class Policy(nn.Module):
     def maker(self) -> "MakePolicy":
         """Return a function that builds a policy with this structure."""
         return partial(Policy, self.config, self.shape)
+
+    @contextmanager
+    def computing(self, precision: MatmulPrecision) -> Iterator[None]:
+        """Use a precision of products, in place of float32, until the context ends."""
+        self.matmul_precision = precision
+        try:
+            yield
+        finally:
+            self.matmul_precision = "float32"
 
     def autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
@@ -258,18 +265,17 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
         with torch.device("meta"):
             return Policy(config, shape).parameter_counts()["total"]
 
-    def without(hidden: int) -> PolicyConfig:
-        return replace(config, fusion="none", hidden=hidden)
+    target = count(config)
 
-    def count_without(hidden: int) -> int:
-        return count(without(hidden))
+    def excess(hidden: int) -> int:
+        return count(replace(config, fusion="none", hidden=hidden)) - target
 
     # The count grows with the hidden size: find the first that is not below the target.
-    target = count(config)
     sizes = range(1, 2**20)
-    high = bisect_left(sizes, target, key=count_without)
+    high = bisect_left(sizes, 0, key=excess)
     nearest = sizes[max(0, high - 1) : high + 1]
-    return without(min(nearest, key=lambda hidden: abs(count_without(hidden) - target)))
+    hidden = min(nearest, key=lambda hidden: abs(excess(hidden)))
+    return replace(config, fusion="none", hidden=hidden)
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:

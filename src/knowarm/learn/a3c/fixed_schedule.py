@@ -1,8 +1,6 @@
 """A3C on a fixed schedule: all workers in one process, their updates one after another."""
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -15,14 +13,14 @@ from knowarm.learn.a3c.gradients import WorkerGradients
 from knowarm.learn.a3c.messages import MakeEnv, mean_metrics, sums_of
 from knowarm.learn.a3c.update import rmsprop_updates, rollout_loss
 from knowarm.learn.algorithms import A3CConfig
-from knowarm.learn.checkpoint import Checkpoint, policy_arrays
+from knowarm.learn.checkpoint import Checkpoint, policy_arrays, to_arrays
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.losses import Terms
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.learn.parallel.processes import keep_freed_memory
-from knowarm.learn.parallel.shared_tensors import FlatParameters
+from knowarm.learn.parallel.shared_tensors import FlatParameters, parameter_views
 from knowarm.learn.rollout import Collector
 from knowarm.learn.trainer import StopReason, SynchronousTrainer
 from knowarm.policy import Policy
@@ -42,8 +40,7 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         config: the algorithm's configuration, with one environment per worker.
         policy: trained in place; holds the result after `train`.
         make_env: creates the environments of all workers, on the CPU.
-        seed: of the run; episodes and actions have a stream each.
-        options: as `Trainer`.
+        options: as `Trainer`; with streams of ``seed`` for episodes and actions.
     """
 
     def __init__(
@@ -51,40 +48,25 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         config: A3CConfig,
         policy: Policy,
         make_env: MakeEnv,
-        *,
-        seed: int,
         **options: Any,
     ) -> None:
-        super().__init__(policy, seed=seed, **options)
+        super().__init__(policy, **options)
         self.config = config
-        self._precision = resolve_precision(
-            config.matmul_precision, torch.device("cpu")
-        )
-        self._values = FlatParameters(policy).values
-        self._mean_square = torch.zeros_like(self._values)
-        with self._running():
-            self._workers = WorkerGradients(
-                policy, config.rollout_steps, config.workers
-            )
-        env = make_env(config.workers, 1)
+        cpu = torch.device("cpu")
+        self._precision = resolve_precision(config.matmul_precision, cpu)
+        self._mean_square = torch.zeros_like(FlatParameters(policy).values)
+        workers = config.workers
+        with torch_threads(1), policy.computing(self._precision):
+            self._workers = WorkerGradients(policy, config.rollout_steps, workers)
+        env = make_env(workers, 1)
         self._curriculum = ThresholdCurriculum(config, env)
-        self._collector = Collector(env, policy, seed=seed, curriculum=self._curriculum)
+        self._collector = Collector(env, policy, seed=self.seed)
         self._guard = FiniteGuard(self.failure_folder)
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        with self._running():
+        with torch_threads(1), self.policy.computing(self._precision):
             return super()._train(total_steps)
-
-    @contextmanager
-    def _running(self) -> Iterator[None]:
-        """Use one PyTorch thread, and the precision of training, until the context ends."""
-        self.policy.matmul_precision = self._precision
-        try:
-            with torch_threads(1):
-                yield
-        finally:
-            self.policy.matmul_precision = "float32"
 
     def update(self, total_steps: int) -> Metrics:
         """Play and learn for `A3CConfig.log_every_steps`; see `SynchronousTrainer.update`."""
@@ -126,11 +108,11 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
             )
 
         loss = workers.compute(count, loss_of)
-        of_layers = [gradient.flatten(1) for gradient in workers.gradients.values()]
-        norms = torch.stack(
-            [torch.linalg.vector_norm(layer, dim=1) for layer in of_layers]
-        )
-        norms = torch.linalg.vector_norm(norms, dim=0)
+        of_layers = [
+            torch.linalg.vector_norm(gradient.flatten(1), dim=1)
+            for gradient in workers.gradients.values()
+        ]
+        norms = torch.linalg.vector_norm(torch.stack(of_layers), dim=0)
         self._guard.check_update(self.policy, loss, norms, after, rollout)
         self._apply(lengths, norms, total_steps)
         self._curriculum.update(
@@ -153,13 +135,11 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
             rates[worker] = config.learning_rate_at(step / total_steps)
             step += int(lengths[worker])
         factors = (config.max_grad_norm / norms).clamp(max=1).numpy()
-        start = 0
+        mean_squares = parameter_views(self.policy, self._mean_square)
         for name, parameter in self.policy.named_parameters():
-            part = slice(start, start + parameter.numel())
-            start = part.stop
             rmsprop_updates(
-                self._values[part].numpy(),
-                self._mean_square[part].numpy(),
+                parameter.detach().flatten().numpy(),
+                mean_squares[name].flatten().numpy(),
                 self._workers.gradients[name].flatten(1).numpy(),
                 order.numpy(),
                 factors,
@@ -170,22 +150,26 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
 
     def checkpoint(self) -> Checkpoint:
         """See `SynchronousTrainer.checkpoint`."""
-        state = self._collector.get_state
+        collector = self._collector
         if self.config.rollout_ends_with_episode:
-            state = self._collector.get_state_between_episodes
+            state = to_arrays({"generator": collector.generator.get_state()})
+        else:
+            state = collector.get_state()
         return Checkpoint(
             policy=policy_arrays(self.policy),
-            optimizer={"mean_square": self._mean_square.numpy().copy()},
-            state=state(),
+            optimizer=to_arrays({"mean_square": self._mean_square}),
+            state=state | self._curriculum.get_state(),
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """See `Trainer.restore`."""
+        state = checkpoint.state
         self._mean_square.copy_(torch.from_numpy(checkpoint.optimizer["mean_square"]))
         if self.config.rollout_ends_with_episode:
-            self._collector.set_state_between_episodes(checkpoint.state)
+            self._collector.generator.set_state(torch.tensor(state["generator"]))
         else:
-            self._collector.set_state(checkpoint.state)
+            self._collector.set_state(state)
+        self._curriculum.set_state(state)
 
 
 def first_episodes(done: Tensor) -> Tensor:

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from knowarm.learn.checkpoint import Tensors
 from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy, State
@@ -40,9 +42,9 @@ class WorkerGradients:
             blank = encoder.first(self._patches[0, :1], encoder.product_weights())
         self._hidden = torch.zeros(*shape, *blank.shape[1:], dtype=blank.dtype)
         self._encoded = torch.zeros(*shape, encoder.width)
-        tensors = Rollout.zeros(steps, workers, policy).tensors()
-        self.rollout = Rollout(**tensors | {"patches": self._patches.transpose(0, 1)})
-        self.gradients: dict[str, Tensor] = {}
+        rollout = Rollout.zeros(steps, workers, policy)
+        self.rollout = replace(rollout, patches=self._patches.transpose(0, 1))
+        self.gradients: Tensors = {}
 
     def infer(
         self, rollout: Rollout, t: int, image: Tensor, state: State
@@ -75,6 +77,7 @@ class WorkerGradients:
         Returns:
             The loss and its terms.
         """
+        policy = self.policy
         self.gradients = {}
         self._count = count
         encoded = self._encoded[:, :count].transpose(0, 1).contiguous().requires_grad_()
@@ -83,16 +86,10 @@ class WorkerGradients:
             terms["total"].backward()
         assert encoded.grad is not None
         # Worker by worker, because that is what fits into the processor's cache.
-        of_workers = []
-        for worker, gradient in enumerate(encoded.grad.transpose(0, 1)):
-            steps = (worker, slice(count))
-            of_worker = self.policy.encoder.gradients(
-                self._patches[steps],
-                self._hidden[steps],
-                self._encoded[steps],
-                gradient,
-            )
-            of_workers.append(of_worker)
+        kept = (self._patches, self._hidden, self._encoded)
+        inputs = [tensor[:, :count] for tensor in kept]
+        by_worker = zip(*inputs, encoded.grad.transpose(0, 1), strict=True)
+        of_workers = [policy.encoder.gradients(*tensors) for tensors in by_worker]
         for name in of_workers[0]:
             stacked = torch.stack([of_worker[name] for of_worker in of_workers])
             self.gradients[f"encoder.{name}"] = stacked
@@ -112,9 +109,8 @@ class WorkerGradients:
         ]
         for name, layer in policy.named_modules():
             if isinstance(layer, nn.Linear):
-                hooks.append(
-                    layer.register_forward_hook(partial(self._tap_linear, name))
-                )
+                tap = partial(self._tap_linear, name)
+                hooks.append(layer.register_forward_hook(tap))
         policy.requires_grad_(False)
         try:
             yield

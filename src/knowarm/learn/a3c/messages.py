@@ -13,7 +13,7 @@ from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.losses import Terms
-from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.parallel.shared_tensors import SharedTensors, TensorSpecs
 from knowarm.learn.rollout import FinishedEpisodes
 from knowarm.policy import MakePolicy
 
@@ -34,12 +34,10 @@ class A3CWorkerArgs:
     make_env: MakeEnv
     evaluate_every: int | None
     failure_folder: Path | None
-    state: (
-        Arrays | None
-    )  # State of the collector to continue from; None starts new episodes
-    threshold_factor: (
-        float | None
-    )  # Of the curriculum so far, for a worker without a state
+    # State of the collector to continue from; None starts new episodes
+    state: Arrays | None
+    # Of the curriculum so far, for a worker without a state
+    threshold_factor: float | None
 
 
 class StateRequest(NamedTuple):
@@ -49,13 +47,12 @@ class StateRequest(NamedTuple):
 
 
 class WorkerState(NamedTuple):
-    """From a worker: its state between two updates; worker 0 adds copies of shared vectors."""
+    """From a worker: its state between two updates."""
 
     is_last: bool  # As in the request
     collector: Arrays
     steps: int
-    values: np.ndarray | None = None
-    mean_square: np.ndarray | None = None
+    vectors: Arrays  # Of worker 0: `copy_vectors` at the same moment
 
 
 class EvaluationRequest(NamedTuple):
@@ -69,18 +66,15 @@ class EvaluationRequest(NamedTuple):
 class UpdateReport(NamedTuple):
     """From a worker: one rollout and its update."""
 
-    sums: dict[
-        str, float
-    ]  # Quantities that are summed over updates; see `mean_metrics`
-    evaluation: (
-        EvaluationRequest | None
-    )  # If an interim evaluation is due after this update
+    sums: Metrics  # Quantities that are summed over updates; see `mean_metrics`
+    # If an interim evaluation is due after this update
+    evaluation: EvaluationRequest | None
 
 
 LOSS_METRICS = ("policy_loss", "value_loss", "entropy")
 
 
-def sums_of(episodes: FinishedEpisodes, loss: Terms) -> dict[str, float]:
+def sums_of(episodes: FinishedEpisodes, loss: Terms) -> Metrics:
     """Return the sums over finished episodes, and the loss, that `mean_metrics` reads."""
     sums = {
         "episodes": len(episodes.length),
@@ -104,6 +98,11 @@ def mean_metrics(sums: Mapping[str, float]) -> Metrics:
         row[name] = sums[name] / updates
     row["updates"] = updates
     return row
+
+
+def copy_vectors(shared: SharedTensors) -> Arrays:
+    """Copy the shared parameters and their running mean of squared gradients."""
+    return {name: shared.copy(name) for name in ("values", "mean_square")}
 
 
 def shared_state_specs(parameters: int, workers: int) -> TensorSpecs:

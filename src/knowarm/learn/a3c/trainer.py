@@ -18,12 +18,13 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
+    copy_vectors,
     mean_metrics,
     shared_state_specs,
 )
 from knowarm.learn.a3c.worker import run_a3c_worker
 from knowarm.learn.algorithms import A3CConfig
-from knowarm.learn.checkpoint import Arrays, Checkpoint, select
+from knowarm.learn.checkpoint import Arrays, Checkpoint, prefixed, select
 from knowarm.learn.evaluation import MAX_PENDING
 from knowarm.learn.parallel.processes import (
     ChildProcess,
@@ -58,8 +59,7 @@ class A3CTrainer(Trainer):
         config: the algorithm's configuration.
         policy: trained in place; holds the result after `train`.
         make_env: creates the environments of a worker, on the CPU; picklable.
-        seed: of the run; episodes and actions of each worker have a stream each.
-        options: as `Trainer`.
+        options: as `Trainer`; each worker has streams of ``seed`` for episodes and actions.
     """
 
     evaluates_in_background = True
@@ -69,11 +69,9 @@ class A3CTrainer(Trainer):
         config: A3CConfig,
         policy: Policy,
         make_env: MakeEnv,
-        *,
-        seed: int,
         **options: Any,
     ) -> None:
-        super().__init__(policy, seed=seed, **options)
+        super().__init__(policy, **options)
         self.config = config
         self._make_env = make_env
         self._parameters = FlatParameters(policy)
@@ -82,8 +80,8 @@ class A3CTrainer(Trainer):
         self._shared = SharedTensors(self._context, specs)
         self._shared["values"].copy_(self._parameters.values)
         self._workers: list[SupervisedProcess] = []
-        self._restarts = [0] * config.workers
-        self._worker_steps = [0] * config.workers
+        self._restarts: Counter[int] = Counter()  # by worker, as the steps
+        self._worker_steps: Counter[int] = Counter()
         self._collectors: dict[int, Arrays] = {}
         self._threshold_factor: float | None = None  # of the worker that reported last
         self._sums: Counter[str] = Counter()
@@ -95,7 +93,7 @@ class A3CTrainer(Trainer):
     @property
     def restarts(self) -> int:
         """Restarts of workers so far."""
-        return sum(self._restarts)
+        return self._restarts.total()
 
     def _train(self, total_steps: int) -> StopReason:
         self._total_steps = total_steps
@@ -109,9 +107,10 @@ class A3CTrainer(Trainer):
             values = self._shared.copy("values")
             self._evaluate_once(EvaluationRequest(number=0, step=0, values=values))
         try:
-            for index, restarts in enumerate(self._restarts):
+            for index in range(self.config.workers):
                 start = partial(self._start_worker, index)
-                self._workers.append(SupervisedProcess(start, restarts))
+                worker = SupervisedProcess(start, self._restarts[index])
+                self._workers.append(worker)
             while self._shared["steps"].sum() < total_steps:
                 self._read()
                 if self._should_stop():
@@ -146,9 +145,10 @@ class A3CTrainer(Trainer):
                 self._collectors[index] = state
             if "threshold_factor" in state:
                 self._threshold_factor = float(state["threshold_factor"])
-        self._restarts = checkpoint.facts["restarts"]
+        self._restarts = Counter(dict(enumerate(checkpoint.facts["restarts"])))
         self._sums = Counter(checkpoint.facts["sums"])
-        self._worker_steps = checkpoint.optimizer["steps"].tolist()
+        steps = checkpoint.optimizer["steps"].tolist()
+        self._worker_steps = Counter(dict(enumerate(steps)))
         self._checkpoints_requested = self.step // self.checkpoint_every
 
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
@@ -174,14 +174,12 @@ class A3CTrainer(Trainer):
 
     def _read(self) -> None:
         """Handle the messages of the workers, waiting briefly for the first one."""
-        connections = {}
+        senders: dict[Any, int] = {}
         for index, worker in enumerate(self._workers):
             if not self._has_exited(index):
-                connections[index] = worker.child.connection
-        ready = wait(connections.values(), READ_S)
-        for index, connection in connections.items():
-            if connection in ready:
-                self._read_worker(index)
+                senders[worker.child.connection] = index
+        for connection in wait(senders, READ_S):
+            self._read_worker(senders[connection])
         self._take_evaluations()
         self._shared["paused"].fill_(len(self._evaluations.pending()) > MAX_PENDING)
 
@@ -195,9 +193,8 @@ class A3CTrainer(Trainer):
                 self._add_report(index, message)
             elif isinstance(message, WorkerState):
                 self._add_state(index, message)
-            elif (
-                self._request is not None and index not in self._states
-            ):  # it was restarted
+            # Otherwise it was restarted.
+            elif self._request is not None and index not in self._states:
                 worker.child.send(self._request)
 
     def _has_exited(self, index: int) -> bool:
@@ -238,8 +235,8 @@ class A3CTrainer(Trainer):
             **mean_metrics(self._sums),
             "restarts": self.restarts,
         }
-        for index, steps in enumerate(self._worker_steps):
-            row[f"worker_{index}_steps"] = steps
+        for index in range(self.config.workers):
+            row[f"worker_{index}_steps"] = self._worker_steps[index]
         self.hooks.on_metrics(row)
         self._row_begin = now
         self._sums = Counter()
@@ -278,9 +275,7 @@ class A3CTrainer(Trainer):
 
         A worker that has not updated, or not since the checkpoint, continues from there.
         """
-        missing = [
-            index for index in range(self.config.workers) if index not in self._states
-        ]
+        missing = sorted(set(range(self.config.workers)) - set(self._states))
         if missing:
             log.warning(
                 "No state arrived from the workers %s; they were stopped.", missing
@@ -293,27 +288,23 @@ class A3CTrainer(Trainer):
                 is_last=True,
                 collector=self._collectors.get(index, {}),
                 steps=steps,
-                values=self._shared.copy("values"),
-                mean_square=self._shared.copy("mean_square"),
+                vectors=copy_vectors(self._shared),
             )
 
     def _checkpoint(self) -> Checkpoint:
-        first = self._states[0]
-        assert first.values is not None
-        assert first.mean_square is not None
-        collectors = {}
+        vectors = self._states[0].vectors
+        collectors: Arrays = {}
         steps = np.zeros(self.config.workers, np.int64)
-        for index in range(self.config.workers):
-            steps[index] = self._states[index].steps
-            for name, value in self._states[index].collector.items():
-                collectors[f"worker-{index}/{name}"] = value
+        for index, state in sorted(self._states.items()):
+            steps[index] = state.steps
+            collectors |= prefixed(f"worker-{index}/", state.collector)
         return Checkpoint(
-            policy=unflatten_parameters(self.policy, first.values),
-            optimizer={"mean_square": first.mean_square, "steps": steps},
+            policy=unflatten_parameters(self.policy, vectors["values"]),
+            optimizer={"mean_square": vectors["mean_square"], "steps": steps},
             state=collectors,
             facts={
                 "step": int(steps.sum()),
-                "restarts": list(self._restarts),
+                "restarts": [self._restarts[index] for index in sorted(self._states)],
                 "sums": dict(self._sums),
             },
         )

@@ -13,6 +13,8 @@ from knowarm.policy import Policy
 RMSPROP_ALPHA = 0.99
 """Decay of RMSprop's running mean of squared gradients (paper section 4.2)."""
 
+Floats = NDArray[np.float32]
+
 _BLOCK = 4096
 """Parameters that all updates change in turn before the next ones, so that they stay in cache."""
 
@@ -83,12 +85,12 @@ def rmsprop_update(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def rmsprop_updates(
-    values: NDArray[np.float32],
-    mean_square: NDArray[np.float32],
-    gradients: NDArray[np.float32],
+    values: Floats,
+    mean_square: Floats,
+    gradients: Floats,
     order: NDArray[np.int64],
-    factors: NDArray[np.float32],
-    learning_rates: NDArray[np.float32],
+    factors: Floats,
+    learning_rates: Floats,
     eps: np.float32,
 ) -> None:
     """Apply W steps of RMSprop one after another, in place; see `rmsprop_update`.

@@ -10,13 +10,18 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
+    copy_vectors,
     sums_of,
 )
 from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.optimizer import resolve_precision
-from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
+from knowarm.learn.parallel.shared_tensors import (
+    FlatParameters,
+    SharedTensors,
+    clip_gradient,
+)
 from knowarm.learn.rollout import Collector, Rollout
 
 IDLE_S = 0.05
@@ -41,15 +46,10 @@ class A3CWorker:
         env = args.make_env(config.envs_per_worker, 1)
         self._curriculum = ThresholdCurriculum(config, env)
         stream = (args.index, args.restarts)
-        self._collector = Collector(
-            env,
-            self._policy,
-            seed=args.seed,
-            stream=stream,
-            curriculum=self._curriculum,
-        )
+        self._collector = Collector(env, self._policy, seed=args.seed, stream=stream)
         if args.state is not None:
             self._collector.set_state(args.state)
+            self._curriculum.set_state(args.state)
         elif args.threshold_factor is not None and self._curriculum.is_used:
             self._curriculum.factor = args.threshold_factor
         self._rollout = Rollout.zeros(
@@ -60,9 +60,8 @@ class A3CWorker:
     def run(self) -> None:
         """Answer the trainer's requests and train between them."""
         while True:
-            is_idle = (
-                bool(self._shared["paused"]) or self._step() >= self.args.total_steps
-            )
+            is_done = self._step() >= self.args.total_steps
+            is_idle = is_done or bool(self._shared["paused"])
             if self._connection.poll(IDLE_S if is_idle else 0):
                 request: StateRequest = self._connection.recv()
                 self._connection.send(self._state(request))
@@ -92,7 +91,7 @@ class A3CWorker:
         loss = rollout_loss(self._policy, config, rollout)
         parameters.gradient.zero_()
         loss["total"].backward()
-        norm = parameters.clip_gradient(config.max_grad_norm)
+        norm = clip_gradient(parameters.gradient, config.max_grad_norm)
         self._guard.check_update(self._policy, loss, norm, after, rollout)
         rmsprop_update(
             shared["values"],
@@ -103,9 +102,8 @@ class A3CWorker:
         )
         shared["steps"][args.index] += steps
         episodes = self._collector.statistics.take()
-        self._curriculum.update(
-            episodes.summary().get("success", 0.0), after / args.total_steps
-        )
+        success = episodes.summary().get("success", 0.0)
+        self._curriculum.update(success, after / args.total_steps)
         sums = {
             "updates": 1,
             "steps": steps,
@@ -134,16 +132,11 @@ class A3CWorker:
 
     def _state(self, request: StateRequest) -> WorkerState:
         index = self.args.index
-        state = WorkerState(
+        return WorkerState(
             is_last=request.is_last,
-            collector=self._collector.get_state(),
+            collector=self._collector.get_state() | self._curriculum.get_state(),
             steps=int(self._shared["steps"][index]),
-        )
-        if index > 0:
-            return state
-        return state._replace(
-            values=self._shared.copy("values"),
-            mean_square=self._shared.copy("mean_square"),
+            vectors={} if index > 0 else copy_vectors(self._shared),
         )
 
 

@@ -11,11 +11,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 
+from knowarm.learn.checkpoint import Arrays, Tensors, to_arrays
+
 TensorSpecs = Mapping[str, tuple[tuple[int, ...], torch.dtype]]
 """Shape and dtype of each tensor by name."""
 
 
-def zeros(specs: TensorSpecs, device: torch.device | None = None) -> dict[str, Tensor]:
+def zeros(specs: TensorSpecs, device: torch.device | None = None) -> Tensors:
     """Allocate tensors of zeros by name, not shared; without a device, on the CPU."""
     tensors = {}
     for name, (shape, dtype) in specs.items():
@@ -50,7 +52,7 @@ class SharedTensors:
 
     def __setstate__(self, buffers: dict[str, Any]) -> None:
         self._buffers = buffers
-        self.tensors: dict[str, Tensor] = {}
+        self.tensors: Tensors = {}
         for name, (buffer, shape, dtype) in buffers.items():
             if len(buffer):
                 self.tensors[name] = torch.frombuffer(buffer, dtype=dtype).view(shape)
@@ -81,19 +83,30 @@ class FlatParameters:
             gradient = torch.zeros_like(values)
         self.values = values
         self.gradient = gradient
-        start = 0
-        for parameter in module.parameters():
-            end = start + parameter.numel()
-            parameter.data = self.values[start:end].view_as(parameter)
-            parameter.grad = self.gradient[start:end].view_as(parameter)
-            start = end
+        views = parameter_views(module, values)
+        gradients = parameter_views(module, gradient)
+        for name, parameter in module.named_parameters():
+            parameter.data = views[name]
+            parameter.grad = gradients[name]
 
-    def clip_gradient(self, max_norm: float) -> Tensor:
-        """Scale the gradient down to ``max_norm`` if it is longer; return its norm before."""
-        norm = torch.linalg.vector_norm(self.gradient)
-        if norm > max_norm:
-            self.gradient.mul_(max_norm / norm)
-        return norm
+
+def clip_gradient(gradient: Tensor, max_norm: float) -> Tensor:
+    """Scale a gradient (P,) down to ``max_norm`` if it is longer; return its norm before."""
+    norm = torch.linalg.vector_norm(gradient)
+    if norm > max_norm:
+        gradient.mul_(max_norm / norm)
+    return norm
+
+
+def parameter_views(module: nn.Module, vector: Tensor) -> Tensors:
+    """Split a vector (P,) into views with the names and shapes of a module's parameters."""
+    views = {}
+    start = 0
+    for name, parameter in module.named_parameters():
+        end = start + parameter.numel()
+        views[name] = vector[start:end].view_as(parameter)
+        start = end
+    return views
 
 
 def flatten_parameters(module: nn.Module) -> np.ndarray:
@@ -101,14 +114,6 @@ def flatten_parameters(module: nn.Module) -> np.ndarray:
     return parameters_to_vector(module.parameters()).detach().cpu().numpy()
 
 
-def unflatten_parameters(
-    module: nn.Module, values: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Split a vector (P,) into arrays with the names and shapes of a module's parameters."""
-    arrays = {}
-    start = 0
-    for name, parameter in module.named_parameters():
-        end = start + parameter.numel()
-        arrays[name] = values[start:end].reshape(parameter.shape).copy()
-        start = end
-    return arrays
+def unflatten_parameters(module: nn.Module, values: np.ndarray) -> Arrays:
+    """Split a vector (P,) into copies with the names and shapes of a module's parameters."""
+    return to_arrays(parameter_views(module, torch.from_numpy(values)))

@@ -15,7 +15,6 @@ from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.perception.encoder import PlaceEncoder
-from knowarm.perception.grounding import convolutions_of
 from knowarm.perception.looks import attribute_codes, code_matrix, look_of
 from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
@@ -155,7 +154,7 @@ def recognized():
     """An encoder whose head has learned nothing, and features of 2 images with 12 x 10 places."""
     names = ("jug-18", "vase-11", "mug-0", "candle-1")
     facets = tuple((name, colour) for name in names for colour in ("red", "blue"))
-    encoder = PlaceEncoder(facets, convolutions_of(64), seed=0)
+    encoder = PlaceEncoder(facets, channels=64, seed=0)
     features = torch.rand(
         2, encoder.channels, 10, 12, generator=torch.Generator().manual_seed(0)
     )
