@@ -5,6 +5,7 @@ import re
 import tomllib
 import unicodedata
 from collections import defaultdict
+from collections.abc import Iterable
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -46,7 +47,7 @@ class Family(NamedTuple):
 
 
 FAMILIES = {name: Family(**words) for name, words in _ENGLISH["relations"].items()}
-WEAK = {"by", "about", *" ".join(family.weak for family in FAMILIES.values()).split()}
+WEAK = set(WORDS["weak"]).union(*(family.weak.split() for family in FAMILIES.values()))
 """Prepositions, and verbs such as "has"."""
 
 
@@ -56,33 +57,25 @@ def tokens(text: str) -> list[str]:
         raise UserError(
             f"Questions of {len(text):,} letters are not read: {text:.40} ..."
         )
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
-    text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold())
-    text = text.replace("ca not", "can not")
-    text = text.replace("||", " or ")
-    text = re.sub(r"&&|&", " and ", text)
-    text = re.sub(
-        r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text
-    )
-    text = re.sub(rf"\b({'|'.join(_ENGLISH['compared'])}|than) one\b", r"\1 1", text)
-    numbers = WORDS["numbers"]
-    several = "|".join(
-        word for word in numbers if word != "one"
-    )  # "the one" is no number
-    text = re.sub(rf"\b({several})\b", lambda match: str(numbers.index(match[1])), text)
-    text = re.sub(rf"({NUMBER}) or (?:more|greater|higher|larger)", r">=\1", text)
-    text = re.sub(rf"({NUMBER}) or (?:less|fewer|lower|smaller)", r"<=\1", text)
-    text = re.sub(rf"({NUMBER}) (\w+) or more", r">=\1 \2", text)
-    for words, sign in _ENGLISH["compared"].items():
-        text = re.sub(rf"(?:\b|(?<=\s))(?:{words})\s+({NUMBER})", rf"{sign}\1", text)
-    text = re.sub(rf"([<>]=?|=)\s+({NUMBER})", r"\1\2", text)
-    return _TOKEN.findall(re.sub(r"[-_'’\"?!.;:`]+(?!\d)|(?<!\d)-", " ", text))
+    text = spaced(text).casefold()
+    for pattern, replacement in _ENGLISH["rewritten"].items():
+        text = re.sub(pattern.replace("#", NUMBER), replacement, text)
+    return _TOKEN.findall(text)
 
 
-def near(word: str, other: str, most: float) -> bool:
-    """Return whether a word is within a distance of another one."""
-    far = distance(word, other)
-    return far is not None and far <= most
+def spaced(text: str) -> str:
+    """Return a text with a space between words that only a capital letter separates."""
+    text = unicodedata.normalize("NFC", text)
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+
+
+def near(word: str, others: Iterable[str], most: float) -> bool:
+    """Return whether a word is within a distance of one of some others."""
+    for other in others:
+        far = distance(word, other)
+        if far is not None and far <= most:
+            return True
+    return False
 
 
 @cache
