@@ -85,9 +85,10 @@ class Suite:
         """SHA-256 of both files."""
         return digest(b"".join(self.data))
 
-    def episodes_of_controls(self, name: str) -> int:
-        """Return how many episodes of a cell the controls play."""
-        return min(self.control_episodes, len(self.cells[name].episodes))
+    def episodes_played(self, cell: str, who: str) -> int:
+        """Return how many episodes of a cell the "policy" or a control plays."""
+        count = len(self.cells[cell].episodes)
+        return count if who == "policy" else min(self.control_episodes, count)
 
 
 def by_table(cells: Iterable[Cell]) -> dict[str, list[str]]:
