@@ -17,7 +17,7 @@ from knowarm.asking.plain_words import read_plain
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.sparql import SparqlQuery
@@ -91,7 +91,7 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
         return prompt
     by_conditions = {frozenset(row.split(AND)): row for row in rows}
     conditions = frozenset[str]().union(*by_conditions)
-    triples = list[Triple]()
+    triples = []
     for condition in conditions:
         relation, _, value = condition.partition(" ")
         if value:
@@ -130,7 +130,7 @@ class _Answering:
         for name in names:
             if name not in self.objects:
                 raise unknown_name("object of the task", name, self.objects)
-        entities = dict[str, int]()
+        entities = {}
         for name in self.objects:
             if name not in names:
                 entity = self.graph.described(name)
@@ -188,7 +188,7 @@ class _Answering:
 
     def evidence(self, part: Part) -> dict[ObjectColour, Evidence]:
         """Return why facets answer a question, of those that do."""
-        evidence = dict[ObjectColour, Evidence]()
+        evidence = {}
         for name, colour in self.facets:
             if name in self.entities:
                 reason = part(self.entities[name], colour)
@@ -235,7 +235,7 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
 
     def evidence(entity: int, colour: Colour) -> Reason:
         name = graph.names[entity]
-        shown = list[str]()
+        shown = []
         if colour is not None:
             shown = [graph.names[i] for i in graph.alike(colour)] or [colour]
         with query.stating(name, relations, shown):

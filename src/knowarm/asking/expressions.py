@@ -136,7 +136,7 @@ class QuestionReader:
 
     def joined(self, word: str) -> Part:
         """Read parts joined by "or", or by "and"."""
-        parts = list[Part]()
+        parts = []
         while not parts or self.take(word):
             parts.append(self.joined("and") if word == "or" else self.one())
         if len(parts) == 1:
@@ -189,7 +189,7 @@ class QuestionReader:
 
     def fact(self, relation: _Relation) -> Part:
         """Read a value; the colour of what is shown is seen, not looked up."""
-        names = list[str]()
+        names = []
         while name := self.take_name():
             names.append(name.strip('"'))
         value = " ".join(names)
@@ -242,7 +242,7 @@ class QuestionReader:
         if wanted is None:
             raise self.wrong("a number or a date")
         kind, limit = wanted
-        fits = dict[int, bool]()
+        fits = {}
         for tail, (kind_of_tail, number) in self.quantities(relation):
             if kind_of_tail == kind:
                 fits[tail] = compare(number, limit)

@@ -5,11 +5,11 @@ import re
 import tomllib
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import name_key
@@ -26,28 +26,28 @@ NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 _ENDINGS = {"en": "", "ical": "", "ic": "", "er": "r", "ular": "le"}
 """Endings of adjectives, as in wooden and cylindrical, and what their nouns have instead."""
 _ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
-WORDS: dict[str, list[str]] = {
-    name: words.split() for name, words in _ENGLISH["words"].items()
-}
+Words = Sequence[str]
+WORDS: dict[str, Words] = _ENGLISH["words"]
 """Words of one function in questions, by it; the file says what they are."""
 JOINS: dict[str, str] = _ENGLISH["joins"]
 """What joins conditions: "and", "or", "but" or a comma, by word."""
 _TOKEN = re.compile(rf"(?:[<>!]=?|=){NUMBER}|{NUMBER}|[^\W\d_]+|\S")
 
 
-class Family(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Family:
     """Relations that mean alike in any graph, and how English speaks of them."""
 
     relations: str = ""
-    strong: str = ""
-    weak: str = ""
+    strong: Words = ()
+    weak: Words = ()
     describes: bool = False
-    large: str = ""
-    small: str = ""
+    large: Words = ()
+    small: Words = ()
 
 
-FAMILIES = {name: Family(**words) for name, words in _ENGLISH["relations"].items()}
-WEAK = set(WORDS["weak"]).union(*(family.weak.split() for family in FAMILIES.values()))
+FAMILIES = {name: Family(**fields) for name, fields in _ENGLISH["relations"].items()}
+WEAK = set(WORDS["weak"]).union(*(family.weak for family in FAMILIES.values()))
 """Prepositions, and verbs such as "has"."""
 
 

@@ -80,7 +80,7 @@ class _Reader:
                 raise self.refused("it can be read in too many ways")
         closed = chain.from_iterable(map(ReadingState.closed, reached[-1]))
         ends = filter(ReadingState.is_end, closed)
-        readings = dict[str, ReadingState]()
+        readings = {}
         for end in sorted(ends, key=attrgetter("cost")):
             readings.setdefault(joined(end.done), end)
         if not readings:
@@ -213,7 +213,7 @@ class _Reader:
         last = "" if state.join else state.last
         said = self.vocabulary.said(word)
         if said:
-            both = said if state.strong is None else said & state.strong
+            both = said & (state.strong or said)
             if both:
                 is_counted = state.number != "" or self.words[start - 1] == "no"
                 noun = self.vocabulary.noun(word, is_counted)
@@ -221,11 +221,11 @@ class _Reader:
             is_location = word == "used" and self.word(start + 1) in ("in", "at", "on")
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
-        is_request = word in WORDS["requests"]
         if word in WEAK:
             yield state.then(weak=(*state.weak, word))
-            is_use = self.vocabulary.family(last) is FAMILIES["use"] if last else False
-            if last and (word != "with" or is_use):
+            if last and (
+                word != "with" or self.vocabulary.family(last) is FAMILIES["use"]
+            ):
                 yield state.then(cost=state.cost + 0.01)  # "to drink from"
             if start and self.words[start - 1] in WORDS["requests"] and not state.done:
                 yield state.then()  # "look for", "want to"
@@ -235,7 +235,7 @@ class _Reader:
             if word in WORDS["able"] and not state.weak:
                 yield state.then(weak=("to",))
             yield state.then()
-        if is_request and not (state.done or state.strong or state.weak):
+        if word in WORDS["requests"] and state.is_unsaid and not state.done:
             yield state.then()
 
     def values(self, state: ReadingState) -> States:

@@ -1,6 +1,6 @@
 """Readings of a question in plain English: what was read so far, and how conditions are joined."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -139,11 +139,11 @@ def joined(conditions: Conditions) -> str:
 
     "but" joins last, "or" between things next, and "or" between values first.
     """
-    texts = list[str]()
-    for segment in _split(_listed(conditions), _is_contrast):
-        alternatives = list[str]()
-        for phrase in _split(segment, _is_thing):
-            groups = _split(phrase, _is_no_value)
+    texts = []
+    for segment in _split(_listed(conditions), 3):
+        alternatives = []
+        for phrase in _split(segment, 2):
+            groups = _split(phrase, 1)
             joins = {group[0].join for group in groups[1:]}
             beside = [[], *groups, []]
             if len(joins) > 1 or any(map(_is_open, groups, beside, beside[2:])):
@@ -159,7 +159,7 @@ def joined(conditions: Conditions) -> str:
 
 def _listed(conditions: Conditions) -> list[ReadCondition]:
     """Return conditions with the joins of lists: "red, green or blue" is "or" throughout."""
-    listed = list[ReadCondition]()
+    listed = []
     is_or = False  # of the next condition, or this one, that no comma joins
     for condition in reversed(conditions):
         if condition.join == ",":
@@ -171,32 +171,30 @@ def _listed(conditions: Conditions) -> list[ReadCondition]:
     return listed[::-1]
 
 
-def _split(
-    conditions: Conditions, begins: Callable[[ReadCondition, ReadCondition], bool]
-) -> list[list[ReadCondition]]:
-    """Split conditions before those that begin a group, seen beside the one before."""
+def _split(conditions: Conditions, gap: int) -> list[list[ReadCondition]]:
+    """Split conditions where those beside each other are so far apart."""
     groups = [[conditions[0]]]
     for before, condition in pairwise(conditions):
-        if begins(condition, before):
+        if _gap(before, condition) == gap:
             groups.append([])
         groups[-1].append(condition)
     return groups
 
 
-def _is_contrast(condition: ReadCondition, before: ReadCondition) -> bool:
-    """Return whether "but" joins a condition to the one before."""
-    return condition.join == "but"
+def _gap(before: ReadCondition, condition: ReadCondition) -> int:
+    """Return how far apart two conditions are.
 
-
-def _is_thing(condition: ReadCondition, before: ReadCondition) -> bool:
-    """Return whether "or" stands between things: "a red object or something round"."""
-    return condition.join == "or" and (condition.is_new or before.is_whole)
-
-
-def _is_no_value(condition: ReadCondition, before: ReadCondition) -> bool:
-    """Return whether a condition does not go on with the value before it, as in "red or blue"."""
+    3 by "but", 2 by "or" between things ("a red object or something round"), 0 by "or" between
+    values ("red or blue"), else 1.
+    """
+    if condition.join == "but":
+        return 3
+    if condition.join != "or":
+        return 1
+    if condition.is_new or before.is_whole:
+        return 2
     is_value = condition.is_bare or condition.relation == before.relation
-    return condition.join != "or" or not is_value
+    return 0 if is_value else 1
 
 
 def _is_open(group: Conditions, before: Conditions, after: Conditions) -> bool:
@@ -219,7 +217,7 @@ def _both(texts: Sequence[str]) -> str:
     """Return texts that are all true, in brackets where "or" would reach further."""
     if len(texts) == 1:
         return texts[0]
-    bracketed = list[str]()
+    bracketed = []
     for text in texts:
         is_open = " or " in text and not text.startswith("not (")
         bracketed.append(f"({text})" if is_open else text)

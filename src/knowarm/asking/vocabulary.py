@@ -22,7 +22,7 @@ from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
 
 _EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can"}
-_HAVE = FAMILIES["part"].weak.split()
+_HAVE = FAMILIES["part"].weak
 
 
 class Entry(NamedTuple):
@@ -62,7 +62,7 @@ class Vocabulary:
         self.heads = heads
         self.objects = {words_of(name) for name in objects}
         self.words = {COLOUR_RELATION: ("has", "colour")}
-        entries = dict[Entry, None]()
+        entries = {}
         for colour in colours:
             text = f"{COLOUR_RELATION} {_quoted(colour)}"
             entries[Entry(words_of(colour), COLOUR_RELATION, text)] = None
@@ -127,11 +127,10 @@ class Vocabulary:
 
     def said(self, word: str) -> frozenset[str]:
         """Return the relations that a word says: with its own word, or with one of its family."""
-        relations = set[str]()
+        relations = set()
         for relation, words in self.words.items():
-            strong = self.family(relation).strong.split()
             is_name = near(word, set(words) - _EMPTY, DERIVED)
-            if is_name or near(word, strong, INFLECTED):
+            if is_name or near(word, self.family(relation).strong, INFLECTED):
                 relations.add(relation)
         return frozenset(relations)
 
@@ -152,25 +151,26 @@ class Vocabulary:
 
     def prepositions(self, relation: str) -> set[str]:
         """Return the prepositions and forms of "have" that may precede values of a relation."""
-        return {*self.words[relation], *self.family(relation).weak.split()}
+        return {*self.words[relation], *self.family(relation).weak}
 
     def measured(self, word: str) -> tuple[str, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<", or ""."""
         for relation in self.words:
-            if relation in self.numbers:
-                family = self.family(relation)
-                if near(word, family.large.split(), INFLECTED):
-                    return relation, ">"
-                if near(word, family.small.split(), INFLECTED):
-                    return relation, "<"
+            family = self.family(relation)
+            if relation not in self.numbers:
+                continue
+            if near(word, family.large, INFLECTED):
+                return relation, ">"
+            if near(word, family.small, INFLECTED):
+                return relation, "<"
         return "", ""
 
     def nearest(self, words: Collection[str]) -> str:
         """Return a sentence with the conditions whose values are nearest to words."""
-        texts = list[str]()
-        by_word = dict[str, str]()
-        examples = dict[str, str]()
-        colours = list[str]()
+        texts = []
+        by_word = {}
+        examples = {}
+        colours = []
         for entry in self.entries:
             by_word.update(dict.fromkeys(entry.words, entry.text))
             if any(near(word, entry.words, SYNONYM) for word in words):
