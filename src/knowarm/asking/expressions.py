@@ -70,6 +70,11 @@ def _quantity(text: str) -> _Quantity | None:
     return None
 
 
+def _anything(entity: int, colour: Colour) -> Reason:
+    """Return no reason, as of a value that counts whatever it is."""
+    return ()
+
+
 class _Relation(NamedTuple):
     """A relation of a question: its name, and its ids in the graph."""
 
@@ -104,7 +109,7 @@ class QuestionReader:
 
     def whole(self) -> Part:
         """Read to the end."""
-        part = self.joined("or")
+        part = self.either()
         if self.next:
             raise self.wrong("'and' or 'or'")
         return part
@@ -124,7 +129,9 @@ class QuestionReader:
 
     def take_name(self) -> str:
         """Take the next word if it is a name, or return ""."""
-        return "" if self.next in _NO_NAMES else self.take(self.next)
+        if self.next in _NO_NAMES:
+            return ""
+        return self.take(self.next)
 
     def wrong(self, expected: str) -> UserError:
         """Return the error for a word that does not fit."""
@@ -134,22 +141,28 @@ class QuestionReader:
             "drinking and not hasColor blue"
         )
 
-    def joined(self, word: str) -> Part:
-        """Read parts joined by "or", or by "and"."""
-        parts = []
-        while not parts or self.take(word):
-            parts.append(self.joined("and") if word == "or" else self.one())
-        if len(parts) == 1:
-            return parts[0]
+    def either(self) -> Part:
+        """Read parts joined by "or"."""
+        parts = [self.both()]
+        while self.take("or"):
+            parts.append(self.both())
 
-        def any_of(entity: int, colour: Colour) -> Reason:
+        def evidence(entity: int, colour: Colour) -> Reason:
             for part in parts:
                 reason = part(entity, colour)
                 if reason is not None:
                     return reason
             return None
 
-        def all_of(entity: int, colour: Colour) -> Reason:
+        return evidence
+
+    def both(self) -> Part:
+        """Read parts joined by "and"."""
+        parts = [self.one()]
+        while self.take("and"):
+            parts.append(self.one())
+
+        def evidence(entity: int, colour: Colour) -> Reason:
             reasons: Evidence = ()
             for part in parts:
                 reason = part(entity, colour)
@@ -158,7 +171,7 @@ class QuestionReader:
                 reasons += reason
             return reasons
 
-        return any_of if word == "or" else all_of
+        return evidence
 
     def one(self) -> Part:
         """Read a negation, a bracket, a count, a chain or a fact."""
@@ -183,7 +196,9 @@ class QuestionReader:
         missing = f"not stated: {' '.join(self.words[begin : self.taken])}"
 
         def evidence(entity: int, colour: Colour) -> Reason:
-            return (missing,) if part(entity, colour) is None else None
+            if part(entity, colour) is None:
+                return (missing,)
+            return None
 
         return evidence
 
@@ -196,7 +211,9 @@ class QuestionReader:
         if not value:
             raise self.wrong(f"a value of {relation.name}")
         is_colour = relation.name == COLOUR_RELATION
-        colours = self.colours if is_colour else ()
+        colours: Collection[str] = ()
+        if is_colour:
+            colours = self.colours
         for colour in colours:
             if name_key(colour) == name_key(value):
                 value = colour
@@ -205,13 +222,17 @@ class QuestionReader:
             known = {self.name(tail) for tail in self.tails(relation)}
             raise unknown_name(f"value of {relation.name}", value, known.union(colours))
         stated = self.leading_to(relation, ids)
+        if not is_colour:
+            return stated
 
         def evidence(entity: int, colour: Colour) -> Reason:
             if colour is None:
                 return stated(entity, colour)
-            return (f"the image shows {value}",) if colour == value else None
+            if colour == value:
+                return (f"the image shows {value}",)
+            return None
 
-        return evidence if is_colour else stated
+        return evidence
 
     def values(self, relation: _Relation, value: str) -> set[int]:
         """Return the ids of what a value names, and of numbers and dates equal to it."""
@@ -270,7 +291,7 @@ class QuestionReader:
 
     def count(self, relation: _Relation) -> Part:
         """Read a comparison with the number of values of a relation."""
-        of: Part = lambda entity, colour: ()  # noqa: E731 (every value counts)
+        of: Part = _anything
         if self.next == "(":
             of = self.bracket()
         sign = self.take(*SIGNS)
@@ -289,7 +310,7 @@ class QuestionReader:
     def bracket(self) -> Part:
         """Read a part in brackets."""
         self.take("(")
-        part = self.joined("or")
+        part = self.either()
         if not self.take(")"):
             raise self.wrong("')'")
         return part

@@ -35,6 +35,7 @@ States = Iterator[ReadingState]
 _IGNORED = {*WORDS["things"], *WORDS["ignored"]}
 _NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS}
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
+_BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
 MOST_WORDS = 60
 MOST_READINGS = 2_000
 """Most words of a question, and most steps of its readings."""
@@ -158,7 +159,7 @@ class _Reader:
         if self.object_lengths[start] > 1:
             return
         if _COMPARED.fullmatch(word):
-            yield from self.numbered(state)
+            yield from self.numbered(state, word)
             return
         if word == "one" and self.vocabulary.noun(self.word(start + 1), counted=True):
             yield state.then(number="= 1", weak=())
@@ -170,17 +171,16 @@ class _Reader:
         for entry, far in self.matches[start]:
             if len(entry.words) > 1 and far <= INFLECTED:
                 return  # the "living room" is no room where something lives
-        yield from self.superlatives(state)
+        yield from self.superlatives(state, word)
         if word in JOINS:
-            yield from self.joins(state)
+            yield from self.joins(state, word)
         elif word in WORDS["negations"]:
-            yield from self.negations(state)
+            yield from self.negations(state, word)
         elif not self.object_lengths[start]:
-            yield from self.cues(state)
+            yield from self.cues(state, word)
 
-    def joins(self, state: ReadingState) -> States:
+    def joins(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "and", "or", "but" or a comma."""
-        word = self.words[state.position]
         said = state.strong or state.outer
         if word == "but" and (said or self.words[state.position - 1] in WORDS["any"]):
             # "any colour but blue", "made of anything but metal"
@@ -193,11 +193,10 @@ class _Reader:
             if closed.done or not closed.join:
                 yield closed.then(join=join, negated=None)
 
-    def negations(self, state: ReadingState) -> States:
+    def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
         if state.outer is not None or state.number:
             return
-        word = self.words[state.position]
         weak = state.weak
         if word.startswith(("without", "lack")):
             weak += ("with",)
@@ -206,10 +205,9 @@ class _Reader:
             join = join or "and"
         yield state.then(weak=weak, join=join, noun="", negated=not state.negated)
 
-    def cues(self, state: ReadingState) -> States:
+    def cues(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a word that says a relation, or changes nothing."""
         start = state.position
-        word = self.words[start]
         last = "" if state.join else state.last
         said = self.vocabulary.said(word)
         if said:
@@ -278,32 +276,33 @@ class _Reader:
     def fits(self, entry: Entry, state: ReadingState) -> float | None:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
         relation = entry.relation
+        strong = state.strong or ()
         if state.outer is not None:  # what a thing is, that was said before it
             if not entry.inner or relation not in state.outer:
                 return None
-            is_inner_said = state.strong is not None and entry.inner in state.strong
-            is_inner = is_inner_said or self.is_allowed(entry.inner, state)
-            return 0.0 if is_inner else None
+            if entry.inner in strong or self.is_allowed(entry.inner, state):
+                return 0.0
+            return None
         cost = 0.0
         if entry.inner:
             if self.vocabulary.family(entry.inner) is not FAMILIES["type"]:
                 return None
             cost = 0.5
-        is_allowed = self.is_allowed(relation, state)
-        if state.strong is not None:
+        if strong and relation not in strong:
+            return None
+        if state.weak and not self.is_allowed(relation, state):
+            # "made by" is not "made of"
             prepositions = WEAK.intersection(self.vocabulary.words[relation][1:])
-            if prepositions and state.weak and not is_allowed:
-                return None  # "made by" is not "made of"
-            return cost if relation in state.strong else None
-        if state.weak:
-            return cost if is_allowed else None
-        last = state.last if state.join else ""
+            return None if prepositions or not strong else cost
+        if not state.is_unsaid:
+            return cost
         family = self.vocabulary.family(relation)
-        if relation == last:
+        continues = state.join != "" and state.done != ()
+        if continues and relation == state.last:
             return cost
         if entry.inner or family.relations == "":
             return None
-        if family.describes and not last:
+        if family.describes and not continues:
             return 0.0
         if family.describes or not state.done:
             return 0.05
@@ -313,9 +312,9 @@ class _Reader:
         """Return whether one of the last prepositions can stand before a value of a relation."""
         return not self.vocabulary.prepositions(relation).isdisjoint(state.weak)
 
-    def numbered(self, state: ReadingState) -> States:
+    def numbered(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a number: compared with what was said, or of what follows."""
-        sign, digits = _COMPARED.findall(self.words[state.position])[0]
+        sign, digits = _COMPARED.findall(word)[0]
         number = f"{sign or '='} {digits}"
         length = 1 + (self.word(state.position + 1) in WORDS["money"])
         for relation in sorted(state.strong or ()):
@@ -326,13 +325,11 @@ class _Reader:
         elif state.strong is None and digits.isdecimal():
             yield state.then(number=number, weak=())
 
-    def superlatives(self, state: ReadingState) -> States:
+    def superlatives(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "most parts", "the cheapest", "lowest price", "cheaper than"."""
         end = state.position + 1
-        word = self.words[state.position]
-        is_largest = word in WORDS["largest"]
-        if is_largest or word in WORDS["smallest"]:
-            best = ">" if is_largest else "<"
+        best = _BEST.get(word)
+        if best:
             yield state.then(best=best, weak=())
             for relation in sorted(self.vocabulary.said(self.word(end))):
                 if relation in self.vocabulary.numbers:

@@ -194,7 +194,7 @@ def _gap(before: ReadCondition, condition: ReadCondition) -> int:
     if condition.is_new or before.is_whole:
         return 2
     is_value = condition.is_bare or condition.relation == before.relation
-    return 0 if is_value else 1
+    return int(not is_value)
 
 
 def _is_open(group: Conditions, before: Conditions, after: Conditions) -> bool:

@@ -155,16 +155,15 @@ def _percent(share: float | None) -> str:
 def _figures(cell: dict[str, Any]) -> list[str]:
     """Return the cells of a table for the controls, success and right choices."""
     controls = [f"{name} {_percent(share)}" for name, share in cell["controls"].items()]
-    texts = [", ".join(controls)]
-    for measure in ("success", "right"):
-        text = "-"
-        if measure in cell:
-            mean, low, high = (
-                _percent(cell[measure][k]) for k in ("mean", "low", "high")
-            )
-            text = f"{mean} [{low}, {high}]"
-        texts.append(text)
-    return texts
+    success = _interval(cell["success"])
+    return [", ".join(controls), success, _interval(cell.get("right"))]
+
+
+def _interval(figures: dict[str, float] | None) -> str:
+    if figures is None:
+        return "-"
+    mean = _percent(figures["mean"])
+    return f"{mean} [{_percent(figures['low'])}, {_percent(figures['high'])}]"
 
 
 COMMANDS = {
