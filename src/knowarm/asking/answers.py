@@ -90,15 +90,16 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
     if prompt in rows:
         return prompt
     by_conditions = {frozenset(row.split(AND)): row for row in rows}
-    conditions = frozenset[str]().union(*by_conditions)
     triples = []
-    for condition in conditions:
+    colours = []
+    for condition in frozenset[str]().union(*by_conditions):
         relation, _, value = condition.partition(" ")
         if value:
             triples.append(("it", relation, value))
+        if value and relation == COLOUR_RELATION:
+            colours.append(value)
     graph = graph_of(triples)
-    colours = sorted(value for _, name, value in triples if name == COLOUR_RELATION)
-    vocabulary = Vocabulary(graph, graph.heads[:1], colours)
+    vocabulary = Vocabulary(graph, graph.heads[:1], sorted(colours))
     text = read_plain(prompt, vocabulary, lambda _: set())
     row = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
     if row is None:

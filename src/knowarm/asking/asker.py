@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress, groupby, pairwise
+from itertools import compress, groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import get_args
@@ -204,10 +204,11 @@ class Asker:
             if relation != COLOUR_RELATION:
                 most_common = max(values, key=lambda value: len(values[value]))
                 facts.append(f"{relation} {most_common}")
-        # With less than two facts, only what these allow.
         questions = [IN_WORDS]
-        questions += [f"{first} and not hasColor blue" for first in facts[:1]]
-        questions += [f"{first} or {second}" for first, second in pairwise(facts)][1:2]
+        if facts:
+            questions.append(f"{facts[0]} and not hasColor blue")
+        if len(facts) > 2:
+            questions.append(f"{facts[1]} or {facts[2]}")
         questions += facts
         answered = []
         for question in questions:

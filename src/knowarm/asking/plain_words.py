@@ -81,7 +81,7 @@ class _Reader:
                 raise self.refused("it can be read in too many ways")
         closed = chain.from_iterable(map(ReadingState.closed, reached[-1]))
         ends = filter(ReadingState.is_end, closed)
-        readings = {}
+        readings: dict[str, ReadingState] = {}
         for end in sorted(ends, key=attrgetter("cost")):
             readings.setdefault(joined(end.done), end)
         if not readings:

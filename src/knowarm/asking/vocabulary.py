@@ -61,26 +61,25 @@ class Vocabulary:
         self.graph = graph
         self.heads = heads
         self.objects = {words_of(name) for name in objects}
-        self.words = {COLOUR_RELATION: ("has", "colour")}
-        entries = {}
+        self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
+        entries = []
         for colour in colours:
             text = f"{COLOUR_RELATION} {_quoted(colour)}"
-            entries[Entry(words_of(colour), COLOUR_RELATION, text)] = None
+            entries.append(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
             if name_key(name) in ("hascolor", "hascolour"):
                 continue
-            entries[self._entry(name, tail)] = None
+            entries.append(self._entry(name, tail))
             for inner, end in self._pairs([tail]):
-                entries[self._entry(name, end, inner)] = None
-        self.entries = list(entries)
+                entries.append(self._entry(name, end, inner))
+        self.entries = list(dict.fromkeys(entries))
         self.by_first = defaultdict[str, list[Entry]](list)
-        for entry in entries:
+        for entry in self.entries:
             if entry.words:
                 self.by_first[entry.words[0]].append(entry)
         self.numbers = defaultdict[str, dict[int, float]](dict)
-        self.counts = defaultdict[str, dict[int, float]](
-            lambda: dict.fromkeys(heads, 0.0)
-        )
+        none = dict.fromkeys(heads, 0.0)
+        self.counts = defaultdict[str, dict[int, float]](none.copy)
         for head, relation, tail in self._facts(heads):
             name = graph.relation_names.short(relation)
             self.counts[name][head] += 1

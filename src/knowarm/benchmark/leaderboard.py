@@ -66,7 +66,6 @@ def _table(
         "suite": suite,
         "name": name,
         "cells": cells,
-        "short": [cell.partition("-")[2] for cell in cells],
         "controls": [control for control in CONTROLS if control in controls],
         "binds": any(line["binding"] != NOTHING for line in lines),
         "lines": lines,

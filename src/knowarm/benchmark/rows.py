@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
 def _check_seeds(entrants: Sequence[Entrant]) -> None:
     """Check that the policies of a row are different training seeds of one policy."""
     for name in ("inputs", "training"):
-        values = dict.fromkeys(getattr(entrant, name) for entrant in entrants)
+        values = dict.fromkeys(map(attrgetter(name), entrants))
         if len(values) > 1:
             listed = " | ".join(map(str, values))
             raise UserError(
@@ -337,7 +338,7 @@ def _check_declared(suite: Suite, row: Row) -> None:
     for name in ("seeds", "digests"):
         if len(policy[name]) != len(specs):
             raise ValueError(f"policy.{name} and policy.specs differ in length")
-    stated = [digest for digest in digests if digest]
+    stated = list(filter(None, digests))
     if len(stated) > len(set(stated)):
         raise ValueError("policy.digests names one policy twice")
     for name, cell in row["cells"].items():
@@ -397,9 +398,9 @@ def verify(
                     f"{where}: the row and this policy do not have the same controls "
                     f"({', '.join(sorted(other))})."
                 )
-            for who, measures in stored.items():
+            for who in stored:
                 count = suite.episodes_played(name, who)
-                for measure, bits in measures.items():
+                for measure, bits in stored[who].items():
                     old = _bits(bits, count)
                     new = _bits(played[who][measure], count)
                     different = old != new

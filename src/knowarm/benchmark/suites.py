@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +124,7 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     cells = {}
     for name, cell in values.pop("cells").items():
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
-        episodes: dict[str, NDArray[Any]] = {}
+        episodes = {}
         for field in fields(Episodes):
             if field.name != "names":  # the config of the cell has them
                 episodes[field.name] = columns[f"{name}/{field.name}"]
