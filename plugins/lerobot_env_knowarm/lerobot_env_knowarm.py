@@ -66,7 +66,9 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the episode of a seed, or the next one."""
         super().reset(seed=seed)
-        number = self._number + 1 if seed is None else seed
+        number = self._number + 1
+        if seed is not None:
+            number = seed
         self._number = number % len(self._episodes)
         start = self._episodes[self._number : self._number + 1]
         observation, info = self._arm.reset(options={"episodes": start})

@@ -259,7 +259,8 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
 
 def _in_colour(values: Mapping[str, str], colour: Colour) -> bool:
     """Return whether all colours that a row selects are the one that is shown."""
-    colours = {value for name, value in values.items() if name != "object" and value}
-    return {name_key(local_name(value)) for value in colours} <= {
-        name_key(colour or "")
-    }
+    for name, value in values.items():
+        is_colour = name != "object" and value != ""
+        if is_colour and name_key(local_name(value)) != name_key(colour or ""):
+            return False
+    return True

@@ -139,7 +139,9 @@ class Asker:
         if graph is None:
             graph = read_known_graph(trained.config.knows)
             assert graph is not None  # of an agent with a grounding network
-        self._graph = graph if isinstance(graph, KnowledgeGraph) else read_graph(graph)
+        if not isinstance(graph, KnowledgeGraph):
+            graph = read_graph(graph)
+        self._graph = graph
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, self._spec)
@@ -169,8 +171,9 @@ class Asker:
                 before = self.answers(question)
                 if (before.satisfies != answers[0].satisfies).any():
                     answers.insert(0, before)
-        number = self.scene(answers) if scene is None else scene
-        return self.play(answers[-1], number, unclear)
+        if scene is None:
+            scene = self.scene(answers)
+        return self.play(answers[-1], scene, unclear)
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
@@ -247,7 +250,9 @@ class Asker:
                 f"No scene shows what answers {question!r}: {', '.join(names)}. The scenes show "
                 f"what this run was trained with: {', '.join(self.seen)}. Ask for one of these."
             )
-        other = ", another one than before the edit" if len(answers) > 1 else ""
+        other = ""
+        if len(answers) > 1:
+            other = ", another one than before the edit"
         raise UserError(
             f"In none of {SCENES:,} scenes does exactly one object answer {question!r}{other}. "
             "Ask a question with other answers, or give the number of a scene."
@@ -346,10 +351,12 @@ def ask(
     Raises:
         UserError: a question, edit, graph or scene that does not fit the agent.
     """
-    trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
-    edits = [edit] if isinstance(edit, str) else edit
-    with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
-        return asker.ask(question, edits, scene, unclear)
+    if not isinstance(agent, TrainedAgent):
+        agent = load_agent(agent)
+    if isinstance(edit, str):
+        edit = [edit]
+    with closing(Asker(agent, graph, seed=seed, names=names, level=level)) as asker:
+        return asker.ask(question, edit, scene, unclear)
 
 
 def _check_scene(scene: int) -> None:

@@ -219,7 +219,7 @@ class QuestionReader:
                 value = colour
         ids = self.values(relation, value)
         if not ids and value not in colours:
-            known = {self.name(tail) for tail in self.tails(relation)}
+            known = set(map(self.name, self.tails(relation)))
             raise unknown_name(f"value of {relation.name}", value, known.union(colours))
         stated = self.leading_to(relation, ids)
         if not is_colour:

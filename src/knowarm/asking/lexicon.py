@@ -90,7 +90,9 @@ def distance(word: str, other: str) -> float | None:
     derived = forms.union(*map(_table()["d"].__getitem__, forms))
     if derived & wanted:
         return DERIVED
-    kinds = "v" if other.endswith("ing") else "na"  # "fixing" is to fix, "store" a shop
+    kinds = "na"
+    if other.endswith("ing"):
+        kinds = "v"  # "fixing" is to fix, "store" a shop
     for kind, form in product(kinds, derived):
         if _table()[kind][form] & wanted:
             return SYNONYM

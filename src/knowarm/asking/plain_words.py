@@ -374,9 +374,13 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
     if len(best) > 1 or superlative.negated or is_or:
         raise reader.refused("of superlatives it may hold one, which only 'and' joins")
     relation = superlative.relation
-    is_count = superlative.text.startswith("count ")
-    numbers = (vocabulary.counts if is_count else vocabulary.numbers)[relation]
-    among = holders(joined(rest)) if rest else set(vocabulary.heads)
+    if superlative.text.startswith("count "):
+        numbers = vocabulary.counts[relation]
+    else:
+        numbers = vocabulary.numbers[relation]
+    among = set(vocabulary.heads)
+    if rest:
+        among = holders(joined(rest))
     values = [number for head, number in numbers.items() if head in among]
     if not values:
         raise reader.refused(f"no object that it is about has a number of {relation}")

@@ -60,7 +60,7 @@ class Vocabulary:
     ) -> None:
         self.graph = graph
         self.heads = heads
-        self.objects = {words_of(name) for name in objects}
+        self.objects = set(map(words_of, objects))
         self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
         entries = []
         for colour in colours:

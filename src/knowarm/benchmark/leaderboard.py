@@ -1,6 +1,7 @@
 """Leaderboard: rows of the benchmark as one HTML page and as Markdown, beside their controls."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ def read_rows(folder: Path) -> list[Row]:
     Raises:
         UserError: there is none, or one is not valid.
     """
-    rows = [read_row(path) for path in sorted(folder.glob("*.json"))]
+    rows = list(map(read_row, sorted(folder.glob("*.json"))))
     if not rows:
         raise UserError(f"There are no rows (*.json) in {folder}.")
     return rows
@@ -39,7 +40,7 @@ def tables(rows: Sequence[Row]) -> list[dict[str, Any]]:
     own. Rows that see nothing, or the simulator's state, are references: without rank, at the end.
     """
     result = []
-    for suite_name in dict.fromkeys(row["suite"] for row in rows):
+    for suite_name in dict.fromkeys(map(itemgetter("suite"), rows)):
         suite = read_suite(suite_name)
         for name, cells in by_table(suite.cells.values()).items():
             lines = []
@@ -56,7 +57,7 @@ def _table(
     suite: Suite, name: str, cells: list[str], lines: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """Rank the lines of a table and name its columns."""
-    ranked = [line for line in lines if line["is_ranked"]]
+    ranked = list(filter(itemgetter("is_ranked"), lines))
     controls = set()
     for line in lines:
         line["rank"] = 1 + sum(other["low"] > line["high"] for other in ranked)

@@ -103,9 +103,9 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
     """Return what a row says about a policy."""
     first = entrants[0]
     return {
-        "specs": [entrant.spec for entrant in entrants],
-        "digests": [entrant.digest for entrant in entrants],
-        "seeds": [entrant.seed for entrant in entrants],
+        "specs": list(map(attrgetter("spec"), entrants)),
+        "digests": list(map(attrgetter("digest"), entrants)),
+        "seeds": list(map(attrgetter("seed"), entrants)),
         "inputs": list(first.inputs),
         "training": first.training,
     }
@@ -124,7 +124,7 @@ def _check_seeds(entrants: Sequence[Entrant]) -> None:
     for entrant in entrants:
         different.add(entrant.digest or f"{entrant.spec}/{entrant.seed}")
     if len(different) < len(entrants):
-        specs = ", ".join(entrant.spec for entrant in entrants)
+        specs = ", ".join(map(attrgetter("spec"), entrants))
         raise UserError(f"Give each seed once, got {specs}.")
 
 
@@ -219,7 +219,7 @@ def _figures(suite: Suite, row: Row) -> dict[str, Any]:
                 controls[control] = float(seeds.mean(axis=1).mean())
         cells[name] = {**figures, "controls": controls, "outcomes": outcomes}
     summary = {}
-    for table, names in by_table(suite.cells[name] for name in cells).items():
+    for table, names in by_table(map(suite.cells.__getitem__, cells)).items():
         controls = {}
         for control in CONTROLS:
             shares = [cells[name]["controls"].get(control) for name in names]
@@ -271,10 +271,12 @@ def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
                 return None
             gains.append(_gain(outcome)[:count])
         by_cell.append(gains)
-    seeds = [np.concatenate(gains) for gains in zip(*by_cell, strict=True)]
-    means = np.array([gains.mean() for gains in seeds])
-    differ = len(set(means)) > 1
-    return bootstrap(means if differ else seeds[0], repetitions=2_000)
+    seeds = list(map(np.concatenate, zip(*by_cell, strict=True)))
+    means = np.array(list(map(np.mean, seeds)))
+    values = seeds[0]
+    if len(set(means)) > 1:
+        values = means
+    return bootstrap(values, repetitions=2_000)
 
 
 def _gain(outcome: Outcome) -> Floats:
@@ -380,7 +382,9 @@ def verify(
         )
     suite = read_suite(row["suite"])
     declared = _declared(entrants)
-    may_differ = ["specs", "digests"] if tolerance else ["specs"]
+    may_differ = ["specs"]
+    if tolerance:
+        may_differ.append("digests")
     for name in may_differ:
         declared[name] = row["policy"][name]
     for name, (stored, played) in differences(row["policy"], declared).items():

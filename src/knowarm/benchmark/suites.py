@@ -87,7 +87,9 @@ class Suite:
     def episodes_played(self, cell: str, who: str) -> int:
         """Return how many episodes of a cell the "policy" or a control plays."""
         count = len(self.cells[cell].episodes)
-        return count if who == "policy" else min(self.control_episodes, count)
+        if who == "policy":
+            return count
+        return min(self.control_episodes, count)
 
 
 def by_table(cells: Iterable[Cell]) -> dict[str, list[str]]:
