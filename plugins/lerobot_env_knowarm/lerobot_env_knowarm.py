@@ -7,6 +7,7 @@ the environment type ``knowarm``: ``--env.type=knowarm --env.task=reach-v1/irb12
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import repeat
 from typing import Any
 
 import gymnasium
@@ -38,18 +39,19 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
 
     def __init__(self, suite: str, cell: str) -> None:
-        self._cell = read_suite(suite).cells[cell]
-        config = self._cell.env
-        self._arm = arm = ArmEnv(
-            "rgb_array", observe=("image", "joints"), **vars(config)
-        )
-        self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
-        self._max_episode_steps = config.max_episode_steps
+        frozen = read_suite(suite).cells[cell]
+        config = frozen.env
         scene = scene_of(config)
+        self._episodes = frozen.episodes
+        self._arm = ArmEnv("rgb_array", observe=("image", "joints"), **vars(config))
+        self.task = f"{suite}/{cell}"
+        self.render_mode = "rgb_array"
+        self._max_episode_steps = config.max_episode_steps
         self._increments = joint_increments(scene.robot, config)
-        self._lower, self._upper = scene.joint_lower, scene.joint_upper
+        self._lower = scene.joint_lower
+        self._upper = scene.joint_upper
         self._number = -1
-        self.observation_space = spaces.Dict(_renamed(arm.observation_space))
+        self.observation_space = spaces.Dict(_renamed(self._arm.observation_space))
         self.action_space = spaces.Box(
             self._lower.astype(np.float32), self._upper.astype(np.float32)
         )
@@ -64,10 +66,11 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the episode of a seed, or the next one."""
         super().reset(seed=seed)
-        self._number = (self._number + 1 if seed is None else seed) % len(
-            self._cell.episodes
-        )
-        start = self._cell.episodes[self._number : self._number + 1]
+        number = self._number + 1
+        if seed is not None:
+            number = seed
+        self._number = number % len(self._episodes)
+        start = self._episodes[self._number : self._number + 1]
         observation, info = self._arm.reset(options={"episodes": start})
         return _renamed(observation), {"is_success": info["is_success"]}
 
@@ -79,14 +82,16 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             UserError: the action is not one finite number per joint.
         """
-        if np.shape(action) != self.action_space.shape or not np.isfinite(action).all():
+        wanted = np.asarray(action)
+        shape = self.action_space.shape
+        if wanted.shape != shape or not np.isfinite(wanted).all():
             raise UserError(
-                f"An action must be finite numbers of shape {self.action_space.shape}, got "
-                f"{np.ravel(action).tolist()} of shape {np.shape(action)}."
+                f"An action must be finite numbers of shape {shape}, got "
+                f"{wanted.ravel().tolist()} of shape {wanted.shape}."
             )
         targets = self._arm.joint_targets[:, None] + self._increments
         reached = targets.clip(self._lower[:, None], self._upper[:, None])
-        levels = np.abs(reached - np.asarray(action)[:, None]).argmin(1)
+        levels = np.abs(reached - wanted[:, None]).argmin(1)
         observation, *outcome, info = self._arm.step(levels)
         return _renamed(observation), *outcome, {"is_success": info["is_success"]}
 
@@ -117,17 +122,17 @@ class KnowArmEnv(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        joints = {
-            cell.env.robot: cell.episodes.joint_offsets.shape[1]
-            for cell in self.cells()
-        }
-        if len(set(joints.values())) > 1:
+        cells = self.cells()
+        joints = {}
+        for cell in cells:
+            joints[cell.env.robot] = cell.episodes.joint_offsets.shape[1:]
+        shape, *others = set(joints.values())
+        if others:
             raise UserError(
                 f"env.task {self.task!r} names cells of {' and '.join(joints)}, whose joints "
                 "differ; name one robot, such as reach-v1/irb120."
             )
-        (shape,) = {(count,) for count in joints.values()}
-        size = self.cells()[0].env.image_size
+        size = cells[0].env.image_size
         self.features = {
             ACTION: PolicyFeature(type=FeatureType.ACTION, shape=shape),
             "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=shape),
@@ -142,12 +147,12 @@ class KnowArmEnv(EnvConfig):
         """
         suite, _, wanted = str(self.task).partition("/")
         cells = read_suite(suite).cells
-        found = [cell for name, cell in cells.items() if name.startswith(wanted)]
-        if not found:
+        chosen = [cell for name, cell in cells.items() if name.startswith(wanted)]
+        if not chosen:
             raise UserError(
                 f"{suite} has no cell {wanted!r}; it has {', '.join(cells)}."
             )
-        return found
+        return chosen
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -158,17 +163,12 @@ class KnowArmEnv(EnvConfig):
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, VectorEnv[Any, Any, Any]]]:
         """Make a vector environment per cell."""
-        several = use_async_envs and n_envs > 1
+        make: Any = SyncVectorEnv
+        if use_async_envs and n_envs > 1:
+            make = partial(AsyncVectorEnv, context="forkserver")
         suite = str(self.task).partition("/")[0]
-        options: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
-        if several:
-            options["context"] = "forkserver"
-        make = AsyncVectorEnv if several else SyncVectorEnv
-        return {
-            suite: {
-                number: make(
-                    [partial(BenchmarkEnv, suite, cell.name)] * n_envs, **options
-                )
-                for number, cell in enumerate(self.cells())
-            }
-        }
+        envs = {}
+        for number, cell in enumerate(self.cells()):
+            makers = list(repeat(partial(BenchmarkEnv, suite, cell.name), n_envs))
+            envs[number] = make(makers, autoreset_mode=AutoresetMode.SAME_STEP)
+        return {suite: envs}

@@ -1,17 +1,23 @@
 """Answers to questions in words or SPARQL, with their evidence."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.asking.expressions import Evidence, Part, QuestionReader
+from knowarm.asking.expressions import (
+    Colour,
+    Evidence,
+    Part,
+    QuestionReader,
+    Reason,
+)
 from knowarm.asking.plain_words import read_plain
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.sparql import SparqlQuery
@@ -19,9 +25,11 @@ from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
 
-
 Words = Mapping[str, Mapping[str, Sequence[str]]]
 """Objects by relation and value."""
+Facets = Sequence[ObjectColour]
+NamesInGraph = Mapping[str, str]
+"""The graph's names for objects."""
 
 
 class Answers(NamedTuple):
@@ -34,9 +42,9 @@ class Answers(NamedTuple):
 
 def answer(
     graph: KnowledgeGraph,
-    facets: Sequence[ObjectColour],
+    facets: Facets,
     text: str,
-    names: Mapping[str, str] | None = None,
+    names: NamesInGraph | None = None,
 ) -> Answers:
     """Answer a question by a graph; objects that it does not describe never answer.
 
@@ -52,9 +60,9 @@ def answer(
     Warns:
         DataWarning: the graph has several entities with the name of an object.
     """
-    entities = _entities(graph, dict.fromkeys(name for name, _ in facets), names or {})
-    text = _reading(graph, entities, facets, text)
-    evidence = _evidence(graph, entities, facets, text)
+    answering = _Answering(graph, facets, names)
+    text = answering.read(text)
+    evidence = answering.evidence(answering.part(text))
     if not evidence:
         raise UserError(
             f"No object of the task answers the question {text!r}. Ask another one, or add the "
@@ -65,13 +73,12 @@ def answer(
 
 def reading(
     graph: KnowledgeGraph,
-    facets: Sequence[ObjectColour],
+    facets: Facets,
     text: str,
-    names: Mapping[str, str] | None = None,
+    names: NamesInGraph | None = None,
 ) -> str:
     """Return a question as `answer` reads it: plain English becomes conditions of the graph."""
-    entities = _entities(graph, dict.fromkeys(name for name, _ in facets), names or {})
-    return _reading(graph, entities, facets, text)
+    return _Answering(graph, facets, names).read(text)
 
 
 def row_of(prompt: str, rows: Sequence[str]) -> str:
@@ -83,19 +90,17 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
     if prompt in rows:
         return prompt
     by_conditions = {frozenset(row.split(AND)): row for row in rows}
-    conditions = frozenset[str]().union(*by_conditions)
-    triples = list[Triple]()
-    for condition in conditions:
+    triples = []
+    colours = []
+    for condition in frozenset[str]().union(*by_conditions):
         relation, _, value = condition.partition(" ")
         if value:
             triples.append(("it", relation, value))
+        if value and relation == COLOUR_RELATION:
+            colours.append(value)
     graph = graph_of(triples)
-    colours = sorted(
-        value for _, relation, value in triples if relation == COLOUR_RELATION
-    )
-    text = read_plain(
-        prompt, Vocabulary(graph, graph.heads[:1], colours), lambda _: set()
-    )
+    vocabulary = Vocabulary(graph, graph.heads[:1], sorted(colours))
+    text = read_plain(prompt, vocabulary, lambda _: set())
     row = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
     if row is None:
         raise UserError(
@@ -104,73 +109,101 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
     return row
 
 
-def _reading(
-    graph: KnowledgeGraph,
-    entities: Mapping[str, int | None],
-    facets: Sequence[ObjectColour],
-    text: str,
-) -> str:
-    if _SPARQL.match(text):
-        return text
-    colours = dict.fromkeys(colour for _, colour in facets)
-    reader = QuestionReader(text, graph, set(colours))
-    exact = None
-    try:
-        reader.whole()
-        if _evidence(graph, entities, facets, text):
+class _Answering:
+    """Answers questions about facets by a graph.
+
+    Attributes:
+        colours: the colours of the facets.
+        objects: their names.
+        entities: the entities of those that the graph describes.
+    """
+
+    def __init__(
+        self, graph: KnowledgeGraph, facets: Facets, names: NamesInGraph | None
+    ) -> None:
+        self.graph = graph
+        self.facets = facets
+        self.colours = dict.fromkeys(colour for _, colour in facets)
+        self.objects = dict.fromkeys(name for name, _ in facets)
+        self.entities = self._entities(names or {})
+
+    def _entities(self, names: NamesInGraph) -> dict[str, int]:
+        for name in names:
+            if name not in self.objects:
+                raise unknown_name("object of the task", name, self.objects)
+        entities = {}
+        for name in self.objects:
+            if name not in names:
+                entity = self.graph.described(name)
+            else:
+                entity = self.graph.entity_id(names[name])
+            if entity is not None:
+                entities[name] = entity
+        if not entities:
+            example = "mug=MyMug"
+            for name in self.objects:
+                near = self.graph.entity_spellings.near(name)
+                if near:
+                    example = f"{name}={near[0]}"
+                    break
+            raise UserError(
+                f"The graph describes none of the {len(self.objects)} objects of the task, such "
+                f"as {next(iter(self.objects))!r}. Give its names for them, such as ",
+                Argument("names", example),
+                ", or give another graph.",
+            )
+        return entities
+
+    def read(self, text: str) -> str:
+        """Return a question as it is if it can be read, or plain English as conditions."""
+        if _SPARQL.match(text):
             return text
-    except AmbiguousNameError:
-        raise
-    except UserError as error:
-        exact = error
-
-    def holders(question: str) -> set[int]:
-        names = {name for name, _ in _evidence(graph, entities, facets, question)}
-        return {
-            entity
-            for name, entity in entities.items()
-            if name in names and entity is not None
-        }
-
-    known = [entity for entity in entities.values() if entity is not None]
-    try:
-        plain = read_plain(text, Vocabulary(graph, known, colours, entities), holders)
-    except UserError as error:
+        reader = QuestionReader(text, self.graph, self.colours)
+        exact = None
+        try:
+            if self.evidence(reader.whole()):
+                return text
+        except AmbiguousNameError:
+            raise
+        except UserError as error:
+            exact = error
+        known = list(self.entities.values())
+        vocabulary = Vocabulary(self.graph, known, self.colours, self.objects)
+        try:
+            plain = read_plain(text, vocabulary, self.holders)
+        except UserError as error:
+            if exact is None:
+                return text
+            raise exact if reader.has_relation else error from None
         if exact is None:
-            return text
-        raise exact if reader.has_relation else error from None
-    if exact is None:
-        return plain if holders(plain) else text
-    if reader.has_relation and not holders(plain):
-        raise exact  # it names the values that there are
-    return plain
+            return plain if self.holders(plain) else text
+        if reader.has_relation and not self.holders(plain):
+            raise exact  # it names the values that there are
+        return plain
 
+    def part(self, text: str) -> Part:
+        """Read a question in SPARQL or conditions."""
+        if _SPARQL.match(text):
+            return _sparql(self.graph, text)
+        return QuestionReader(text, self.graph, self.colours).whole()
 
-def _evidence(
-    graph: KnowledgeGraph,
-    entities: Mapping[str, int | None],
-    facets: Sequence[ObjectColour],
-    text: str,
-) -> dict[ObjectColour, Evidence]:
-    """Return why facets answer a question, of those that do."""
-    if _SPARQL.match(text):
-        part = _sparql(graph, text)
-    else:
-        colours = {colour for _, colour in facets}
-        part = QuestionReader(text, graph, colours).whole()
-    evidence = dict[ObjectColour, Evidence]()
-    for name, colour in facets:
-        entity = entities[name]
-        reason = None if entity is None else part(entity, colour)
-        if reason is not None:
-            evidence[name, colour] = reason
-    return evidence
+    def evidence(self, part: Part) -> dict[ObjectColour, Evidence]:
+        """Return why facets answer a question, of those that do."""
+        evidence = {}
+        for name, colour in self.facets:
+            if name in self.entities:
+                reason = part(self.entities[name], colour)
+                if reason is not None:
+                    evidence[name, colour] = reason
+        return evidence
+
+    def holders(self, text: str) -> set[int]:
+        """Return the entities of the objects that answer a question."""
+        return {self.entities[name] for name, _ in self.evidence(self.part(text))}
 
 
 def words(
-    graph: KnowledgeGraph,
-    facets: Sequence[ObjectColour],
-    names: Mapping[str, str] | None = None,
+    graph: KnowledgeGraph, facets: Facets, names: NamesInGraph | None = None
 ) -> Words:
     """Return what a graph can be asked about objects: colours first, then its facts.
 
@@ -180,50 +213,16 @@ def words(
     objects: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
     for name, colour in facets:
         objects[COLOUR_RELATION].setdefault(colour, []).append(name)
-    names_of_objects = dict.fromkeys(name for name, _ in facets)
-    for name, entity in _entities(graph, names_of_objects, names or {}).items():
-        if entity is None:
-            continue
+    for name, entity in _Answering(graph, facets, names).entities.items():
         for row in graph.out_rows(entity):
             tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
-            if (
-                graph.names[tail].startswith(('"', "_:"))
-                or local_name(relation) == COLOUR_RELATION
-            ):
+            is_unnamed = graph.names[tail].startswith(('"', "_:"))
+            if is_unnamed or local_name(relation) == COLOUR_RELATION:
                 continue
             value = graph.names.short(tail)
             objects.setdefault(relation, {}).setdefault(value, []).append(name)
     return objects
-
-
-def _entities(
-    graph: KnowledgeGraph, objects: Collection[str], names: Mapping[str, str]
-) -> dict[str, int | None]:
-    """Return the entity of each object, None of those that the graph does not describe."""
-    for name in names:
-        if name not in objects:
-            raise unknown_name("object of the task", name, objects)
-    entities = dict[str, int | None]()
-    for name in objects:
-        if name in names:
-            entities[name] = graph.entity_id(names[name])
-        else:
-            entities[name] = graph.described(name)
-    if set(entities.values()) <= {None}:
-        example = "mug=MyMug"
-        for name in objects:
-            near = graph.entity_spellings.near(name)
-            if near:
-                example = f"{name}={near[0]}"
-                break
-        raise UserError(
-            f"The graph describes none of the {len(entities)} objects of the task, such as "
-            f"{next(iter(entities))!r}. Give its names for them, such as ",
-            Argument("names", example),
-            ", or give another graph.",
-        )
-    return entities
 
 
 def _sparql(graph: KnowledgeGraph, text: str) -> Part:
@@ -235,11 +234,12 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     ids = graph.relation_names.find_local(COLOUR_RELATION)
     relations = {COLOUR_RELATION, *map(graph.relation_names.__getitem__, ids)}
 
-    def evidence(entity: int, colour: str | None) -> Evidence | None:
-        shown = list[str]()
+    def evidence(entity: int, colour: Colour) -> Reason:
+        name = graph.names[entity]
+        shown = []
         if colour is not None:
             shown = [graph.names[i] for i in graph.alike(colour)] or [colour]
-        with query.stating(graph.names[entity], relations, shown):
+        with query.stating(name, relations, shown):
             result = query.answer()
         other = set(result.columns) - {"object", "colour", "color"}
         if "object" not in result.columns or other:
@@ -250,16 +250,14 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
             )
         for row in result.rows:
             values = dict(zip(result.columns, row, strict=True))
-            if values["object"] == graph.names[entity] and _in_colour(values, colour):
-                return tuple(
-                    f"?{name} = {local_name(value)}" for name, value in values.items()
-                )
+            if values["object"] == name and _in_colour(values, colour):
+                return tuple(f"?{key} = {local_name(values[key])}" for key in values)
         return None
 
     return evidence
 
 
-def _in_colour(values: Mapping[str, str], colour: str | None) -> bool:
+def _in_colour(values: Mapping[str, str], colour: Colour) -> bool:
     """Return whether all colours that a row selects are the one that is shown."""
     for name, value in values.items():
         is_colour = name != "object" and value != ""

@@ -1,11 +1,12 @@
 """Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress, pairwise
+from itertools import compress, groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import get_args
 
@@ -96,15 +97,14 @@ class Asked:
     @property
     def table(self) -> list[list[str]]:
         """Answers by object: its name, the colours in which it answers, why the first one does."""
-        colours: dict[str, list[str]] = defaultdict(list)
-        reasons = dict[str, str]()
-        for (name, colour), evidence in self.answers.evidence.items():
-            colours[name].append(colour)
-            reasons.setdefault(name, "; ".join(evidence))
-        rows = list[list[str]]()
-        for name, reason in reasons.items():
-            is_any = len(colours[name]) == self.known[name]
-            rows.append([name, "any" if is_any else ", ".join(colours[name]), reason])
+        evidence = self.answers.evidence
+        rows = []
+        for name, group in groupby(evidence, key=itemgetter(0)):
+            facets = list(group)
+            colours = "any"
+            if len(facets) < self.known[name]:
+                colours = ", ".join(colour for _, colour in facets)
+            rows.append([name, colours, "; ".join(evidence[facets[0]])])
         return rows
 
 
@@ -132,20 +132,25 @@ class Asker:
                 "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
             )
         self.trained = trained
-        self.facets = trained.network.spec.facets
-        self._network = trained.network
+        self._spec = trained.network.spec
+        self.facets = self._spec.facets
         self._names = names
         self._level = level
         if graph is None:
             graph = read_known_graph(trained.config.knows)
             assert graph is not None  # of an agent with a grounding network
-        self._graph = graph if isinstance(graph, KnowledgeGraph) else read_graph(graph)
+        if not isinstance(graph, KnowledgeGraph):
+            graph = read_graph(graph)
+        self._graph = graph
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
-        first = first_facets(self._env.scene, trained.network.spec)
+        first = first_facets(self._env.scene, self._spec)
         # Facets of each scene, (N, m): those of an object follow each other, one per colour.
         self._shown = first[self._scenes.objects] + self._scenes.colours
-        self._facets_shown = [self.facets[f] for f in np.unique(self._shown)]
+        self._facets_shown = self._named(np.unique(self._shown))
+
+    def _named(self, indices: np.ndarray) -> tuple[ObjectColour, ...]:
+        return tuple(self.facets[index] for index in indices)
 
     def close(self) -> None:
         """Close the environment."""
@@ -161,14 +166,14 @@ class Asker:
         """Answer a question and play a scene; see `ask`."""
         answers = [self.answers(question, edit)]
         if scene is None and edit:
-            with suppress(
-                UserError
-            ):  # without the edits the question may have no answer
+            # Without the edits the question may have no answer
+            with suppress(UserError):
                 before = self.answers(question)
                 if (before.satisfies != answers[0].satisfies).any():
                     answers.insert(0, before)
-        number = self.scene(answers) if scene is None else scene
-        return self.play(answers[-1], number, unclear)
+        if scene is None:
+            scene = self.scene(answers)
+        return self.play(answers[-1], scene, unclear)
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
@@ -185,6 +190,11 @@ class Asker:
         return sorted({name for name, _ in self._facets_shown})
 
     @cached_property
+    def unseen(self) -> list[str]:
+        """The objects that the network knows and scenes never show."""
+        return sorted({name for name, _ in self.facets}.difference(self.seen))
+
+    @cached_property
     def words(self) -> Words:
         """What can be asked: by relation and value, the objects that scenes show."""
         return words(self._graph, self._facets_shown, self._names)
@@ -192,28 +202,29 @@ class Asker:
     @cached_property
     def examples(self) -> list[str]:
         """Questions that a scene answers by one object, of several relations."""
-        facts = list[str]()
+        facts = []
         for relation, values in self.words.items():
             if relation != COLOUR_RELATION:
                 most_common = max(values, key=lambda value: len(values[value]))
                 facts.append(f"{relation} {most_common}")
-        # With less than two facts, only what these allow.
         questions = [IN_WORDS]
-        questions += [f"{first} and not hasColor blue" for first in facts[:1]]
-        questions += [f"{first} or {second}" for first, second in pairwise(facts)][1:2]
+        if facts:
+            questions.append(f"{facts[0]} and not hasColor blue")
+        if len(facts) > 2:
+            questions.append(f"{facts[1]} or {facts[2]}")
         questions += facts
-        answered = list[str]()
+        answered = []
         for question in questions:
             with suppress(UserError):
                 self.scene([self.answers(question)])
                 answered.append(question)
         return answered[:EXAMPLES]
 
-    def look(self, scene: int) -> tuple[np.ndarray, list[ObjectColour]]:
+    def look(self, scene: int) -> tuple[np.ndarray, tuple[ObjectColour, ...]]:
         """Return the image of a scene, (480, 480, 3) uint8, and what stands in it."""
         _check_scene(scene)
         self._env.reset(options={"episodes": self._scenes[scene : scene + 1]})
-        return self._env.render()[0], [self.facets[f] for f in self._shown[scene]]
+        return self._env.render()[0], self._named(self._shown[scene])
 
     def scene(self, answers: Sequence[Answers]) -> int:
         """Return the first scene in which one object answers, another one for each of several.
@@ -224,24 +235,24 @@ class Asker:
         Raises:
             UserError: there is none.
         """
-        satisfies = np.stack(
-            [each.satisfies[self._shown] for each in answers]
-        )  # (a, N, m)
+        satisfies = np.array([each.satisfies for each in answers])
+        satisfies = satisfies[:, self._shown]  # (a, N, m)
         has_one = satisfies.sum(2) == 1
         fits = has_one.all(0) & (satisfies.sum(0) <= 1).all(1)
         if not fits.any():
             fits = has_one[-1] & (satisfies != satisfies[-1]).any((0, 2))
         if fits.any():
             return int(fits.argmax())
-        question = answers[-1].question
-        names = {name for name, _ in answers[-1].evidence}
-        if names.isdisjoint(self.seen):
+        question, _, evidence = answers[-1]
+        names = sorted({name for name, _ in evidence})
+        if not set(names) & set(self.seen):
             raise UserError(
-                f"No scene shows what answers {question!r}: "
-                f"{', '.join(sorted(names))}. The scenes show what this run was trained with: "
-                f"{', '.join(self.seen)}. Ask for one of these."
+                f"No scene shows what answers {question!r}: {', '.join(names)}. The scenes show "
+                f"what this run was trained with: {', '.join(self.seen)}. Ask for one of these."
             )
-        other = ", another one than before the edit" if len(answers) > 1 else ""
+        other = ""
+        if len(answers) > 1:
+            other = ", another one than before the edit"
         raise UserError(
             f"In none of {SCENES:,} scenes does exactly one object answer {question!r}{other}. "
             "Ask a question with other answers, or give the number of a scene."
@@ -262,13 +273,9 @@ class Asker:
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         shown = shown[order]
         episode = self._scenes[scene : scene + 1]
-        episode = replace(
-            episode,
-            objects=episode.objects[:, order],
-            names=episode.names[:, order],
-            colours=episode.colours[:, order],
-            positions=episode.positions[:, order],
-        )
+        by_object = ("objects", "names", "colours", "positions")
+        ordered = {name: vars(episode)[name][:, order] for name in by_object}
+        episode = replace(episode, **ordered)
         wanted = answers.satisfies
         if picked is not None:
             wanted = np.array([facet == picked for facet in self.facets])
@@ -279,25 +286,23 @@ class Asker:
         film = record_episode(agent, self._env, episode)
         end = self._env.running
         infos = end.config.task.infos(end)
-        nearest = np.argmax(
-            infos["objects"] == infos["reached_object"][:, None], axis=1
-        )
+        is_reached = infos["objects"] == infos["reached_object"][:, None]
+        nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
+        image = torch.as_tensor(film[0].policy)[None]
+        satisfies = torch.from_numpy(answers.satisfies[None])
         with torch.inference_mode():
-            image = torch.as_tensor(film[0].policy)[None]
-            seen = agent.recognition.see(
-                image, torch.from_numpy(answers.satisfies[None])
-            )
-        named = [self.facets[f] for f in seen.named[0].tolist()]
+            seen = agent.recognition.see(image, satisfies)
+        named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.threshold)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
-        size = self._network.spec.image_size
+        size = self._spec.image_size
         return Asked(
             answers=answers,
             known=Counter(name for name, _ in self.facets),
             scene=scene,
-            shown=tuple(self.facets[f] for f in shown),
-            named=tuple(named),
+            shown=self._named(shown),
+            named=named,
             points=(centres(size)[seen.places[0]] / size).numpy(),
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
@@ -346,10 +351,12 @@ def ask(
     Raises:
         UserError: a question, edit, graph or scene that does not fit the agent.
     """
-    trained = agent if isinstance(agent, TrainedAgent) else load_agent(agent)
-    edits = [edit] if isinstance(edit, str) else edit
-    with closing(Asker(trained, graph, seed=seed, names=names, level=level)) as asker:
-        return asker.ask(question, edits, scene, unclear)
+    if not isinstance(agent, TrainedAgent):
+        agent = load_agent(agent)
+    if isinstance(edit, str):
+        edit = [edit]
+    with closing(Asker(agent, graph, seed=seed, names=names, level=level)) as asker:
+        return asker.ask(question, edit, scene, unclear)
 
 
 def _check_scene(scene: int) -> None:

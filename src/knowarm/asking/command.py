@@ -67,9 +67,9 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            what = (
-                "a question" if Path(self.agent).exists() else "a run, then a question"
-            )
+            what = "a run, then a question"
+            if Path(self.agent).exists():
+                what = "a question"
             raise UserError(
                 f"Give {what}: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
@@ -79,24 +79,19 @@ class Ask(TableCommand):
                 "--browser serves a page and writes none: leave out --page."
             )
         trained = load_agent(self.agent)
-        graph = read_graph(self.graph, self.format) if self.graph else None
+        graph = None
+        if self.graph:
+            graph = read_graph(self.graph, self.format)
         names = read_names(self.names)
+        asking = (self.question, self.edit, self.scene, self.unclear)
         asker = Asker(trained, graph, seed=self.seed, names=names, level=self.level)
         with closing(asker):
             if graph is not None:
                 print_meeting(meeting(graph, [name for name, _ in asker.facets], names))
             if self.browser:
-                server = make_server(
-                    asker,
-                    self.question,
-                    self.edit,
-                    self.scene,
-                    port=self.port,
-                    unclear=self.unclear,
-                )
-                serve_page(server)
+                serve_page(make_server(asker, *asking, port=self.port))
                 return {}
-            asked = asker.ask(self.question, self.edit, self.scene, self.unclear)
+            asked = asker.ask(*asking)
             _print(asked)
             if self.unclear == "ask" and asked.stopped:
                 picked = _pick(asked.candidates or asked.named)
@@ -106,25 +101,25 @@ class Ask(TableCommand):
         if self.page is not None:
             write_page(Path(self.page), asked, self.question, self.edit)
             print(f"Wrote {self.page}")
+        question, _, evidence = asked.answers
+        end = asked.film[-1]
         return {
-            "question": asked.answers.question,
-            "answers": {
-                "/".join(f): list(why) for f, why in asked.answers.evidence.items()
-            },
+            "question": question,
+            "answers": {"/".join(facet): list(why) for facet, why in evidence.items()},
             "scene": asked.scene,
             "shown": list(map("/".join, asked.shown)),
             "named": list(map("/".join, asked.named)),
             "candidates": list(map("/".join, asked.candidates)),
             "reached": "/".join(asked.reached),
             "right": asked.right,
-            "success": asked.film[-1].success,
-            "steps": asked.film[-1].step,
+            "success": end.success,
+            "steps": end.step,
         }
 
 
 def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
     """Ask the user which object is meant; None if no number of one is given."""
-    by_number = dict[str, ObjectColour]()
+    by_number = {}
     for number, facet in enumerate(choices, 1):
         print(f"  {number}: the {in_words(facet)}")
         by_number[str(number)] = facet
@@ -137,10 +132,9 @@ def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
 def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
+    title = "Answers in the graph"
     print(printable(f"I read this as: {asked.answers.question}"))
-    print_table(
-        "Answers in the graph", ["object", "colours", "evidence"], lines[:SHOWN]
-    )
+    print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
     _print_facets(asked, "stand", asked.shown)
@@ -152,7 +146,7 @@ def _print(asked: Asked) -> None:
 
 def _print_facets(asked: Asked, verb: str, facets: Sequence[ObjectColour]) -> None:
     """Print what stands in the scene or is named there, with what answers and what is wrong."""
-    marked = list[str]()
+    marked = []
     for facet in facets:
         text = in_words(facet)
         if facet in asked.answers.evidence:

@@ -5,10 +5,11 @@ import re
 import tomllib
 import unicodedata
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import name_key
@@ -25,28 +26,28 @@ NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 _ENDINGS = {"en": "", "ical": "", "ic": "", "er": "r", "ular": "le"}
 """Endings of adjectives, as in wooden and cylindrical, and what their nouns have instead."""
 _ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
-WORDS: dict[str, list[str]] = {
-    name: words.split() for name, words in _ENGLISH["words"].items()
-}
+Words = Sequence[str]
+WORDS: dict[str, Words] = _ENGLISH["words"]
 """Words of one function in questions, by it; the file says what they are."""
 JOINS: dict[str, str] = _ENGLISH["joins"]
 """What joins conditions: "and", "or", "but" or a comma, by word."""
 _TOKEN = re.compile(rf"(?:[<>!]=?|=){NUMBER}|{NUMBER}|[^\W\d_]+|\S")
 
 
-class Family(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Family:
     """Relations that mean alike in any graph, and how English speaks of them."""
 
     relations: str = ""
-    strong: str = ""
-    weak: str = ""
+    strong: Words = ()
+    weak: Words = ()
     describes: bool = False
-    large: str = ""
-    small: str = ""
+    large: Words = ()
+    small: Words = ()
 
 
-FAMILIES = {name: Family(**words) for name, words in _ENGLISH["relations"].items()}
-WEAK = {"by", "about", *" ".join(family.weak for family in FAMILIES.values()).split()}
+FAMILIES = {name: Family(**fields) for name, fields in _ENGLISH["relations"].items()}
+WEAK = set(WORDS["weak"]).union(*(family.weak for family in FAMILIES.values()))
 """Prepositions, and verbs such as "has"."""
 
 
@@ -56,33 +57,25 @@ def tokens(text: str) -> list[str]:
         raise UserError(
             f"Questions of {len(text):,} letters are not read: {text:.40} ..."
         )
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
-    text = re.sub(r"n't\b|n’t\b|(?<=\bcan)not\b", " not", text.casefold())
-    text = text.replace("ca not", "can not")
-    text = text.replace("||", " or ")
-    text = re.sub(r"&&|&", " and ", text)
-    text = re.sub(
-        r"\b(?:instead of|other than|apart from|rather than)\b", " not ", text
-    )
-    text = re.sub(rf"\b({'|'.join(_ENGLISH['compared'])}|than) one\b", r"\1 1", text)
-    numbers = WORDS["numbers"]
-    several = "|".join(
-        word for word in numbers if word != "one"
-    )  # "the one" is no number
-    text = re.sub(rf"\b({several})\b", lambda match: str(numbers.index(match[1])), text)
-    text = re.sub(rf"({NUMBER}) or (?:more|greater|higher|larger)", r">=\1", text)
-    text = re.sub(rf"({NUMBER}) or (?:less|fewer|lower|smaller)", r"<=\1", text)
-    text = re.sub(rf"({NUMBER}) (\w+) or more", r">=\1 \2", text)
-    for words, sign in _ENGLISH["compared"].items():
-        text = re.sub(rf"(?:\b|(?<=\s))(?:{words})\s+({NUMBER})", rf"{sign}\1", text)
-    text = re.sub(rf"([<>]=?|=)\s+({NUMBER})", r"\1\2", text)
-    return _TOKEN.findall(re.sub(r"[-_'’\"?!.;:`]+(?!\d)|(?<!\d)-", " ", text))
+    text = spaced(text).casefold()
+    for pattern, replacement in _ENGLISH["rewritten"].items():
+        text = re.sub(pattern.replace("#", NUMBER), replacement, text)
+    return _TOKEN.findall(text)
 
 
-def near(word: str, other: str, most: float) -> bool:
-    """Return whether a word is within a distance of another one."""
-    far = distance(word, other)
-    return far is not None and far <= most
+def spaced(text: str) -> str:
+    """Return a text with a space between words that only a capital letter separates."""
+    text = unicodedata.normalize("NFC", text)
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+
+
+def near(word: str, others: Iterable[str], most: float) -> bool:
+    """Return whether a word is within a distance of one of some others."""
+    for other in others:
+        far = distance(word, other)
+        if far is not None and far <= most:
+            return True
+    return False
 
 
 @cache
@@ -97,7 +90,9 @@ def distance(word: str, other: str) -> float | None:
     derived = forms.union(*map(_table()["d"].__getitem__, forms))
     if derived & wanted:
         return DERIVED
-    kinds = "v" if other.endswith("ing") else "na"  # "fixing" is to fix, "store" a shop
+    kinds = "na"
+    if other.endswith("ing"):
+        kinds = "v"  # "fixing" is to fix, "store" a shop
     for kind, form in product(kinds, derived):
         if _table()[kind][form] & wanted:
             return SYNONYM

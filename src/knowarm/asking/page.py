@@ -50,36 +50,32 @@ class Label:
 
 def place_labels(asked: Asked) -> list[Label]:
     """Place the names that a network gives, none over another one; answers come first."""
+    evidence = asked.answers.evidence
     named = list(zip(asked.named, 100 * asked.points, strict=True))
-    named.sort(key=lambda item: item[0] not in asked.answers.evidence)
-    labels = list[Label]()
+    named.sort(key=lambda item: item[0] not in evidence)
+    labels: list[Label] = []
     for facet, (x, y) in named:
         text = in_words(facet)
         half = _half_width(text)
         left = min(max(x, half), 100 - half)
         tops = _tops(y)
-        free = (
-            top
-            for top in tops
-            if not any(_overlaps(left, top, half, it) for it in labels)
+        free = [top for top in tops if _is_free(labels, left, top, half)]
+        label = Label(
+            text=text,
+            answers=facet in evidence,
+            right=facet in asked.shown,
+            x=float(x),
+            y=float(y),
+            left=float(left),
+            top=float((free or tops)[0]),
         )
-        labels.append(
-            Label(
-                text=text,
-                answers=facet in asked.answers.evidence,
-                right=facet in asked.shown,
-                x=float(x),
-                y=float(y),
-                left=float(left),
-                top=float(next(free, tops[0])),
-            )
-        )
+        labels.append(label)
     return labels
 
 
 def _tops(y: float) -> list[float]:
     """Return the heights on the image where a label may stand, the nearest first."""
-    tops = list[float]()
+    tops = []
     for step in range(1, 16):
         tops += [y - step * HIGH, y + step * HIGH]
     return [top for top in tops if HIGH / 2 <= top <= 100 - HIGH / 2]
@@ -90,10 +86,13 @@ def _half_width(text: str) -> float:
     return 50 * (LETTER * len(text) + PADDING) / WIDTH
 
 
-def _overlaps(left: float, top: float, half: float, label: Label) -> bool:
-    """Return whether a label of this half width would stand over another one."""
-    beside = abs(left - label.left) < half + _half_width(label.text)
-    return beside and abs(top - label.top) < HIGH
+def _is_free(labels: Sequence[Label], left: float, top: float, half: float) -> bool:
+    """Return whether a label of this half width would stand over no other one."""
+    for label in labels:
+        beside = abs(left - label.left) < half + _half_width(label.text)
+        if beside and abs(top - label.top) < HIGH:
+            return False
+    return True
 
 
 def page(
@@ -112,20 +111,11 @@ def page(
         "asked": asked,
         "question": question,
         "edits": edits,
-        "live": asker is not None,
+        "asker": asker,
         "problem": problem,
         "style": Markup(style_sheet()),
-        "scene": "" if scene is None else scene,
-        "image": "",
-        "standing": "",
+        "scene": scene,
     }
-    if asker is not None:
-        values["words"] = asker.words
-        values["examples"] = asker.examples
-        values["seen"] = asker.seen
-        values["unseen"] = sorted(
-            {name for name, _ in asker.facets}.difference(asker.seen)
-        )
     if asked is not None:
         values.update(_pictures(asked), labels=place_labels(asked))
     elif asker is not None:
@@ -158,9 +148,9 @@ def make_server(
     question: str,
     edits: tuple[str, ...] = (),
     scene: int | None = None,
+    unclear: Unclear = "seen",
     *,
     port: int = 0,
-    unclear: Unclear = "seen",
 ) -> HTTPServer:
     """Make a server on the loopback interface, which listens and answers one question at a time."""
     computing = threading.Lock()
@@ -191,13 +181,13 @@ def make_server(
             lines = edits
             number = scene
             if fields:
-                text = fields.get("q", [""])[0].strip()
-                typed = fields.get("edit", [""])[0].splitlines()
-                lines = tuple(filter(None, map(str.strip, typed)))
-                wanted = fields.get("scene", [""])[0].strip()
-                number = (
-                    int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
+                text, typed, wanted = (
+                    fields.get(name, [""])[0].strip() for name in ("q", "edit", "scene")
                 )
+                lines = tuple(filter(None, map(str.strip, typed.splitlines())))
+                number = None
+                if wanted.isdecimal() and len(wanted) < 10:
+                    number = int(wanted)
             asked = None
             problem = ""
             try:

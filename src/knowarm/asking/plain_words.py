@@ -8,11 +8,11 @@ counts if it is the only one. Anything else is refused, with the nearest conditi
 """
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from itertools import chain, compress, count, product
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, compress, count
+from operator import attrgetter
 
-from knowarm.asking.joining import ReadCondition, joined
 from knowarm.asking.lexicon import (
     FAMILIES,
     INFLECTED,
@@ -21,63 +21,30 @@ from knowarm.asking.lexicon import (
     WEAK,
     WORDS,
     distance,
-    near,
     tokens,
 )
+from knowarm.asking.readings import ReadCondition, ReadingState, joined
 from knowarm.asking.vocabulary import Entry, Vocabulary
 from knowarm.errors import UserError
 
 Holders = Callable[[str], set[int]]
 """The entities of which a question is true."""
 
-_THINGS = set(WORDS["things"])
-_NEGATIONS = set(WORDS["negations"])
-_REQUESTS = set(WORDS["requests"])
-_ABLE = set(WORDS["able"])
-_IGNORED = _THINGS.union(WORDS["ignored"])
-_NO_VALUE = _IGNORED.union(_NEGATIONS, WEAK, JOINS)
+States = Iterator[ReadingState]
+
+_IGNORED = {*WORDS["things"], *WORDS["ignored"]}
+_NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS}
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
+_BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
 MOST_WORDS = 60
 MOST_READINGS = 2_000
 """Most words of a question, and most steps of its readings."""
-
-
-@dataclass(frozen=True)
-class _State:
-    """What one reading has read so far."""
-
-    done: tuple[ReadCondition, ...] = ()
-    cost: float = 0.0
-    strong: frozenset[str] | None = None  # The relations that are said; not used yet
-    outer: frozenset[str] | None = (
-        None  # The same before a noun: "used for something ..."
-    )
-    weak: tuple[str, ...] = ()  # Prepositions since the last condition
-    noun: str = ""  # The relation of a noun that is counted
-    number: str = ""
-    best: str = ""
-    join: str = ""
-    negated: bool | None = None
-    is_new: bool = False
-
-    @property
-    def last(self) -> str:
-        """The relation of the last condition, "" before the first."""
-        return self.done[-1].relation if self.done else ""
-
-    @property
-    def is_bare(self) -> bool:
-        """Whether no relation was said since the last condition."""
-        return self.strong is None and self.outer is None and not self.weak
-
-    def is_end(self) -> bool:
-        """Return whether the question may end here."""
-        is_open = self.is_new or self.negated is not None or self.join not in ("", ",")
-        return bool(self.done) and not is_open
+LONGEST_NAME = 3
+"""Most words of an object's name that is recognized."""
 
 
 class _Reader:
-    """Enumerates the readings of a question."""
+    """Enumerates the readings of a question: each rule yields what a state may become."""
 
     def __init__(self, text: str, vocabulary: Vocabulary) -> None:
         self.text = text
@@ -87,30 +54,35 @@ class _Reader:
             raise self.refused(
                 f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}"
             )
-        self.matches = [list(self.match(start)) for start in range(len(self.words))]
+        starts = range(len(self.words))
+        self.matches = [list(self.match(start)) for start in starts]
+        self.object_lengths = list(map(self.object_length, starts))
 
     def refused(self, why: str) -> UserError:
         """Return the error of a question that is not understood, with the nearest conditions."""
-        near = self.vocabulary.nearest(
-            [word for word in self.words if word not in _NO_VALUE]
+        values = [word for word in self.words if word not in _NO_VALUE]
+        nearest = self.vocabulary.nearest(values)
+        return UserError(
+            f"The question {self.text!r} is not understood: {why}. {nearest}"
         )
-        return UserError(f"The question {self.text!r} is not understood: {why}. {near}")
 
-    def best(self) -> list[ReadCondition]:
+    def best(self) -> tuple[ReadCondition, ...]:
         """Return the conditions of the nearest reading."""
         if self.words[0] in WORDS["unanswered"]:
             raise self.refused("only questions for an object are answered")
-        reached = [dict[_State, None]() for _ in range(len(self.words) + 1)]  # in order
-        reached[0][_State()] = None
-        for start, states in enumerate(reached[:-1]):
+        # By position, in order, once each
+        reached = [dict[ReadingState, None]() for _ in range(len(self.words) + 1)]
+        reached[0][ReadingState()] = None
+        for states in reached[:-1]:
             for state in states:
-                for length, following in self.following(start, state):
-                    reached[start + length][following] = None
+                for following in self.following(state):
+                    reached[following.position][following] = None
             if len(states) > MOST_READINGS:
                 raise self.refused("it can be read in too many ways")
-        ends = filter(_State.is_end, chain.from_iterable(map(self.closed, reached[-1])))
-        readings = dict[str, _State]()
-        for end in sorted(ends, key=lambda state: state.cost):
+        closed = chain.from_iterable(map(ReadingState.closed, reached[-1]))
+        ends = filter(ReadingState.is_end, closed)
+        readings: dict[str, ReadingState] = {}
+        for end in sorted(ends, key=attrgetter("cost")):
             readings.setdefault(joined(end.done), end)
         if not readings:
             raise self.refused(self.reason(max(compress(count(), reached))))
@@ -125,61 +97,103 @@ class _Reader:
             raise self.refused(
                 f"'and' and 'or' can be joined in several ways; {remedy}"
             )
-        return list(nearest.done)
+        return nearest.done
 
     def reason(self, furthest: int) -> str:
         """Return why there is no reading, all of which end at a word."""
-        for length, start in product((3, 2, 1), range(len(self.words))):
-            if self.is_object(start, length):
-                name = " ".join(self.words[start : start + length])
-                return f"{name!r} names an object, and a question describes it instead"
+        length = max(self.object_lengths)
+        if length:
+            start = self.object_lengths.index(length)
+            name = " ".join(self.words[start : start + length])
+            return f"{name!r} names an object, and a question describes it instead"
         if furthest == len(self.words):
             return "its parts do not fit together"
         return f"{self.words[furthest]!r} fits nothing here"
 
-    def following(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
-        """Yield what may be read next: a number of words, and the state behind them."""
+    def word(self, position: int) -> str:
+        """Return the word at a position, or a comma behind the end."""
+        return self.words[position] if position < len(self.words) else ","
+
+    def apart(self, start: int, name: Sequence[str]) -> float | None:
+        """Return how far the words from one on are from a name, None if they are not it."""
+        words = self.words[start : start + len(name)]
+        if len(words) < len(name):
+            return None
+        total = 0.0
+        for far in map(distance, words, name):
+            if far is None:
+                return None
+            total += far
+        return total
+
+    def match(self, start: int) -> Iterator[tuple[Entry, float]]:
+        """Yield the values that may be meant by the words from one on, and how far they are."""
         word = self.words[start]
-        if self.is_object(start, 3) or self.is_object(start, 2):
+        if word in _NO_VALUE:
+            return
+        for first, entries in self.vocabulary.by_first.items():
+            if distance(word, first) is None:
+                continue
+            for entry in entries:
+                far = self.apart(start, entry.words)
+                if far is not None:
+                    yield entry, far
+
+    def object_length(self, start: int) -> int:
+        """Return how many words from one on are the name of an object, and no value."""
+        if self.matches[start]:
+            return 0
+        length = 0
+        for name in self.vocabulary.objects:
+            if len(name) <= LONGEST_NAME and self.apart(start, name) == 0:
+                length = max(length, len(name))
+        is_word = length == 1 and self.words[start] == "can"
+        if is_word and self.word(start + 1) not in {*JOINS, *WEAK, "that"}:
+            return 0  # the verb
+        return length
+
+    def following(self, state: ReadingState) -> States:
+        """Yield the states behind what may be read next."""
+        start = state.position
+        word = self.words[start]
+        if self.object_lengths[start] > 1:
             return
         if _COMPARED.fullmatch(word):
-            yield from self.numbered(start, state)
+            yield from self.numbered(state, word)
             return
-        if word == "one" and self.vocabulary.noun(self.after(start), counted=True):
-            yield 1, replace(state, number="1", weak=())
+        if word == "one" and self.vocabulary.noun(self.word(start + 1), counted=True):
+            yield state.then(number="= 1", weak=())
         if state.noun and state.outer is None:  # "more than two parts that ..."
-            for closed in self.closed(state):
-                yield from self.following(
-                    start, replace(closed, cost=closed.cost + INFLECTED)
-                )
-        yield from self.values(start, state)
+            for closed in state.closed():
+                cost = closed.cost + INFLECTED
+                yield from self.following(replace(closed, cost=cost))
+        yield from self.values(state)
         for entry, far in self.matches[start]:
             if len(entry.words) > 1 and far <= INFLECTED:
                 return  # the "living room" is no room where something lives
-        yield from self.superlatives(start, state)
+        yield from self.superlatives(state, word)
         if word in JOINS:
-            yield from self.joins(start, state)
-        elif word in _NEGATIONS:
-            yield from self.negations(word, state)
-        elif not self.is_object(start, 1):
-            yield from self.cues(start, state)
+            yield from self.joins(state, word)
+        elif word in WORDS["negations"]:
+            yield from self.negations(state, word)
+        elif not self.object_lengths[start]:
+            yield from self.cues(state, word)
 
-    def joins(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
+    def joins(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "and", "or", "but" or a comma."""
-        word = self.words[start]
         said = state.strong or state.outer
-        if word == "but" and (said or self.words[start - 1] in WORDS["any"]):
+        if word == "but" and (said or self.words[state.position - 1] in WORDS["any"]):
             # "any colour but blue", "made of anything but metal"
-            yield 1, replace(state, strong=said, outer=None, negated=True, noun="")
+            yield state.then(strong=said, outer=None, negated=True, noun="")
             return
-        for closed in self.closed(state):
+        for closed in state.closed():
             join = JOINS[word]
             if join == "," and closed.join:
                 join = closed.join
             if closed.done or not closed.join:
-                yield 1, replace(closed, join=join, negated=None)
+                yield closed.then(join=join, negated=None)
 
-    def negations(self, word: str, state: _State) -> Iterator[tuple[int, _State]]:
+    def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
         if state.outer is not None or state.number:
             return
@@ -189,260 +203,153 @@ class _Reader:
         join = state.join
         if word == "nor":
             join = join or "and"
-        yield (
-            1,
-            replace(state, weak=weak, join=join, noun="", negated=not state.negated),
-        )
+        yield state.then(weak=weak, join=join, noun="", negated=not state.negated)
 
-    def cues(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
-        """Yield the state behind a word that says a relation, or changes nothing."""
-        word = self.words[start]
+    def cues(self, state: ReadingState, word: str) -> States:
+        """Yield the states behind a word that says a relation, or changes nothing."""
+        start = state.position
         last = "" if state.join else state.last
         said = self.vocabulary.said(word)
         if said:
-            both = said if state.strong is None else said & state.strong
+            both = said & (state.strong or said)
             if both:
-                is_counted = bool(state.number) or self.words[start - 1] == "no"
+                is_counted = state.number != "" or self.words[start - 1] == "no"
                 noun = self.vocabulary.noun(word, is_counted)
-                yield 1, replace(state, strong=both, noun=noun)
-            is_location = word == "used" and self.after(start) in ("in", "at", "on")
-            if (
-                state.strong is None
-                and not state.weak
-                and (last in said or is_location)
-            ):
-                yield 1, state  # "round shape", "red in colour", "used in the kitchen"
+                yield state.then(strong=both, noun=noun)
+            is_location = word == "used" and self.word(start + 1) in ("in", "at", "on")
+            if state.is_unsaid and (last in said or is_location):
+                yield state.then()  # "round shape", "red in colour", "used in the kitchen"
         if word in WEAK:
-            yield 1, replace(state, weak=(*state.weak, word))
+            yield state.then(weak=(*state.weak, word))
             if last and (
                 word != "with" or self.vocabulary.family(last) is FAMILIES["use"]
             ):
-                yield 1, replace(state, cost=state.cost + 0.01)  # "to drink from"
-            if start and self.words[start - 1] in _REQUESTS and not state.done:
-                yield 1, state  # "look for", "want to"
-        if word in _THINGS:
-            yield 1, self.thing(state)
-        elif word in _ABLE and not state.weak:
-            yield 1, replace(state, weak=("to",))
-            yield 1, state
-        elif word in _IGNORED or word in _ABLE:
-            yield 1, state
-        if word in _REQUESTS and not (state.done or state.strong or state.weak):
-            yield 1, state
+                yield state.then(cost=state.cost + 0.01)  # "to drink from"
+            if start and self.words[start - 1] in WORDS["requests"] and not state.done:
+                yield state.then()  # "look for", "want to"
+        if word in WORDS["things"]:
+            yield state.behind_thing()
+        elif word in _IGNORED or word in WORDS["able"]:
+            if word in WORDS["able"] and not state.weak:
+                yield state.then(weak=("to",))
+            yield state.then()
+        if word in WORDS["requests"] and state.is_unsaid and not state.done:
+            yield state.then()
 
-    def thing(self, state: _State) -> _State:
-        """Return the state behind "something", "object" or the like."""
-        if state.strong is not None:  # "used for something ..."
-            return replace(state, outer=state.strong, strong=None, weak=(), noun="")
-        if state.done and not state.join:  # "a red object"
-            whole = replace(state.done[-1], is_whole=True)
-            return replace(state, done=(*state.done[:-1], whole))
-        state = replace(state, is_new=bool(state.join))
-        if state.weak == ("of",):  # "one of the objects"
-            return replace(state, weak=())
-        return state
+    def values(self, state: ReadingState) -> States:
+        """Yield the states behind the values that stand at a place."""
+        if state.number or state.best:
+            return
+        matches = self.matches[state.position]
+        longest = max((len(entry.words) for entry, _ in matches), default=0)
+        for entry, far in matches:
+            if len(entry.words) < longest:
+                continue
+            is_verb = far == INFLECTED and entry.words[-1].endswith("ing")
+            if is_verb and not self.is_purpose(state):
+                continue
+            if far and state.weak[-1:] == ("for",) and self.has_exact(state, entry):
+                continue  # "for water" is not to water, though "water" is its verb
+            cost = self.fits(entry, state)
+            if cost is not None:
+                yield state.added(
+                    entry.text, entry.relation, longest, far + cost, state.is_bare
+                )
 
-    def is_object(self, start: int, length: int) -> bool:
-        """Return whether words are the name of an object, and no value."""
-        words = self.words[start : start + length]
-        if words == ["can"] and self.after(start) not in {*JOINS, *WEAK, "that"}:
-            return False  # the verb
-        if self.matches[start]:
-            return False
-        return any(
-            len(words) == len(name) == length and all(map(_is_same, words, name))
-            for name in self.vocabulary.objects
-        )
-
-    def after(self, start: int) -> str:
-        """Return the word behind another one, or a comma at the end."""
-        return self.words[start + 1] if start + 1 < len(self.words) else ","
-
-    def is_purpose(self, start: int, state: _State) -> bool:
+    def is_purpose(self, state: ReadingState) -> bool:
         """Return whether a value that is a verb may be meant: not by "light" and "stored"."""
-        word = self.words[start]
-        before = self.words[start - 1] if start else ""
+        word = self.words[state.position]
+        before = self.words[state.position - 1] if state.position else ""
         if word.endswith("s") and before in ("that", "which", "what"):
             return True
         is_said = state.strong is not None or "for" in state.weak or "to" in state.weak
         continues = bool(state.join and state.done) and "ing" in state.done[-1].text
         return (is_said or continues) and not word.endswith("ed")
 
-    def match(self, start: int) -> Iterator[tuple[Entry, float]]:
-        """Yield the values that may be meant by the words from one on, and how far they are."""
-        if self.words[start] in _NO_VALUE:
-            return
-        for first, entries in self.vocabulary.by_first.items():
-            if distance(self.words[start], first) is None:
-                continue
-            for entry in entries:
-                words = self.words[start : start + len(entry.words)]
-                distances = list(map(distance, words, entry.words))
-                if len(words) == len(entry.words) and None not in distances:
-                    yield entry, sum(filter(None, distances))
-
-    def values(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
-        """Yield the states behind the values that stand at a place."""
-        if state.number or state.best:
-            return
-        matches = self.matches[start]
-        longest = max((len(entry.words) for entry, _ in matches), default=0)
-        for entry, far in matches:
-            if len(entry.words) < longest:
-                continue
-            is_verb = far == INFLECTED and entry.words[-1].endswith("ing")
-            if is_verb and not self.is_purpose(start, state):
-                continue
-            if far and state.weak[-1:] == ("for",) and self.is_exact(start, entry):
-                continue  # "for water" is not to water, though "water" is its verb
-            cost = self.fits(entry, state)
-            if cost is not None:
-                condition = ReadCondition(
-                    entry.text, entry.relation, is_bare=state.is_bare
-                )
-                yield longest, self.added(state, condition, far + cost)
-
-    def is_exact(self, start: int, entry: Entry) -> bool:
-        """Return whether the words from one on are exactly another value than that of an entry."""
-        for other, far in self.matches[start]:
+    def has_exact(self, state: ReadingState, entry: Entry) -> bool:
+        """Return whether the next words are exactly another value than that of an entry."""
+        for other, far in self.matches[state.position]:
             if far == 0 and not other.inner and other.text != entry.text:
                 return True
         return False
 
-    def fits(self, entry: Entry, state: _State) -> float | None:
+    def fits(self, entry: Entry, state: ReadingState) -> float | None:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
         relation = entry.relation
-        if state.outer is not None:
-            return 0.0 if self.fits_chain(entry, state) else None
-        if entry.inner and self.vocabulary.family(entry.inner) is not FAMILIES["type"]:
+        strong = state.strong or ()
+        if state.outer is not None:  # what a thing is, that was said before it
+            if not entry.inner or relation not in state.outer:
+                return None
+            if entry.inner in strong or self.is_allowed(entry.inner, state):
+                return 0.0
             return None
-        cost = 0.5 if entry.inner else 0.0
-        is_allowed = any(self.vocabulary.allows(word, relation) for word in state.weak)
-        if state.strong is not None:
+        cost = 0.0
+        if entry.inner:
+            if self.vocabulary.family(entry.inner) is not FAMILIES["type"]:
+                return None
+            cost = 0.5
+        if strong and relation not in strong:
+            return None
+        if state.weak and not self.is_allowed(relation, state):
+            # "made by" is not "made of"
             prepositions = WEAK.intersection(self.vocabulary.words[relation][1:])
-            if prepositions and state.weak and not is_allowed:
-                return None  # "made by" is not "made of"
-            return cost if relation in state.strong else None
-        if state.weak:
-            return cost if is_allowed else None
-        last = state.last if state.join else ""
+            return None if prepositions or not strong else cost
+        if not state.is_unsaid:
+            return cost
         family = self.vocabulary.family(relation)
-        if relation == last:
+        continues = state.join != "" and state.done != ()
+        if continues and relation == state.last:
             return cost
         if entry.inner or family.relations == "":
             return None
-        if family.describes and not last:
+        if family.describes and not continues:
             return 0.0
         if family.describes or not state.done:
             return 0.05
         return None
 
-    def fits_chain(self, entry: Entry, state: _State) -> bool:
-        """Return whether a value can be read as what a thing is, that was said before it."""
-        if not entry.inner or state.outer is None or entry.relation not in state.outer:
-            return False
-        if state.strong is not None and entry.inner in state.strong:
-            return True
-        return any(self.vocabulary.allows(word, entry.inner) for word in state.weak)
+    def is_allowed(self, relation: str, state: ReadingState) -> bool:
+        """Return whether one of the last prepositions can stand before a value of a relation."""
+        return not self.vocabulary.prepositions(relation).isdisjoint(state.weak)
 
-    def added(
-        self, state: _State, condition: ReadCondition, cost: float = 0.0
-    ) -> _State:
-        """Return the state behind a condition."""
-        join = state.join or "and"
-        inherits = False
-        if state.negated is None and state.done and state.join and not state.is_new:
-            before = state.done[-1]
-            is_same = before.relation == condition.relation or join == "or"
-            is_open = (
-                before.negated and not before.is_whole
-            )  # "not the blue one, the red one"
-            inherits = is_open and condition.is_bare and is_same and join != "but"
-        whole = replace(
-            condition,
-            join=join,
-            negated=inherits if state.negated is None else state.negated,
-            inherits=inherits,
-            is_new=state.is_new,
-        )
-        return _State(done=(*state.done, whole), cost=state.cost + cost)
-
-    def closed(self, state: _State) -> Iterator[_State]:
-        """Yield the state before "and", "or" and the end, if nothing is left open."""
-        if not state.noun or state.outer is not None:
-            if state.is_bare and not state.number:
-                yield state
-            return
-        number = state.number
-        cost = 0.0
-        if not number:
-            number = "=0" if state.negated else ">=1"
-            cost = 0.3
-            state = replace(state, negated=None)
-        text = f"count {state.noun}"
-        if state.best:
-            cost = 0.0
-        else:
-            text = self.compared(text, number)
-        yield self.added(state, ReadCondition(text, state.noun, best=state.best), cost)
-
-    def compared(self, text: str, number: str) -> str:
-        """Return a comparison with a number that may have a sign."""
-        sign, digits = _COMPARED.findall(number)[0]
-        return f"{text} {sign or '='} {digits}"
-
-    def numbered(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
+    def numbered(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a number: compared with what was said, or of what follows."""
-        number = self.words[start]
-        length = 1 + (self.after(start) in WORDS["money"])
+        sign, digits = _COMPARED.findall(word)[0]
+        number = f"{sign or '='} {digits}"
+        length = 1 + (self.word(state.position + 1) in WORDS["money"])
         for relation in sorted(state.strong or ()):
-            if self.vocabulary.numbers(relation):
-                text = self.compared(relation, number)
-                yield length, self.added(state, ReadCondition(text, relation))
+            if relation in self.vocabulary.numbers:
+                yield state.added(f"{relation} {number}", relation, length)
         if state.noun:
-            yield 1, replace(state, number=number)
-        elif state.strong is None and "-" not in number and "." not in number:
-            yield 1, replace(state, number=number, weak=())
+            yield state.then(number=number)
+        elif state.strong is None and digits.isdecimal():
+            yield state.then(number=number, weak=())
 
-    def superlatives(self, start: int, state: _State) -> Iterator[tuple[int, _State]]:
+    def superlatives(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "most parts", "the cheapest", "lowest price", "cheaper than"."""
-        word, *after = (*self.words[start : start + 5], *[""] * 4)
-        extreme = "max" if word in WORDS["largest"] else "min"
-        if extreme == "max" or word in WORDS["smallest"]:
-            yield 1, replace(state, best=extreme, weak=())
-            for relation in sorted(self.vocabulary.said(after[0])):
-                if self.vocabulary.numbers(relation):
-                    yield (
-                        2,
-                        self.added(
-                            state, ReadCondition(relation, relation, best=extreme)
-                        ),
-                    )
+        end = state.position + 1
+        best = _BEST.get(word)
+        if best:
+            yield state.then(best=best, weak=())
+            for relation in sorted(self.vocabulary.said(self.word(end))):
+                if relation in self.vocabulary.numbers:
+                    yield state.added(relation, relation, length=2, best=best)
         adjective = word
-        length = 1
         if word in ("most", "least", "more", "less"):
-            adjective = after.pop(0)
-            length = 2
+            adjective = self.word(end)
+            end += 1
         relation, sign = self.vocabulary.measured(adjective)
         if not relation:
             return
         if word in ("least", "less"):
             sign = "<" if sign == ">" else ">"
+        length = end - state.position
+        number = self.word(end + 1)
         if word.endswith("est") or word in ("most", "least"):
-            extreme = "max" if sign == ">" else "min"
-            yield (
-                length,
-                self.added(state, ReadCondition(relation, relation, best=extreme)),
-            )
-        elif after[0] == "than" and re.fullmatch(NUMBER, after[1]):
-            length += 2 + (after[2] in WORDS["money"])
-            text = f"{relation} {sign} {after[1]}"
-            yield length, self.added(state, ReadCondition(text, relation))
-
-
-def _is_same(word: str, other: str) -> bool:
-    """Return whether words are the same, in singular or plural."""
-    return near(word, other, 0)
+            yield state.added(relation, relation, length, best=sign)
+        elif self.word(end) == "than" and re.fullmatch(NUMBER, number):
+            length += 2 + (self.word(end + 2) in WORDS["money"])
+            yield state.added(f"{relation} {sign} {number}", relation, length)
 
 
 def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
@@ -462,19 +369,20 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
     rest = [condition for condition in conditions if not condition.best]
     if not best:
         return joined(conditions)
-    is_or = any(condition.join == "or" for condition in conditions)
-    if len(best) > 1 or best[0].negated or is_or:
-        raise reader.refused("of superlatives it may hold one, which only 'and' joins")
     superlative = best[0]
+    is_or = any(condition.join == "or" for condition in conditions)
+    if len(best) > 1 or superlative.negated or is_or:
+        raise reader.refused("of superlatives it may hold one, which only 'and' joins")
+    relation = superlative.relation
     if superlative.text.startswith("count "):
-        numbers = vocabulary.counts(superlative.relation)
+        numbers = vocabulary.counts[relation]
     else:
-        numbers = vocabulary.numbers(superlative.relation)
-    among = holders(joined(rest)) if rest else set(vocabulary.heads)
+        numbers = vocabulary.numbers[relation]
+    among = set(vocabulary.heads)
+    if rest:
+        among = holders(joined(rest))
     values = [number for head, number in numbers.items() if head in among]
     if not values:
-        raise reader.refused(
-            f"no object that it is about has a number of {superlative.relation}"
-        )
-    extreme = max(values) if superlative.best == "max" else min(values)
+        raise reader.refused(f"no object that it is about has a number of {relation}")
+    extreme = max(values) if superlative.best == ">" else min(values)
     return joined([*rest, ReadCondition(f"{superlative.text} = {extreme:g}")])

@@ -1,11 +1,9 @@
 """Vocabulary of a graph: what can be asked about objects, and the English words that say it."""
 
 import re
-import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from difflib import get_close_matches
-from itertools import product
 from typing import NamedTuple
 
 from knowarm.asking.lexicon import (
@@ -17,13 +15,14 @@ from knowarm.asking.lexicon import (
     WORDS,
     Family,
     near,
+    spaced,
 )
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
 
 _EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can"}
-_HAVE = FAMILIES["part"].weak.split()
+_HAVE = FAMILIES["part"].weak
 
 
 class Entry(NamedTuple):
@@ -43,6 +42,13 @@ class Vocabulary:
         heads: ids of the entities that questions are about.
         colours: the colours that images show.
         objects: names of the objects, which questions do not say.
+
+    Attributes:
+        words: the words of each relation.
+        entries: what can be asked, once each.
+        by_first: the same, by the first word of its value.
+        numbers: by relation, the numbers that it states, by what it states them of.
+        counts: by relation, the number of values that it states, by entity.
     """
 
     def __init__(
@@ -54,23 +60,32 @@ class Vocabulary:
     ) -> None:
         self.graph = graph
         self.heads = heads
-        self.objects = {tuple(words_of(name)) for name in objects}
-        self.words = {COLOUR_RELATION: ["has", "colour"]}
-        entries = dict[Entry, None]()  # in order, once each
+        self.objects = set(map(words_of, objects))
+        self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
+        entries = []
         for colour in colours:
             text = f"{COLOUR_RELATION} {_quoted(colour)}"
-            entries[Entry(tuple(words_of(colour)), COLOUR_RELATION, text)] = None
+            entries.append(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
             if name_key(name) in ("hascolor", "hascolour"):
                 continue
-            entries[self._entry(name, tail)] = None
+            entries.append(self._entry(name, tail))
             for inner, end in self._pairs([tail]):
-                entries[self._entry(name, end, inner)] = None
-        self.entries = list(entries)
-        self.by_first: dict[str, list[Entry]] = defaultdict(list)
-        for entry in entries:
+                entries.append(self._entry(name, end, inner))
+        self.entries = list(dict.fromkeys(entries))
+        self.by_first = defaultdict[str, list[Entry]](list)
+        for entry in self.entries:
             if entry.words:
                 self.by_first[entry.words[0]].append(entry)
+        self.numbers = defaultdict[str, dict[int, float]](dict)
+        none = dict.fromkeys(heads, 0.0)
+        self.counts = defaultdict[str, dict[int, float]](none.copy)
+        for head, relation, tail in self._facts(heads):
+            name = graph.relation_names.short(relation)
+            self.counts[name][head] += 1
+            text = local_name(graph.names[tail])
+            if re.fullmatch(r"\d+(\.\d+)?", text):
+                self.numbers[name][head] = float(text)
 
     def _label(self, name: str) -> str:
         labels = self.graph.labels
@@ -78,32 +93,28 @@ class Vocabulary:
             return name
         return label_of(name, labels)
 
+    def _facts(self, heads: Collection[int]) -> Iterator[tuple[int, int, int]]:
+        """Yield the triples whose heads are some entities."""
+        graph = self.graph
+        for head in heads:
+            for row in graph.out_rows(head):
+                yield head, int(graph.relations[row]), int(graph.tails[row])
+
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[str, int]]:
         """Yield the relations of entities and what they lead to, and learn their words."""
-        graph = self.graph
-        pairs = set[tuple[int, int]]()
-        for head in heads:
-            rows = graph.out_rows(head)
-            pairs.update(
-                zip(
-                    graph.relations[rows].tolist(),
-                    graph.tails[rows].tolist(),
-                    strict=True,
-                )
-            )
+        names = self.graph.relation_names
+        pairs = {(relation, tail) for _, relation, tail in self._facts(heads)}
         for relation, tail in sorted(pairs):
-            name = graph.relation_names.short(relation)
-            self.words.setdefault(
-                name, words_of(self._label(graph.relation_names[relation]))
-            )
+            name = names.short(relation)
+            self.words.setdefault(name, words_of(self._label(names[relation])))
             yield name, tail
 
     def _entry(self, relation: str, tail: int, inner: str = "") -> Entry:
         """Return the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
-        name = self.graph.names[tail]
-        value = _quoted(local_name(self.graph.names.short(tail)))
+        names = self.graph.names
+        value = _quoted(local_name(names.short(tail)))
         text = f"{relation} ({inner} {value})" if inner else f"{relation} {value}"
-        return Entry(tuple(words_of(self._label(name))), relation, text, inner)
+        return Entry(words_of(self._label(names[tail])), relation, text, inner)
 
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
@@ -115,12 +126,10 @@ class Vocabulary:
 
     def said(self, word: str) -> frozenset[str]:
         """Return the relations that a word says: with its own word, or with one of its family."""
-        relations = set[str]()
+        relations = set()
         for relation, words in self.words.items():
-            names = [name for name in words if name not in _EMPTY]
-            strong = self.family(relation).strong.split()
-            is_name = any(near(word, name, DERIVED) for name in names)
-            if is_name or any(near(word, other, INFLECTED) for other in strong):
+            is_name = near(word, set(words) - _EMPTY, DERIVED)
+            if is_name or near(word, self.family(relation).strong, INFLECTED):
                 relations.add(relation)
         return frozenset(relations)
 
@@ -129,94 +138,59 @@ class Vocabulary:
 
         ``counted``: behind a number "use" is a noun; else it may be a verb, as "uses" is not.
         """
-        uses = WORDS["uses"] + WORDS["use"] if counted else WORDS["uses"]
+        is_use = word in WORDS["uses"] or (counted and word in WORDS["use"])
         for relation, words in self.words.items():
             family = self.family(relation)
             is_noun = words[0] in _HAVE or family is FAMILIES["part"]
-            if relation != COLOUR_RELATION and is_noun and near(word, words[-1], 0):
+            if relation != COLOUR_RELATION and is_noun and near(word, words[-1:], 0):
                 return relation
-            if word in uses and family is FAMILIES["use"]:
+            if is_use and family is FAMILIES["use"]:
                 return relation
         return ""
 
-    def allows(self, word: str, relation: str) -> bool:
-        """Return whether a preposition or "has" can stand before a value of a relation."""
-        return (
-            word in self.words[relation] or word in self.family(relation).weak.split()
-        )
-
-    def numbers(self, relation: str) -> dict[int, float]:
-        """Return the numbers that a relation states, by what it states them of."""
-        numbers = dict[int, float]()
-        for head, tail in self._links(relation):
-            text = local_name(self.graph.names[tail])
-            if re.fullmatch(r"\d+(\.\d+)?", text):
-                numbers[head] = float(text)
-        return numbers
-
-    def counts(self, relation: str) -> dict[int, float]:
-        """Return the number of values that a relation states, by entity."""
-        counts = dict.fromkeys(self.heads, 0.0)
-        for head, _ in self._links(relation):
-            counts[head] += 1
-        return counts
-
-    def _links(self, relation: str) -> Iterator[tuple[int, int]]:
-        """Yield the entities of which a relation states something, and what."""
-        graph = self.graph
-        for head in self.heads:
-            for row in graph.out_rows(head):
-                if graph.relation_names.short(graph.relations[row]) == relation:
-                    yield head, int(graph.tails[row])
+    def prepositions(self, relation: str) -> set[str]:
+        """Return the prepositions and forms of "have" that may precede values of a relation."""
+        return {*self.words[relation], *self.family(relation).weak}
 
     def measured(self, word: str) -> tuple[str, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<", or ""."""
-        for sign, size in ((">", "large"), ("<", "small")):
-            for relation in self.words:
-                adjectives = getattr(self.family(relation), size).split()
-                is_near = any(
-                    near(word, adjective, INFLECTED) for adjective in adjectives
-                )
-                if is_near and self.numbers(relation):
-                    return relation, sign
+        for relation in self.words:
+            family = self.family(relation)
+            if relation not in self.numbers:
+                continue
+            if near(word, family.large, INFLECTED):
+                return relation, ">"
+            if near(word, family.small, INFLECTED):
+                return relation, "<"
         return "", ""
 
     def nearest(self, words: Collection[str]) -> str:
         """Return a sentence with the conditions whose values are nearest to words."""
-        texts = list[str]()
-        by_word = dict[str, str]()
+        texts = []
+        by_word = {}
+        examples = {}
+        colours = []
         for entry in self.entries:
             by_word.update(dict.fromkeys(entry.words, entry.text))
-            if any(
-                near(word, other, SYNONYM)
-                for word, other in product(words, entry.words)
-            ):
+            if any(near(word, entry.words, SYNONYM) for word in words):
                 texts.append(entry.text)
+            if not entry.inner:
+                examples[entry.relation] = entry.text
+            if entry.relation == COLOUR_RELATION:
+                colours.append(entry.text)
         for word in words:
             texts += map(by_word.__getitem__, get_close_matches(word, by_word, n=1))
         if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
-            texts = [
-                entry.text
-                for entry in self.entries
-                if entry.relation == COLOUR_RELATION
-            ]
+            texts = colours
         if texts:
             return f"Nearest: {'; '.join(list(dict.fromkeys(texts))[:9])}."
-        examples = {
-            entry.relation: entry.text for entry in self.entries if not entry.inner
-        }
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
 
 
-def words_of(label: str) -> list[str]:
+def words_of(label: str) -> tuple[str, ...]:
     """Return the words of a name or label in lower case."""
-    text = re.sub(
-        r"^/(?:c/\w+|r)/([^/]+).*", r"\1", unicodedata.normalize("NFC", label)
-    )
-    text = re.sub(
-        r"(?<=[a-z0-9])(?=[A-Z])", " ", text
-    )  # and ConceptNet's /r/UsedFor above
-    return re.findall(r"[^\W_]+(?:\.\d+)?", text.casefold())
+    label = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", label)  # of ConceptNet
+    return tuple(re.findall(r"[^\W_]+(?:\.\d+)?", spaced(label).casefold()))
 
 
 def _quoted(name: str) -> str:

@@ -31,14 +31,8 @@ class ShowSuites:
 
     def run(self) -> None:
         """Print a table per suite."""
-        titles = [
-            "cell",
-            "episodes",
-            "success within",
-            "oracle %",
-            "open-loop %",
-            "chance %",
-        ]
+        titles = ["cell", "episodes", "success within"]
+        titles += [f"{name} %" for name in REFERENCES]
         for suite in map(read_suite, suite_names()):
             rows = []
             for cell in suite.cells.values():
@@ -89,11 +83,10 @@ class RunSuite:
             suite = replace(suite, cells=cells)
         entrants = list(map(entrant, self.policy))
         row = run_suite(suite, entrants, name=name, cells=self.cells, report=_report)
+        titles = ["cell", "controls %", "success %", "right %"]
         for table, summary in row["summary"].items():
             rows = [[cell, *_figures(row["cells"][cell])] for cell in summary["cells"]]
-            print_table(
-                f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows
-            )
+            print_table(f"{name}: {table}", titles, rows)
         if self.trial is not None:
             print("A trial: no row was written.")
             return
@@ -121,8 +114,9 @@ class VerifyRow:
         row = read_row(self.row)
         if self.tolerance and not self.play:
             raise UserError("--no-play compares no episodes: leave out --tolerance.")
+        how = "consistent; not played again"
         if self.play:
-            specs = self.policy or tuple(row["policy"]["specs"])
+            specs = self.policy or row["policy"]["specs"]
             for spec in specs:
                 if not self.policy and not is_safe(spec):
                     raise UserError(
@@ -132,11 +126,7 @@ class VerifyRow:
                     )
             entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)
-        how = (
-            "played again with the same outcomes"
-            if self.play
-            else "consistent; not played again"
-        )
+            how = "played again with the same outcomes"
         print(f"{self.row}: {how}.")
 
 
@@ -163,14 +153,15 @@ def _percent(share: float | None) -> str:
 
 
 def _figures(cell: dict[str, Any]) -> list[str]:
+    """Return the cells of a table for the controls, success and right choices."""
     controls = [f"{name} {_percent(share)}" for name, share in cell["controls"].items()]
-    right = "-"
-    if "right" in cell:
-        right = _interval(cell["right"])
-    return [", ".join(controls), _interval(cell["success"]), right]
+    success = _interval(cell["success"])
+    return [", ".join(controls), success, _interval(cell.get("right"))]
 
 
-def _interval(figures: dict[str, float]) -> str:
+def _interval(figures: dict[str, float] | None) -> str:
+    if figures is None:
+        return "-"
     mean = _percent(figures["mean"])
     return f"{mean} [{_percent(figures['low'])}, {_percent(figures['high'])}]"
 

@@ -27,11 +27,13 @@ class OnnxPolicy:
         options.intra_op_num_threads = 1  # sums in the same order on every machine
         with reading(path, "Give the ONNX file of a policy."):
             self._session = session = onnxruntime.InferenceSession(path, options)
-        sizes = {tensor.name: tensor.shape[1:] for tensor in session.get_inputs()}
-        self._observed = sizes.keys() & {"image", "joint_targets"}
-        self._state_sizes = {
-            name: sizes[name] for name in sizes if name not in self._observed
-        }
+        self._observed = set()
+        self._state_sizes = {}
+        for tensor in session.get_inputs():
+            if tensor.name in ("image", "joint_targets"):
+                self._observed.add(tensor.name)
+            else:
+                self._state_sizes[tensor.name] = tensor.shape[1:]
         if len(session.get_outputs()) != 1 + len(self._state_sizes):
             raise UserError(
                 f"{path} must have an output for the actions and one per state (all inputs but "

@@ -1,6 +1,7 @@
 """Leaderboard: rows of the benchmark as one HTML page and as Markdown, beside their controls."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ def read_rows(folder: Path) -> list[Row]:
     Raises:
         UserError: there is none, or one is not valid.
     """
-    rows = [read_row(path) for path in sorted(folder.glob("*.json"))]
+    rows = list(map(read_row, sorted(folder.glob("*.json"))))
     if not rows:
         raise UserError(f"There are no rows (*.json) in {folder}.")
     return rows
@@ -39,24 +40,25 @@ def tables(rows: Sequence[Row]) -> list[dict[str, Any]]:
     own. Rows that see nothing, or the simulator's state, are references: without rank, at the end.
     """
     result = []
-    for suite in map(read_suite, dict.fromkeys(row["suite"] for row in rows)):
+    for suite_name in dict.fromkeys(map(itemgetter("suite"), rows)):
+        suite = read_suite(suite_name)
         for name, cells in by_table(suite.cells.values()).items():
-            complete = []
+            lines = []
             for row in rows:
                 summary = row["summary"].get(name, {})
-                if row["suite"] == suite.name and summary.get("cells") == cells:
-                    complete.append(row)
-            if complete:
-                result.append(_table(suite, name, cells, complete))
+                if row["suite"] == suite_name and summary.get("cells") == cells:
+                    lines.append(_line(suite, row, summary))
+            if lines:
+                result.append(_table(suite, name, cells, lines))
     return result
 
 
 def _table(
-    suite: Suite, name: str, cells: list[str], rows: Sequence[Row]
+    suite: Suite, name: str, cells: list[str], lines: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    lines = [_line(suite, name, cells, row) for row in rows]
-    ranked = [line for line in lines if line["is_ranked"]]
-    controls: set[str] = set()
+    """Rank the lines of a table and name its columns."""
+    ranked = list(filter(itemgetter("is_ranked"), lines))
+    controls = set()
     for line in lines:
         line["rank"] = 1 + sum(other["low"] > line["high"] for other in ranked)
         controls.update(line["controls"])
@@ -65,7 +67,6 @@ def _table(
         "suite": suite,
         "name": name,
         "cells": cells,
-        "short": [cell.partition("-")[2] for cell in cells],
         "controls": [control for control in CONTROLS if control in controls],
         "binds": any(line["binding"] != NOTHING for line in lines),
         "lines": lines,
@@ -83,12 +84,13 @@ def left_out(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _line(suite: Suite, table: str, cells: list[str], row: Row) -> dict[str, Any]:
-    summary = row["summary"][table]
+def _line(suite: Suite, row: Row, summary: dict[str, Any]) -> dict[str, Any]:
     policy = row["policy"]
     inputs = policy["inputs"]
     training = policy["training"]
     controls = summary["controls"]
+    success = summary["success"]
+    cells = summary["cells"]
     count = len(policy["specs"])
     seeds = str(count)
     if training not in ("scripted", "none") and count < suite.training_seeds:
@@ -103,9 +105,9 @@ def _line(suite: Suite, table: str, cells: list[str], row: Row) -> dict[str, Any
         "blind": max(controls[name] for name in BLIND if name in controls),
         "binding": _points(binding(suite, row, cells)),
         "cells": [row["cells"][name]["success"]["mean"] for name in cells],
-        "mean": summary["success"]["mean"],
-        "low": summary["success"]["low"],
-        "high": summary["success"]["high"],
+        "mean": success["mean"],
+        "low": success["low"],
+        "high": success["high"],
     }
 
 
@@ -113,9 +115,8 @@ def _points(difference: Interval | None) -> str:
     """Return a difference of shares in points, with its interval."""
     if difference is None:
         return NOTHING
-    low = 100 * difference.low
-    high = 100 * difference.high
-    return f"{100 * difference.estimate:+.1f} [{low:+.1f}, {high:+.1f}]"
+    ends = (difference.estimate, difference.low, difference.high)
+    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * share for share in ends))
 
 
 def write_leaderboard(rows: Sequence[Row], path: Path) -> list[Path]:

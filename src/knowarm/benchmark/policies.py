@@ -133,20 +133,18 @@ def _run(spec: str) -> Entrant:
     if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((folder.checkpoints / "best").glob("*.safetensors"))
-    for name in (
+    others = (
         "config.json",
         "provenance.json",
         "knowledge.safetensors",
         PERCEPTION_FILE,
-    ):
-        file = folder.path / name
-        if file.is_file():
-            files.append(file)
+    )
+    files += filter(Path.is_file, map(folder.path.joinpath, others))
     digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
     return Entrant(
         spec=spec,
         make=make,
-        inputs=tuple(name for name in INPUTS if uses[name]),
+        inputs=tuple(filter(uses.get, INPUTS)),
         training=training,
         digest=digest(b"".join(digests)),
         controls=controls,
@@ -166,9 +164,8 @@ def _exported(spec: str, folder: Path) -> Entrant:
     has_words = len(rows) > 1
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        if has_words and not set(
-            env.config.task.asked.knowledge_rows(env.facets)
-        ) <= set(rows):
+        asked = env.config.task.asked.knowledge_rows(env.facets)
+        if has_words and set(asked).difference(rows):
             raise UserError(
                 f"{spec} knows other facets or queries than those of {cell.name}."
             )

@@ -2,11 +2,14 @@
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import knowarm
 from knowarm.arrays import Floats, Mask
@@ -64,12 +67,15 @@ def run_suite(
     """
     chosen = _chosen_cells(suite, cells)
     _check_seeds(entrants)
-    _check_cells(entrants, chosen)
-    outcomes: dict[str, list[Outcome]] = {cell.name: [] for cell in chosen}
+    for cell in chosen:  # before the first is played
+        with closing(ArmVectorEnv(cell.env, 1)) as env:
+            for entrant in entrants:
+                entrant.make(cell, env)
+    played: dict[str, Row] = {cell.name: {"outcomes": []} for cell in chosen}
     for entrant in entrants:
         for cell in chosen:
             outcome = _play_cell(suite, cell, entrant)
-            outcomes[cell.name].append(outcome)
+            played[cell.name]["outcomes"].append(outcome)
             solved = _bits(outcome["policy"]["success"]).sum()
             report(f"{cell.name}: {entrant.spec} succeeds in {solved:,} episodes")
     row = {
@@ -79,7 +85,7 @@ def run_suite(
         "name": name,
         "policy": _declared(entrants),
         "version": knowarm.__version__,
-        "cells": {cell: {"outcomes": seeds} for cell, seeds in outcomes.items()},
+        "cells": played,
     }
     return row | _figures(suite, row)
 
@@ -95,53 +101,41 @@ def _chosen_cells(suite: Suite, beginnings: Sequence[str]) -> list[Cell]:
 
 def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
     """Return what a row says about a policy."""
+    first = entrants[0]
     return {
-        "specs": [entrant.spec for entrant in entrants],
-        "digests": [entrant.digest for entrant in entrants],
-        "seeds": [entrant.seed for entrant in entrants],
-        "inputs": list(entrants[0].inputs),
-        "training": entrants[0].training,
+        "specs": list(map(attrgetter("spec"), entrants)),
+        "digests": list(map(attrgetter("digest"), entrants)),
+        "seeds": list(map(attrgetter("seed"), entrants)),
+        "inputs": list(first.inputs),
+        "training": first.training,
     }
 
 
 def _check_seeds(entrants: Sequence[Entrant]) -> None:
     """Check that the policies of a row are different training seeds of one policy."""
     for name in ("inputs", "training"):
-        values = dict.fromkeys(getattr(entrant, name) for entrant in entrants)
+        values = dict.fromkeys(map(attrgetter(name), entrants))
         if len(values) > 1:
             listed = " | ".join(map(str, values))
             raise UserError(
                 f"The seeds of one policy must have equal {name}, got {listed}."
             )
-    different = {
-        entrant.digest or f"{entrant.spec}/{entrant.seed}" for entrant in entrants
-    }
+    different = set[str]()
+    for entrant in entrants:
+        different.add(entrant.digest or f"{entrant.spec}/{entrant.seed}")
     if len(different) < len(entrants):
-        specs = ", ".join(entrant.spec for entrant in entrants)
+        specs = ", ".join(map(attrgetter("spec"), entrants))
         raise UserError(f"Give each seed once, got {specs}.")
-
-
-def _check_cells(entrants: Sequence[Entrant], cells: Sequence[Cell]) -> None:
-    """Check that every policy can play every cell, before the first is played."""
-    for cell in cells:
-        env = ArmVectorEnv(cell.env, 1)
-        try:
-            for entrant in entrants:
-                entrant.make(cell, env)
-        finally:
-            env.close()
 
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> Outcome:
     """Play one cell with one seed of a policy and with its controls."""
-    env = ArmVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
-    try:
+    num_envs = min(entrant.num_envs, len(cell.episodes))
+    with closing(ArmVectorEnv(cell.env, num_envs)) as env:
         outcome = {"policy": _play(entrant.make(cell, env), env, cell.episodes)}
         first_episodes = cell.episodes[: suite.control_episodes]
         for name, agent in _controls(cell, entrant, env).items():
             outcome[name] = _play(agent, env, first_episodes)
-    finally:
-        env.close()
     return outcome
 
 
@@ -160,13 +154,15 @@ def _required_controls(cell: Cell, inputs: Sequence[str]) -> list[str]:
 def _controls(
     cell: Cell, entrant: Entrant, env: ArmVectorEnv
 ) -> dict[str, AgentProtocol]:
-    make = entrant.make
+    def policy() -> AgentProtocol:
+        return entrant.make(cell, env)
+
     makers: dict[str, Callable[[], AgentProtocol]] = {
         "open-loop": lambda: OpenLoopAgent(cell.open_loop),
-        "black": lambda: BlindAgent(make(cell, env)),
-        "frozen": lambda: FrozenAgent(make(cell, env)),
-        "shuffled query": lambda: InformedAgent(make(cell, env), shuffled),
-        "intact graph": lambda: make(replace(cell, graph=None), env),
+        "black": lambda: BlindAgent(policy()),
+        "frozen": lambda: FrozenAgent(policy()),
+        "shuffled query": lambda: InformedAgent(policy(), shuffled),
+        "intact graph": lambda: entrant.make(replace(cell, graph=None), env),
     }
     agents = {name: makers[name]() for name in _required_controls(cell, entrant.inputs)}
     for name, make_control in entrant.controls.items():
@@ -198,59 +194,58 @@ def _bits(text: str, count: int | None = None) -> Mask:
     return np.unpackbits(data)[:count].astype(bool)
 
 
+def _decoded(
+    suite: Suite, row: Row, cell: str, who: str, measure: str
+) -> NDArray[np.bool_]:
+    """Return the outcomes of a policy or control in a cell, (seeds, episodes)."""
+    count = suite.episodes_played(cell, who)
+    outcomes = row["cells"][cell]["outcomes"]
+    return np.array([_bits(outcome[who][measure], count) for outcome in outcomes])
+
+
 def _figures(suite: Suite, row: Row) -> dict[str, Any]:
     """Compute the figures of every cell, and their means by table, from the episodes' outcomes."""
     cells: dict[str, Any] = {}
-    successes: dict[str, list[Mask]] = {}
     for name, cell in row["cells"].items():
         outcomes = cell["outcomes"]
-        count = len(suite.cells[name].episodes)
-        measures: dict[str, Any] = {}
+        figures: dict[str, Any] = {}
         for measure in outcomes[0]["policy"]:
-            seeds = [_bits(outcome["policy"][measure], count) for outcome in outcomes]
-            measures[measure] = _share(seeds, count)
-            if measure == "success":
-                successes[name] = seeds
-        count = suite.episodes_of_controls(name)
+            seeds = _decoded(suite, row, name, "policy", measure)
+            figures[measure] = _share(seeds, seeds.shape[1])
         controls = {}
         for control in CONTROLS:
             if control in outcomes[0]:
-                seeds = [
-                    _bits(outcome[control]["success"], count) for outcome in outcomes
-                ]
-                controls[control] = float(np.mean([bits.mean() for bits in seeds]))
-        cells[name] = {**measures, "controls": controls, "outcomes": outcomes}
+                seeds = _decoded(suite, row, name, control, "success")
+                controls[control] = float(seeds.mean(axis=1).mean())
+        cells[name] = {**figures, "controls": controls, "outcomes": outcomes}
     summary = {}
-    for table, names in by_table(suite.cells[name] for name in cells).items():
-        of_cells = [cells[name]["controls"] for name in names]
+    for table, names in by_table(map(suite.cells.__getitem__, cells)).items():
         controls = {}
         for control in CONTROLS:
-            if all(control in shares for shares in of_cells):
-                controls[control] = float(
-                    np.mean([shares[control] for shares in of_cells])
-                )
-        by_seed = zip(*[successes[name] for name in names], strict=True)
-        count = min(len(suite.cells[name].episodes) for name in names)
-        success = _share([np.concatenate(bits) for bits in by_seed], count)
+            shares = [cells[name]["controls"].get(control) for name in names]
+            if None not in shares:
+                controls[control] = float(np.mean(shares))
+        successes = [_decoded(suite, row, name, "policy", "success") for name in names]
+        count = min(seeds.shape[1] for seeds in successes)
+        success = _share(np.concatenate(successes, axis=1), count)
         summary[table] = {"cells": names, "success": success, "controls": controls}
     return {"cells": cells, "summary": summary}
 
 
-def _share(seeds: Sequence[Mask], episodes: int) -> dict[str, Any]:
+def _share(seeds: NDArray[np.bool_], episodes: int) -> dict[str, Any]:
     """Return a share with its interval, over training seeds if they differ, else over episodes.
 
     Args:
-        seeds: outcomes of each training seed. Seeds that end every episode in the same way count as
-            one: they may be one policy, given twice.
+        seeds: outcomes, (training seeds, episodes). Seeds that end every episode in the same way
+            count as one: they may be one policy, given twice.
         episodes: how many of a seed's outcomes are independent. Cells of a table share starts, and
             so do training seeds.
     """
-    shares = [float(bits.mean()) for bits in seeds]
-    different = {
-        bits.tobytes(): share for bits, share in zip(seeds, shares, strict=True)
-    }
-    if len(set(different.values())) > 1:
-        interval = bootstrap(np.array(list(different.values())))
+    shares = seeds.mean(axis=1).tolist()
+    by_outcomes = dict(zip(map(bytes, seeds), shares, strict=True))
+    different = list(by_outcomes.values())
+    if len(set(different)) > 1:
+        interval = bootstrap(np.array(different))
     else:
         interval = wilson(round(shares[0] * episodes), episodes)
         interval = replace(interval, estimate=shares[0])
@@ -269,17 +264,19 @@ def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
     """
     by_cell = []
     for name in names:
-        outcomes = row["cells"][name]["outcomes"]
-        if not all(
-            "right" in outcome.get("shuffled query", {}) for outcome in outcomes
-        ):
-            return None
-        count = suite.episodes_of_controls(name)
-        by_cell.append([_gain(outcome)[:count] for outcome in outcomes])
-    seeds = [np.concatenate(gains) for gains in zip(*by_cell, strict=True)]
-    means = np.array([gains.mean() for gains in seeds])
-    differ = len(set(means)) > 1
-    return bootstrap(means if differ else seeds[0], repetitions=2_000)
+        gains = []
+        count = suite.episodes_played(name, "shuffled query")
+        for outcome in row["cells"][name]["outcomes"]:
+            if "right" not in outcome.get("shuffled query", {}):
+                return None
+            gains.append(_gain(outcome)[:count])
+        by_cell.append(gains)
+    seeds = list(map(np.concatenate, zip(*by_cell, strict=True)))
+    means = np.array(list(map(np.mean, seeds)))
+    values = seeds[0]
+    if len(set(means)) > 1:
+        values = means
+    return bootstrap(values, repetitions=2_000)
 
 
 def _gain(outcome: Outcome) -> Floats:
@@ -343,7 +340,7 @@ def _check_declared(suite: Suite, row: Row) -> None:
     for name in ("seeds", "digests"):
         if len(policy[name]) != len(specs):
             raise ValueError(f"policy.{name} and policy.specs differ in length")
-    stated = [digest for digest in digests if digest]
+    stated = list(filter(None, digests))
     if len(stated) > len(set(stated)):
         raise ValueError("policy.digests names one policy twice")
     for name, cell in row["cells"].items():
@@ -385,7 +382,9 @@ def verify(
         )
     suite = read_suite(row["suite"])
     declared = _declared(entrants)
-    may_differ = ["specs", "digests"] if tolerance else ["specs"]
+    may_differ = ["specs"]
+    if tolerance:
+        may_differ.append("digests")
     for name in may_differ:
         declared[name] = row["policy"][name]
     for name, (stored, played) in differences(row["policy"], declared).items():
@@ -404,11 +403,9 @@ def verify(
                     f"({', '.join(sorted(other))})."
                 )
             for who in stored:
-                count = suite.episodes_of_controls(name)
-                if who == "policy":
-                    count = len(suite.cells[name].episodes)
-                for measure in stored[who]:
-                    old = _bits(stored[who][measure], count)
+                count = suite.episodes_played(name, who)
+                for measure, bits in stored[who].items():
+                    old = _bits(bits, count)
                     new = _bits(played[who][measure], count)
                     different = old != new
                     if different.mean() > tolerance:

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,9 +84,12 @@ class Suite:
         """SHA-256 of both files."""
         return digest(b"".join(self.data))
 
-    def episodes_of_controls(self, name: str) -> int:
-        """Return how many episodes of a cell the controls play."""
-        return min(self.control_episodes, len(self.cells[name].episodes))
+    def episodes_played(self, cell: str, who: str) -> int:
+        """Return how many episodes of a cell the "policy" or a control plays."""
+        count = len(self.cells[cell].episodes)
+        if who == "policy":
+            return count
+        return min(self.control_episodes, count)
 
 
 def by_table(cells: Iterable[Cell]) -> dict[str, list[str]]:
@@ -124,7 +126,7 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     cells = {}
     for name, cell in values.pop("cells").items():
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
-        episodes: dict[str, NDArray[Any]] = {}
+        episodes = {}
         for field in fields(Episodes):
             if field.name != "names":  # the config of the cell has them
                 episodes[field.name] = columns[f"{name}/{field.name}"]

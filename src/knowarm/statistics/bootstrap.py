@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,8 @@ class Interval:
     estimate: float  # point estimate
     low: float  # lower end
     high: float  # upper end
-    runs: tuple[float, ...] = field(
-        default=(), kw_only=True
-    )  # single ones, too few for it
+    _: KW_ONLY
+    runs: tuple[float, ...] = ()  # single ones, too few for it
 
     def named(self, name: str) -> dict[str, float]:
         """Return the numbers of a summary or table row: ``name``, ``name_low``, ``name_high``."""
@@ -44,15 +43,13 @@ def wilson(successes: int, trials: int) -> Interval:
     Raises:
         ValueError: there are no trials, or more successes than trials.
     """
-    if (
-        not 0 <= successes <= trials or trials < 1
-    ):  # SciPy checks it in some versions only
+    # SciPy checks it in some versions only
+    if not 0 <= successes <= trials or trials < 1:
         raise ValueError(
             f"successes must lie between 0 and trials, got {successes} of {trials}"
         )
-    ends = scipy.stats.binomtest(successes, trials).proportion_ci(
-        CONFIDENCE, method="wilson"
-    )
+    test = scipy.stats.binomtest(successes, trials)
+    ends = test.proportion_ci(CONFIDENCE, method="wilson")
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
 
@@ -96,9 +93,7 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
 
 
 REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles
-BLOCK = (
-    2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
-)
+BLOCK = 2_000_000  # most numbers resampled at once, which bounds the memory
 
 
 def iqm(scores: Floats, axis: int = -1) -> Floats:
@@ -190,5 +185,5 @@ def _percentiles(
         method="percentile",
         rng=np.random.default_rng(0),
     )
-    low, high = result.confidence_interval
-    return float(low), float(high)
+    low, high = map(float, result.confidence_interval)
+    return low, high

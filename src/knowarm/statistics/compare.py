@@ -5,6 +5,7 @@ import warnings
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,7 @@ class Comparison:
 
     difference: Interval  # first minus second, with the interval of the t test
     p_value: float  # two-sided p-value of no difference
-    effect_size: (
-        float | None
-    )  # in standard deviations (Cohen's d); None without any spread
+    effect_size: float | None  # in standard deviations (Cohen's d); None without spread
     first_count: int  # observations of the first agent
     second_count: int  # observations of the second agent
 
@@ -79,8 +78,9 @@ def one_way_anova(groups: Sequence[Floats]) -> tuple[float, float]:
         F value and p-value of equal means.
     """
     if not any(map(np.ptp, groups)):  # 0 / 0: no variance within to divide by
-        means = {float(np.mean(group)) for group in groups}
-        return (0.0, 1.0) if len(means) == 1 else (math.inf, 0.0)
+        if len(set(map(np.mean, groups))) == 1:
+            return 0.0, 1.0
+        return math.inf, 0.0
     result = scipy.stats.f_oneway(*groups)
     return float(result.statistic), float(result.pvalue)
 
@@ -130,9 +130,8 @@ def seeds_needed(effect_size: float) -> int | None:
         None above 10,000.
     """
     counts = range(2, 10_001)
-    index = bisect_left(
-        counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count)
-    )
+    power = partial(power_of_two_samples, effect_size)
+    index = bisect_left(counts, 0.8, key=power)
     if index == len(counts):
         return None
     return counts[index]
@@ -153,9 +152,7 @@ def _t_test(
     p_value = 0.0 if abs(difference) > rounding else 1.0
     effect_size = None
     if spread > rounding:  # False also of values that are NaN
-        with (
-            warnings.catch_warnings()
-        ):  # SciPy warns of a sample whose values are all equal
+        with warnings.catch_warnings():  # of a sample whose values are all equal
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
             result = test(first, second, **options)
         low, high = result.confidence_interval(CONFIDENCE)

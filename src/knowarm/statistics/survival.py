@@ -29,9 +29,7 @@ def median_steps(
         Estimate, low, high; None for an end that the observed runs do not show.
     """
     curve = _below_threshold(steps, reached)
-    with (
-        warnings.catch_warnings()
-    ):  # the interval is NaN, with a warning, where S is 0 or 1
+    with warnings.catch_warnings():  # the interval is NaN where S is 0 or 1
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
