@@ -50,5 +50,4 @@ def _draw_lines(
         right_and_down = project(scene, points) * [1, -1]
         pixels = (right_and_down + 1) * SIDE / 2
         if np.isfinite(pixels).all():
-            line = [tuple(pixel) for pixel in pixels.tolist()]
-            pen.line(line, fill=LINE, width=2)
+            pen.line(pixels.ravel().tolist(), fill=LINE, width=2)
