@@ -172,7 +172,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     how: Choices = {}
     build = partial(_wide_scene, path, targets)
     model = read_mjcf(path, str(path)).compile()
-    values = {"mjcf": str(path)} | _arm(model, overrides, how)
+    values: Fields = {"mjcf": str(path)} | _arm(model, overrides, how)
     scene = build(values | NO_RECTANGLE)
     is_placed = not BASE_FIELDS.isdisjoint(overrides)
     if not is_placed:

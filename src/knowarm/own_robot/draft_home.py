@@ -126,8 +126,8 @@ def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     start = np.tile(home.joints, (len(position), 1))
     offset = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
     signs = (-1.0) ** np.arange(len(start))
-    for joint in robot.start_joints:
-        start[:, joint] += offset[joint] * signs
+    moved = list(robot.start_joints)
+    start[:, moved] += np.outer(signs, offset[moved])
     start = start.clip(scene.joint_lower, scene.joint_upper)
     solver = InverseKinematics.within_angle(
         replace(scene, home=home.joints), layout.angle_deg, layout.ignore_roll

@@ -72,12 +72,12 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> Fiel
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     data = scene.at(home.joints)
     top = scene.grasp_position[:, 2].max() * 1.2
-    around = rectangle_places(scene.robot, NODES[1:])
-    places = np.repeat(target_places(scene, around), 2, axis=0)
-    places[1::2, 2] += top
+    places = target_places(scene, rectangle_places(scene.robot, NODES[1:]))
     ends = _robot_corners(scene, data)
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
-    points = np.vstack([places, ends, data.site_xpos[scene.tcp_site]])
+    tip = data.site_xpos[scene.tcp_site]
+    above = places + np.array([0, 0, top])
+    points = np.vstack([places, above, ends, tip])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = level_axes(direction)
     local = (points - look_at) @ axes
