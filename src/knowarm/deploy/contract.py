@@ -1,6 +1,7 @@
 """Contract: what a robot, camera and caller must provide to play a trained policy; its export."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from knowarm.arrays import Floats
 from knowarm.config import to_dict
 from knowarm.deploy import runner
 from knowarm.deploy.joint_map import real_joints
@@ -31,6 +33,9 @@ from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene, target_places
+
+Description = dict[str, Any]
+"""The contract, or a part of it."""
 
 WORKSPACE_MARGIN_M = 0.15
 """How far the workspace reaches beyond start poses and grasp points [m]."""
@@ -57,20 +62,15 @@ class Deployment:
     """Network that computes the knowledge from the first image and a query, or None."""
     knowledge: NDArray[np.float32]
     """Knowledge table, or table of queries for the recognition network, (rows, width)."""
-    contract: dict[str, Any]
+    contract: Description
     scene: Scene
 
     def runner(self) -> Runner:
         """Return a runner that computes with PyTorch."""
-        recognition = self.recognition
-        return Runner(
-            self.contract,
-            self.knowledge,
-            torch_model(self.policy, INPUTS),
-            None
-            if recognition is None
-            else torch_model(recognition, RECOGNITION_INPUTS),
-        )
+        models = [torch_model(self.policy, INPUTS)]
+        if self.recognition is not None:
+            models.append(torch_model(self.recognition, RECOGNITION_INPUTS))
+        return Runner(self.contract, self.knowledge, *models)
 
 
 def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployment:
@@ -84,9 +84,19 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     """
     env = trained.config.env
     rows = env.task.asked.knowledge_rows(facets_of(env))
+    table = trained.table
+    step = None
+    recognized: Description | None = None
     recognition = trained.agent.recognition
-    step = None if recognition is None else RecognitionStep(recognition)
-    table = trained.table if recognition is None else recognition.knowledge.numpy()
+    if recognition is not None:
+        table = recognition.knowledge.numpy()
+        step = RecognitionStep(recognition)
+        recognized = {
+            "file": "recognition.onnx",
+            "format": grounding.FORMAT,
+            "digest": digest(recognition.network.to_bytes()),
+            "when": "in the first image of an episode",
+        }
     scene = scene_of(env)
     if scene.joint_names != scene.robot.joints:
         raise UserError(
@@ -108,16 +118,11 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "does not set its own limit: train with that of the robot."
         )
     table = np.ascontiguousarray(table, dtype=np.float32)
-    recognized: dict[str, Any] | None = None
-    if recognition is not None:
-        network = recognition.network
-        recognized = {
-            "file": "recognition.onnx",
-            "format": grounding.FORMAT,
-            "digest": digest(network.to_bytes()),
-            "when": "in the first image of an episode",
-        }
     lower, upper = workspace(scene)
+    success = []
+    for summary in trained.folder.summaries():
+        about = {"label": summary.label, "episodes": int(summary["episodes"])}
+        success.append(about | summary.interval("success").named("success"))
     contract = {
         "format": FORMAT,
         "origin": {
@@ -144,11 +149,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "outputs": OUTPUTS[3:],
             "reset": "zeros and episode_start true at the first step of every episode",
         },
-        "success": [
-            {"label": each.label, "episodes": int(each["episodes"])}
-            | each.interval("success").named("success")
-            for each in trained.folder.summaries()
-        ],
+        "success": success,
         "digests": {},
     }
     return Deployment(PolicyStep(trained.policy), step, table, contract, scene)
@@ -199,19 +200,19 @@ def play_once(player: Runner) -> None:
     player.act({"image": np.zeros((1, size, size, 3), np.uint8)})
 
 
-def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+def tcp_position(scene: Scene, joints: Floats) -> Floats:
     """Compute the gripper's position (3,) [m], world, at joint angles (J,) [rad]."""
     return scene.at(joints).site_xpos[scene.tcp_site].copy()
 
 
-def start_spread(scene: Scene) -> NDArray[np.float64]:
+def start_spread(scene: Scene) -> Floats:
     """Return how far start poses are from home, at most, (J,) [rad]; 0 for joints at home."""
     moved = np.isin(np.arange(scene.num_joints), scene.robot.start_joints)
     half_range = (scene.joint_upper - scene.joint_lower) / 2
     return np.where(moved, scene.robot.start_fraction * half_range, 0.0)
 
 
-def workspace(scene: Scene) -> NDArray[np.float64]:
+def workspace(scene: Scene) -> Floats:
     """Return lower and upper corner, (2, 3) [m], of a box around start poses and grasp points.
 
     It ends at the height of the support.
@@ -221,28 +222,23 @@ def workspace(scene: Scene) -> NDArray[np.float64]:
     half = np.array(robot.rectangle_half_size_m)
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
     corners = target_places(scene, centre + signs * half)
-    points = [corners[None] + scene.grasp_position[:, None]]
-    spread = start_spread(scene)
+    points = [*np.concatenate(corners[:, None] + scene.grasp_position)]
     moved = list(robot.start_joints)
-    grid = np.linspace(-1, 1, 5)
-    offsets = np.stack(np.meshgrid(*[grid] * len(moved)), -1)
-    for factors in offsets.reshape(-1, len(moved)):
+    spread = start_spread(scene)[moved]
+    for factors in product(np.linspace(-1, 1, 5), repeat=len(moved)):
         start = scene.home.copy()
-        start[moved] += factors * spread[moved]
+        start[moved] += factors * spread
         start = start.clip(scene.joint_lower, scene.joint_upper)
-        points.append(tcp_position(scene, start)[None])
-    reached = np.concatenate([group.reshape(-1, 3) for group in points])
-    lower = reached.min(0) - WORKSPACE_MARGIN_M
-    upper = reached.max(0) + WORKSPACE_MARGIN_M
+        points.append(tcp_position(scene, start))
+    lower = np.min(points, axis=0) - WORKSPACE_MARGIN_M
+    upper = np.max(points, axis=0) + WORKSPACE_MARGIN_M
     lower[2] = robot.support_height_m
     return np.stack([lower, upper])
 
 
-def _joints(
-    scene: Scene, increments: NDArray[np.float64], joint_map: Path | None
-) -> dict[str, Any]:
+def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Description:
     """Describe the policy's joints, and those of the real arm where they differ."""
-    joints: dict[str, Any] = {
+    joints: Description = {
         "robot": scene.robot.name,
         "names": scene.robot.joints,
         "unit": "rad (slides: m)",
@@ -261,7 +257,7 @@ def _joints(
     return joints
 
 
-def _camera(scene: Scene, size: int) -> dict[str, Any]:
+def _camera(scene: Scene, size: int) -> Description:
     robot = scene.robot
     return {
         "size": size,

@@ -16,23 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from knowarm.arrays import Floats, Mask
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.deploy.runner import Runner, Start
 from knowarm.errors import UserError
 from knowarm.pictures import central_square
 from knowarm.reading import one_line
 
-Targets = NDArray[np.float64]
+Targets = Floats
+Pixels = NDArray[np.uint8]
 EARLIEST = 0.8  # Shortest time between two targets, in control periods
 SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
 JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
-ENCODINGS = {
-    "rgb8": [0, 1, 2],
-    "bgr8": [2, 1, 0],
-    "rgba8": [0, 1, 2],
-    "bgra8": [2, 1, 0],
-}
-"""Channels red, green and blue of a pixel, by the encodings of ROS that are read."""
+ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8")
+"""Encodings of ROS that are read; they begin with the order of a pixel's channels."""
 FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 
 
@@ -42,16 +39,10 @@ class Safety:
 
     max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
     patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
-    wait_s: float = (
-        60.0  # The same before the first step, while robot and camera start [s]
-    )
-    following_steps: float = (
-        4.0  # Largest distance of a target from the joint's angle, in MPI
-    )
+    wait_s: float = 60.0  # The same before the first step: robot and camera start [s]
+    following_steps: float = 4.0  # Largest distance of a target from the angle, in MPI
     confirm_steps: int = 5  # First steps that a person confirms one by one
-    max_steps: int | None = (
-        None  # Length of the episode; None takes that of the training
-    )
+    max_steps: int | None = None  # Length of the episode; None: that of the training
     dry_run: bool = False  # Print the steps and send nothing
 
     def __post_init__(self) -> None:
@@ -69,9 +60,7 @@ class Topics:
     compressed: bool = False  # Images are sensor_msgs/CompressedImage: JPEG or PNG
     joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
     trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
-    positions: str = (
-        ""  # If given, std_msgs/Float64MultiArray to it instead of trajectories
-    )
+    positions: str = ""  # Instead of trajectories, std_msgs/Float64MultiArray to it
     stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
     use_clock: bool = False  # Take the time from /clock, as simulators publish it
 
@@ -111,12 +100,13 @@ class Driver:
         self.period_s = float(contract["control_period_s"])
         self._mpi = float(contract["joints"]["mpi"])
         self.max_steps = safety.max_steps or int(contract["max_episode_steps"])
-        self._box_lower = np.array(contract["workspace_m"]["lower"])
-        self._box_upper = np.array(contract["workspace_m"]["upper"])
+        box = contract["workspace_m"]
+        self._box = np.array([box["lower"], box["upper"]])
         self.status = "waiting"
         self.end = ""
         self.completed = False
         self.steps = 0
+        # Each with its stamp, or the reason why there is none.
         self._inputs: dict[str, Any] = {
             "image": "not yet seen",
             "joint angles": "not yet seen",
@@ -129,36 +119,32 @@ class Driver:
         self._proposed_at = -np.inf
         self._sent_at = -np.inf
         self._held_since = np.inf
-        self._felt: tuple[Targets, float] | None = (
-            None  # the last angles and their stamp
-        )
-        self._seen: dict[
-            int, Targets
-        ] = {}  # hash of every image, and the angles at its first time
+        self._felt: tuple[Targets, float] | None = None  # last angles and their stamp
+        self._seen: dict[int, Targets] = {}  # hash of every image, and its first angles
         rows = contract["knowledge"]["rows"]
-        is_constant = len(rows) == 1
-        if knowledge not in rows and not (is_constant and knowledge is None):
+        is_needed = knowledge is not None or len(rows) > 1
+        if is_needed and knowledge not in rows:
             raise UserError(
                 f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}."
             )
         runner.is_started = False
 
-    def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
+    def see(self, image: Pixels | str, stamp_s: float) -> None:
         """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
+        self._inputs["image"] = self._judged(image, stamp_s)
+
+    def _judged(self, image: Pixels | str, stamp_s: float) -> Any:
+        """Return an image with its stamp, or the reason why it is not taken."""
         if isinstance(image, str):
-            self._inputs["image"] = image
-            return
+            return image
         size = self._runner.contract["camera"]["size"]
         if self._resize:
             image = shrunk(image, size)
         if image.shape != (size, size, 3) or image.dtype != np.uint8:
-            self._inputs["image"] = (
-                f"is {image.shape} instead of ({size}, {size}, 3); resize it"
-            )
-        elif image.min() == image.max():
-            self._inputs["image"] = "shows a single colour"
-        else:
-            self._inputs["image"] = (image, stamp_s)
+            return f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+        if image.min() == image.max():
+            return "shows a single colour"
+        return image, stamp_s
 
     def feel(
         self, names: Sequence[str], positions: Sequence[float], stamp_s: float
@@ -167,22 +153,20 @@ class Driver:
         readings = dict(zip(names, positions, strict=False))
         if readings.keys().isdisjoint(self._map.moved):
             return  # of a gripper or another robot
-        angles = self._map.from_real(
-            [readings.get(name, np.nan) for name in self.joint_names]
-        )
-        unknown = np.array(self._map.moved)[~np.isfinite(angles)]
-        if len(unknown):
-            self._inputs["joint angles"] = f"lack a number for {', '.join(unknown)}"
+        values = [readings.get(name, np.nan) for name in self.joint_names]
+        angles = self._map.from_real(values)
+        is_unknown = ~np.isfinite(angles)
+        if is_unknown.any():
+            unknown = _named(self._map.moved, is_unknown)
+            self._inputs["joint angles"] = f"lack a number for {unknown}"
             return
         before, before_s = self._felt or (angles, stamp_s)
         self._felt = (angles, stamp_s)
         most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
+        self._inputs["joint angles"] = self._felt
         if (abs(angles - before) > most).any():
-            self._inputs["joint angles"] = (
-                "jump; does another robot publish these joints?"
-            )
-        else:
-            self._inputs["joint angles"] = (angles, stamp_s)
+            problem = "jump; does another robot publish these joints?"
+            self._inputs["joint angles"] = problem
 
     def confirm(self) -> None:
         """Confirm the step that ``status`` shows; without effect where there is none."""
@@ -209,13 +193,10 @@ class Driver:
             )
         if self.end or steady - self._sent_at < EARLIEST * self.period_s:
             return None
-        if (
-            self._proposal is not None
-            and steady - self._proposed_at > self.safety.patience_s
-        ):
-            vars(self._runner).update(
-                self._before
-            )  # what is confirmed must be what is seen now
+        is_old = steady - self._proposed_at > self.safety.patience_s
+        if self._proposal is not None and is_old:
+            # What is confirmed must be what is seen now.
+            vars(self._runner).update(self._before)
             self._proposal = None
         problem = obstacle or self._old_input(now_s) or self._frozen()
         if not problem:
@@ -242,15 +223,13 @@ class Driver:
             self.stop(f"stopped after {longest:g} s: {problem}")
         return None
 
-    def _propose(self, image: NDArray[np.uint8], angles: Targets) -> Targets:
+    def _propose(self, image: Pixels, angles: Targets) -> Targets:
         """Compute the next targets."""
         runner = self._runner
         if not runner.is_started:
             joints = dict(zip(self._names, angles.tolist(), strict=True))
             runner.reset(Start(joints, self._knowledge))
-        if (
-            self.safety.dry_run
-        ):  # nothing follows the targets, so each step starts where the arm is
+        if self.safety.dry_run:  # nothing follows the targets: steps start at the arm
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
         self._previous = runner.targets[0].copy()
         self._is_confirmed = False
@@ -265,9 +244,8 @@ class Driver:
         moves = zip(self._names, targets - self._previous, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
-        if not (
-            is_dry or self._is_confirmed or self.steps >= self.safety.confirm_steps
-        ):
+        is_free = is_dry or self.steps >= self.safety.confirm_steps
+        if not is_free and not self._is_confirmed:
             self.status += "; Enter moves, anything else stops"
             return None
         self.status = f"dry run, {self.status}" if is_dry else "moving"
@@ -290,13 +268,9 @@ class Driver:
             if not stamp_s:
                 return f"{name} without a time stamp"
             age = now_s - stamp_s
-            if -most <= age <= most:
-                continue
-            if age < 0:
-                return (
-                    f"{name} more than {most:g} s in the future; synchronize the clocks"
-                )
-            return f"{name} more than {most:g} s old"
+            if not abs(age) <= most:
+                when = "in the future; synchronize the clocks" if age < 0 else "old"
+                return f"{name} more than {most:g} s {when}"
         return ""
 
     def _frozen(self) -> str:
@@ -318,26 +292,28 @@ class Driver:
             (is_fast, f"faster than {most / self.period_s:g} / s"),
         ):
             if is_broken.any():
-                raise ValueError(
-                    f"{', '.join(np.array(self._names)[is_broken])}: {text}"
-                )
+                raise ValueError(f"{_named(self._names, is_broken)}: {text}")
 
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
-        far = abs(targets - angles) > self.safety.following_steps * self._mpi
-        if far.any():
-            return f"{', '.join(np.array(self._names)[far])}: blocked, or moved by hand"
+        is_far = abs(targets - angles) > self.safety.following_steps * self._mpi
+        if is_far.any():
+            return f"{_named(self._names, is_far)}: blocked, or moved by hand"
         position = self._gripper(targets)
-        if ((position >= self._box_lower) & (position <= self._box_upper)).all():
+        if (position == position.clip(*self._box)).all():
             return ""
-        return (
-            f"the gripper would leave the workspace, to {position.round(2).tolist()} m"
-        )
+        place = position.round(2).tolist()
+        return f"the gripper would leave the workspace, to {place} m"
+
+
+def _named(names: Sequence[str], is_meant: Mask) -> str:
+    """List the names of joints that a mask selects."""
+    return ", ".join(np.array(names)[is_meant])
 
 
 def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
     """Average the central square of an RGB image (H, W, 3) to ``size``; smaller ones stay."""
-    is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    is_rgb = image.shape[2:] == (3,) and image.dtype == np.uint8
     if not is_rgb or min(image.shape[:2]) < size:
         return image
     return np.asarray(central_square(Image.fromarray(image), size))
@@ -345,23 +321,22 @@ def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
 
 def decoded(
     encoding: str, height: int, width: int, step: int, data: bytes
-) -> NDArray[np.uint8] | str:
+) -> Pixels | str:
     """Return the pixels (H, W, 3) RGB of a ROS image, or the reason why it cannot be read."""
     if encoding not in ENCODINGS:
-        known = ", ".join(ENCODINGS)
+        why = "is not"
         if "mono" in encoding:
-            why = f"is grey, and the policy sees colours; publish {known}"
-        else:
-            why = f"is not {known}"
-        return f"of the encoding {encoding!r} {why}"
+            why = "is grey, and the policy sees colours; publish"
+        return f"of the encoding {encoding!r} {why} {', '.join(ENCODINGS)}"
     size = len(encoding) - 1  # bytes per pixel
     if not 0 < size * width <= step or not 0 < len(data) == height * step:
         return f"has {len(data)} bytes, which are not {height} rows of {step}"
     rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : size * width]
-    return rows.reshape(height, width, size)[..., ENCODINGS[encoding]].copy()
+    channels = [encoding.index(colour) for colour in "rgb"]
+    return rows.reshape(height, width, size)[..., channels].copy()
 
 
-def decompressed(data: bytes) -> NDArray[np.uint8] | str:
+def decompressed(data: bytes) -> Pixels | str:
     """Return the pixels (H, W, 3) RGB of a JPEG or PNG file, or why it cannot be read."""
     try:
         with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:

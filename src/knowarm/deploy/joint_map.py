@@ -45,35 +45,32 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             limits[name] = tuple(model.joint(name).range)
             held.setdefault(name, float(model.joint(name).qpos0[0]))
     slides = _slides(scene)
-    same = {
-        name: RealJoint() for name in scene.joint_names if name not in robot.joint_map
-    }
+    joints = dict.fromkeys((*robot.joint_map, *scene.joint_names), RealJoint())
     entries = []
-    for joint, real in {**robot.joint_map, **same}.items():
+    for joint, real in (joints | dict(robot.joint_map)).items():
         scale, zero = _unit(joint, real.unit, *map(float, limits[joint]))
         scale *= real.sign
         offset = real.sign * zero + real.offset
         if joint in others:  # The policy does not move it.
             offset += scale * held[joint]
             scale = 0.0
-        entries.append(
-            {
-                "joint": joint,
-                "name": real.name or joint,
-                "unit": "m" if joint in slides and real.unit == "rad" else real.unit,
-                "scale": scale,
-                "offset": offset,
-            }
-        )
+        entry = {
+            "joint": joint,
+            "name": real.name or joint,
+            "unit": "m" if joint in slides and real.unit == "rad" else real.unit,
+            "scale": scale,
+            "offset": offset,
+        }
+        entries.append(entry)
     return entries
 
 
 def _slides(scene: Scene) -> list[str]:
     """Return the names of the joints that are moved along, not turned."""
-    types = dict(zip(scene.model.jnt_qposadr, scene.model.jnt_type, strict=True))
-    addresses = zip(scene.joint_names, scene.qpos_index, strict=True)
-    slide = mujoco.mjtJoint.mjJNT_SLIDE
-    return [name for name, address in addresses if types[address] == slide]
+    is_slide = scene.model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    addresses = scene.model.jnt_qposadr[is_slide]
+    joints = zip(scene.joint_names, scene.qpos_index, strict=True)
+    return [name for name, address in joints if address in addresses]
 
 
 def _unit(joint: str, unit: str, lower: float, upper: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from knowarm.deploy.runner import Model
+from knowarm.deploy.runner import Arrays, Model
 from knowarm.errors import packages_of
 from knowarm.policy.policy import Policy
 from knowarm.reading import replacing
@@ -113,7 +113,7 @@ def torch_model(module: nn.Module, names: Sequence[str]) -> Model:
     """Return a module as a model of the runner, computed by PyTorch."""
 
     @torch.inference_mode()
-    def call(inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+    def call(inputs: Arrays) -> list[np.ndarray]:
         arguments = [torch.from_numpy(inputs[name].copy()) for name in names]
         outputs: Any = module(*arguments)
         if not isinstance(outputs, tuple):

@@ -7,6 +7,8 @@ State and action are in the names and units of the robot's joint map.
 
 import json
 from collections import defaultdict
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,10 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 EPISODES_PER_FILE = 500
 """Episodes per data file; about 50 MB of images of 64 x 64 pixels."""
 
-_VECTORS = {STATE: "float32", ACTION: "float32", LEVELS: "int64"}
-"""Columns of one number per joint, and their types."""
-_SCALARS = {
+_COLUMNS = {
+    STATE: "float32",
+    ACTION: "float32",
+    LEVELS: "int64",
     "next.reward": "float32",
     "next.done": "bool",
     "next.success": "bool",
@@ -51,6 +54,7 @@ _SCALARS = {
     "index": "int64",
     "task_index": "int64",
 }
+"""Types of all columns but the image; the first three hold a number per joint."""
 TASKS_FRAME = {
     "index_columns": ["task"],
     "column_indexes": [],
@@ -73,8 +77,8 @@ TASKS_FRAME = {
 }
 """Data frame of the tasks that LeRobot reads: the text is its index."""
 
-_Played = tuple[str, dict[str, Any]]
-"""Text and columns of an episode."""
+_Columns = dict[str, Any]
+"""Values by the name of a column."""
 
 
 def record(
@@ -129,81 +133,106 @@ class _Writer:
         self.vectors = {STATE: about, ACTION: about, LEVELS: {"names": joints}}
         self.colours = np.zeros((3, 256), np.int64)
         self.tasks: dict[str, int] = {}
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[_Columns] = []
         self.frames = 0
         self.successes = 0
-        self.schema = self._schema()
+        self._describe_columns()
+
+    def _describe_columns(self) -> None:
+        """Make the schema, by whose metadata Hugging Face's datasets decodes images, and features.
+
+        Features are LeRobot's description of the columns.
+        """
+        size = self.env.config.image_size
+        image = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+        fields = [pa.field(self.image, image)]
+        hints: _Columns = {self.image: {"_type": "Image"}}
+        self.features: _Columns = {
+            self.image: {
+                "dtype": "image",
+                "shape": [size, size, 3],
+                "names": ["height", "width", "channels"],
+            }
+        }
+        for name, kind in _COLUMNS.items():
+            dtype = pa.type_for_alias(kind)
+            hint: _Columns = {"dtype": kind, "_type": "Value"}
+            about: _Columns = {"names": None}
+            length = 1
+            if name in self.vectors:
+                about = self.vectors[name]
+                length = len(about["names"])
+                dtype = pa.list_(dtype, length)
+                hint = {"feature": hint, "length": length, "_type": "List"}
+            fields.append(pa.field(name, dtype))
+            hints[name] = hint
+            self.features[name] = {"dtype": kind, "shape": [length], **about}
+        info = json.dumps({"info": {"features": hints}})
+        self.schema = pa.schema(fields, metadata={"huggingface": info})
 
     def write(self, agent: AgentProtocol, episodes: Episodes) -> int:
-        """Play and write everything; return the number of successes."""
-        pending: list[_Played] = []
-        file = 0
-        for first in range(0, len(episodes), self.env.num_envs):
-            pending += self._play(agent, episodes[first : first + self.env.num_envs])
-            while len(pending) >= EPISODES_PER_FILE:
-                self._write_file(pending[:EPISODES_PER_FILE], file)
-                pending = pending[EPISODES_PER_FILE:]
-                file += 1
-        if pending:
-            self._write_file(pending, file)
+        """Play and write everything, a row group per episode; return the number of successes."""
+        played = self._play(agent, episodes)
+        for file, _ in enumerate(range(0, len(episodes), EPISODES_PER_FILE)):
+            path = self.folder / DATA.format(chunk_index=0, file_index=file)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with pq.ParquetWriter(path, self.schema, compression="snappy") as writer:
+                for text, columns in islice(played, EPISODES_PER_FILE):
+                    writer.write_table(self._add_episode(text, columns, file))
         self._write_meta()
         return self.successes
 
-    def _play(self, agent: AgentProtocol, chunk: Episodes) -> list[_Played]:
-        """Play up to n episodes; return the text and the columns of each."""
+    def _play(
+        self, agent: AgentProtocol, episodes: Episodes
+    ) -> Iterator[tuple[str, _Columns]]:
+        """Play episodes, n at a time; yield the text and the columns of each."""
         env = self.env
-        played: list[_Played] = []
-        images = np.array([])
-        joints = np.array([])
-        for moment in play_steps(agent, env, chunk):
-            if moment.actions is None:  # before the first step
-                played = [
-                    (env.running.instruct(i), defaultdict(list))
-                    for i in range(len(chunk))
-                ]
-            else:
-                targets = self.joint_map.to_real(env.joint_targets)
-                for i in np.flatnonzero(moment.played):
-                    _, columns = played[i]
-                    columns[self.image].append(images[i])
-                    columns[STATE].append(joints[i])
-                    columns[ACTION].append(targets[i])
-                    columns[LEVELS].append(moment.actions[i])
-                    columns["next.reward"].append(moment.reward[i])
-                    columns["next.success"].append(bool(moment.infos["is_success"][i]))
-            images = moment.images
-            joints = self.joint_map.to_real(env.joint_positions)
-        return played
+        for first in range(0, len(episodes), env.num_envs):
+            chunk = episodes[first : first + env.num_envs]
+            played: list[tuple[str, _Columns]] = []
+            seen: _Columns = {}
+            for moment in play_steps(agent, env, chunk):
+                if moment.actions is None:  # before the first step
+                    texts = map(env.running.instruct, range(len(chunk)))
+                    played = [(text, defaultdict(list)) for text in texts]
+                else:
+                    frame = seen | {
+                        ACTION: self.joint_map.to_real(env.joint_targets),
+                        LEVELS: moment.actions,
+                        "next.reward": moment.reward,
+                        "next.success": moment.infos["is_success"],
+                    }
+                    for i in np.flatnonzero(moment.played):
+                        _, columns = played[i]
+                        for name, values in frame.items():
+                            columns[name].append(values[i])
+                seen = {
+                    self.image: moment.images,
+                    STATE: self.joint_map.to_real(env.joint_positions),
+                }
+            yield from played
 
-    def _write_file(self, played: list[_Played], file: int) -> None:
-        """Write the frames of some episodes to one data file, one row group per episode."""
-        path = self.folder / DATA.format(chunk_index=0, file_index=file)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with pq.ParquetWriter(path, self.schema, compression="snappy") as writer:
-            for text, columns in played:
-                writer.write_table(self._add_episode(text, columns, file))
-
-    def _add_episode(self, text: str, columns: dict[str, Any], file: int) -> pa.Table:
+    def _add_episode(self, text: str, columns: _Columns, file: int) -> pa.Table:
         """Return the frames of an episode, and count it."""
+        number = len(self.rows)
         length = len(columns[ACTION])
         frames = np.arange(length)
         columns["next.done"] = frames == length - 1
         columns["timestamp"] = frames * CONTROL_PERIOD_S
         columns["frame_index"] = frames
-        columns["episode_index"] = np.full(length, len(self.rows))
+        columns["episode_index"] = np.full(length, number)
         columns["index"] = self.frames + frames
-        columns["task_index"] = np.full(
-            length, self.tasks.setdefault(text, len(self.tasks))
-        )
+        task = self.tasks.setdefault(text, len(self.tasks))
+        columns["task_index"] = np.full(length, task)
         images = columns[self.image]
         files = [encode(image, "PNG", compress_level=1) for image in images]
-        arrays: dict[str, Any] = {
+        arrays: _Columns = {
             self.image: [{"bytes": data, "path": None} for data in files]
         }
         colours = count_colours(images)
         self.colours += colours
         row = {
-            "episode_index": len(self.rows),
+            "episode_index": number,
             "tasks": [text],
             "length": length,
             "data/chunk_index": 0,
@@ -213,35 +242,18 @@ class _Writer:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }
-        for name in self.schema.names:
-            if name == self.image:
-                stats = image_statistics(colours, length)
-            else:
-                stats = statistics(columns[name])
-                arrays[name] = np.asarray(columns[name]).tolist()
-            for key, value in stats.items():
-                row[f"stats/{name}/{key}"] = value
+        stats = {self.image: image_statistics(colours, length)}
+        for name in _COLUMNS:
+            values = np.asarray(columns[name])
+            stats[name] = statistics(values)
+            arrays[name] = values.tolist()
+        for name, figures in stats.items():
+            for key, figure in figures.items():
+                row[f"stats/{name}/{key}"] = figure
         self.rows.append(row)
         self.frames += length
-        self.successes += bool(columns["next.success"][-1])
+        self.successes += int(columns["next.success"][-1])
         return pa.table(arrays, schema=self.schema)
-
-    def _schema(self) -> pa.Schema:
-        """Return the columns, with the metadata by which Hugging Face's datasets decodes images."""
-        fields = [
-            pa.field(self.image, pa.struct({"bytes": pa.binary(), "path": pa.string()}))
-        ]
-        features: dict[str, Any] = {self.image: {"_type": "Image"}}
-        for name, kind in _VECTORS.items():
-            length = len(self.vectors[name]["names"])
-            fields.append(pa.field(name, pa.list_(pa.type_for_alias(kind), length)))
-            item = {"dtype": kind, "_type": "Value"}
-            features[name] = {"feature": item, "length": length, "_type": "List"}
-        for name, kind in _SCALARS.items():
-            fields.append(pa.field(name, pa.type_for_alias(kind)))
-            features[name] = {"dtype": kind, "_type": "Value"}
-        hints = {"huggingface": json.dumps({"info": {"features": features}})}
-        return pa.schema(fields, metadata=hints)
 
     def _write_meta(self) -> None:
         path = self.folder / EPISODES
@@ -264,49 +276,35 @@ class _Writer:
             "splits": {"train": f"0:{len(self.rows)}"},
             "data_path": DATA,
             "video_path": None,
-            "features": self._features(),
+            "features": self.features,
         }
         write_json(self.folder / "meta/info.json", info)
 
-    def _features(self) -> dict[str, Any]:
-        """Describe the columns as LeRobot does."""
-        size = self.env.config.image_size
-        features: dict[str, Any] = {
-            self.image: {
-                "dtype": "image",
-                "shape": [size, size, 3],
-                "names": ["height", "width", "channels"],
-            }
-        }
-        for name, kind in _VECTORS.items():
-            about = self.vectors[name]
-            features[name] = {"dtype": kind, "shape": [len(about["names"])], **about}
-        for name, kind in _SCALARS.items():
-            features[name] = {"dtype": kind, "shape": [1], "names": None}
-        return features
-
-    def _statistics(self) -> dict[str, Any]:
+    def _statistics(self) -> dict[str, _Columns]:
         """Compute the statistics of the whole dataset from its files."""
         stats = {self.image: image_statistics(self.colours, self.frames)}
-        for name in (*_VECTORS, *_SCALARS):
-            column = pq.read_table(self.folder / "data", columns=[name])[
-                name
-            ].combine_chunks()
-            values = column.flatten() if name in _VECTORS else column
-            array = values.to_numpy(zero_copy_only=False).reshape(len(column), -1)
-            stats[name] = statistics(array)
+        for name in _COLUMNS:
+            table = pq.read_table(self.folder / "data", columns=[name])
+            column = table[name].combine_chunks()
+            if name in self.vectors:
+                column = column.flatten()
+            array = column.to_numpy(zero_copy_only=False)
+            stats[name] = statistics(array.reshape(self.frames, -1))
         return stats
 
 
-def statistics(values: Any) -> dict[str, list[Any]]:
+def statistics(values: NDArray[Any]) -> _Columns:
     """Compute a column's statistics per element as LeRobot names them."""
-    array: NDArray[np.float64] = np.asarray(values, np.float64)
-    array = array.reshape(len(array), -1)
-    stats = {
-        key: getattr(array, key)(0).tolist() for key in ("min", "max", "mean", "std")
+    array = values.astype(np.float64).reshape(len(values), -1)
+    figures = {
+        "min": array.min(0),
+        "max": array.max(0),
+        "mean": array.mean(0),
+        "std": array.std(0),
     }
-    quantiles = np.quantile(array, [*QUANTILES.values()], 0).tolist()
-    stats.update(zip(QUANTILES, quantiles, strict=True))
+    quantiles = np.quantile(array, [*QUANTILES.values()], 0)
+    figures.update(zip(QUANTILES, quantiles, strict=True))
+    stats = {key: figure.tolist() for key, figure in figures.items()}
     stats["count"] = [len(array)]
     return stats
 
@@ -317,20 +315,20 @@ def count_colours(images: Any) -> NDArray[np.int64]:
     return np.stack([np.bincount(channel, minlength=256) for channel in channels])
 
 
-def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list[Any]]:
+def image_statistics(counts: NDArray[np.int64], frames: int) -> _Columns:
     """Compute statistics per channel, (3, 1, 1), in 0..1, of the counts of `count_colours`."""
     levels = np.arange(256) / 255
     shares = counts / counts.sum(1, keepdims=True)
     mean = shares @ levels
     below = np.cumsum(shares, 1)
-    values = {
+    figures = {
         "min": levels[(counts > 0).argmax(1)],
         "max": levels[255 - (counts[:, ::-1] > 0).argmax(1)],
         "mean": mean,
         "std": np.sqrt(((levels - mean[:, None]) ** 2 * shares).sum(1)),
     }
     for key, share in QUANTILES.items():
-        values[key] = levels[(below >= share).argmax(1)]
-    stats = {key: value.reshape(3, 1, 1).tolist() for key, value in values.items()}
+        figures[key] = levels[(below >= share).argmax(1)]
+    stats = {key: figure.reshape(3, 1, 1).tolist() for key, figure in figures.items()}
     stats["count"] = [frames]
     return stats

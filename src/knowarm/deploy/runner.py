@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 FORMAT = "knowarm-contract-2"
-Model = Callable[
-    [dict[str, np.ndarray]], Sequence[np.ndarray]
-]  # named inputs to outputs in order
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
+Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
+Arrays = Mapping[str, np.ndarray]
+Model = Callable[[Arrays], Sequence[np.ndarray]]  # named inputs to outputs in order
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,7 @@ class Start:
     """Start of an episode, or of n: numbers and names are arrays (n,) then."""
 
     joints: Mapping[str, Any]  # Joint angles by name [rad]
-    names: Any = (
-        None  # Row of the contract's knowledge; not read where there is only one
-    )
+    names: Any = None  # Row of the contract's knowledge, unless there is only one
 
 
 class JointMap:
@@ -41,31 +39,28 @@ class JointMap:
     ``moved`` are the names on the real arm of the policy's joints, in the policy's order.
     """
 
-    def __init__(self, joints: Mapping[str, Any]) -> None:
-        same = [
-            {"joint": n, "name": n, "scale": 1.0, "offset": 0.0}
-            for n in joints["names"]
-        ]
-        real = joints.get("real") or same
-        self.names = tuple(joint["name"] for joint in real)
+    def __init__(self, joints: Contract) -> None:
+        moved = joints["names"]
+        real = joints.get("real")
+        if not real:
+            real = [{"joint": n, "name": n, "scale": 1.0, "offset": 0.0} for n in moved]
         column = {joint["joint"]: number for number, joint in enumerate(real)}
-        self._columns = [column[name] for name in joints["names"]]
+        self._columns = [column[name] for name in moved]
+        self.names = tuple(joint["name"] for joint in real)
         self.moved = tuple(self.names[number] for number in self._columns)
         self._offset = np.array([joint["offset"] for joint in real], float)
-        self._scale = np.array(
-            [real[number]["scale"] for number in self._columns], float
-        )
-        is_finite = np.isfinite(self._offset).all() and np.isfinite(self._scale).all()
-        is_invertible = self._scale.all()
-        if not is_finite or not is_invertible or len(set(self.names)) < len(real):
+        scale = np.array([joint["scale"] for joint in real], float)
+        self._scale = scale[self._columns]
+        is_finite = np.isfinite([self._offset, scale]).all()
+        is_named = len(set(self.names)) == len(real)
+        if not (is_finite and is_named and self._scale.all()):
             raise ValueError(
                 "joints.real has names twice, or numbers that are not finite or 0"
             )
 
     def to_real(self, angles: Any) -> np.ndarray:
         """Convert the policy's joint angles (..., J) [rad] to values of the real arm (..., R)."""
-        batch = np.shape(angles)[:-1]
-        values = np.zeros((*batch, len(self.names))) + self._offset
+        values = np.tile(self._offset, (*np.shape(angles)[:-1], 1))
         values[..., self._columns] += self._scale * angles
         return values
 
@@ -90,23 +85,51 @@ class Runner:
 
     def __init__(
         self,
-        contract: dict[str, Any],
+        contract: Contract,
         knowledge: np.ndarray,
         policy: Model,
         recognition: Model | None = None,
     ) -> None:
-        check(contract, knowledge)
         joints = contract["joints"]
         self.contract = contract
         self.joint_names = tuple(joints["names"])
-        self.lower = np.array(joints["lower"])
-        self.upper = np.array(joints["upper"])
-        self.increments = np.array(joints["increments"])
+        self.lower = np.array(joints["lower"], float)
+        self.upper = np.array(joints["upper"], float)
+        self.increments = np.array(joints["increments"], float)
+        self._table = knowledge
+        self._check_contract()
         self.joint_map = JointMap(joints)
         self.is_started = False
-        self._table = knowledge
         self._policy = policy
         self._recognition = recognition
+
+    def _check_contract(self) -> None:
+        """Raise `ValueError` for a contract or table by which nothing should move."""
+        contract = self.contract
+        names = self.joint_names
+        rows = contract["knowledge"]["rows"]
+        mpi = contract["joints"]["mpi"]
+        box = np.array([*contract["workspace_m"].values()], float)
+        sizes = [
+            contract["control_period_s"],
+            contract["max_episode_steps"],
+            mpi,
+            contract["camera"]["size"],
+            contract["recurrent"]["size"],
+        ]
+        arrays = (self.lower, self.upper, self.increments, box, sizes, self._table)
+        for numbers in arrays:
+            _require(np.isfinite(numbers).all(), "numbers are finite")
+        _require(min(sizes) > 0, "periods, steps and sizes are larger than 0")
+        _require(len(set(names)) == len(names) > 0, "the names of the joints differ")
+        is_complete = self.lower.shape == self.upper.shape == (len(names),)
+        _require(is_complete, "every joint has a lower and an upper limit")
+        is_ordered = (self.lower < self.upper).all() and box.shape == (2, 3)
+        _require(is_ordered, "lower limits lie below upper ones")
+        largest = np.abs(self.increments).max(initial=0)
+        _require(largest <= mpi * (1 + 1e-6), "no action exceeds mpi")
+        is_named = len(set(rows)) == len(rows) == len(self._table) > 0
+        _require(is_named, "every row of the table has a name")
 
     @classmethod
     def load(cls, folder: str | Path) -> "Runner":
@@ -120,7 +143,7 @@ class Runner:
         files = ["policy.onnx", "knowledge.npy"]
         if contract["recognition"]:
             files.append("recognition.onnx")
-        _check_files(folder, files, contract["digests"])
+        _check_files(folder, files, contract)
         recognition = None
         if contract["recognition"]:
             recognition = _load_model(folder, "recognition.onnx", contract)
@@ -146,26 +169,26 @@ class Runner:
         self._knowledge = self._table[rows]
         size = self.contract["recurrent"]["size"]
         self._h = np.zeros((len(angles), size), np.float32)
-        self._c = np.zeros((len(angles), size), np.float32)
+        self._c = self._h
         self._first = True
         self.is_started = True
 
-    def _knowledge_rows(self, batch: Any, episodes: int) -> list[int]:
+    def _knowledge_rows(self, batch: Any, episodes: int) -> np.ndarray:
         """Return the row of the knowledge table for each episode."""
         rows = self.contract["knowledge"]["rows"]
         if len(rows) == 1:
-            return [0] * episodes
+            return np.zeros(episodes, int)
         names = np.atleast_1d(batch.names).tolist()
-        unknown = [name for name in names if name not in rows]
-        if unknown:
-            raise ValueError(
-                f"knowledge must be a row such as {rows[0]!r}, got {unknown[0]!r}"
-            )
+        for name in names:
+            if name not in rows:
+                raise ValueError(
+                    f"knowledge must be a row such as {rows[0]!r}, got {name!r}"
+                )
         if len(names) != episodes:
             raise ValueError(f"{episodes} episodes start, and {len(names)} have names")
-        return [rows.index(name) for name in names]
+        return np.array([rows.index(name) for name in names])
 
-    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
+    def act(self, observations: Arrays) -> np.ndarray:
         """Return levels (n, J) for the images (n, H, W, 3) uint8, and add them to `targets`."""
         if not self.is_started:
             raise ValueError("no episode has started; give the joint angles first")
@@ -178,9 +201,8 @@ class Runner:
             )
         if self._first and self._recognition is not None:
             # The network recognizes objects once, in the first image: later the arm hides some.
-            (self._knowledge,) = self._recognition(
-                {"image": image, "query": self._knowledge}
-            )
+            inputs = {"image": image, "query": self._knowledge}
+            (self._knowledge,) = self._recognition(inputs)
         inputs = {
             "image": image,
             "knowledge": self._knowledge,
@@ -193,9 +215,8 @@ class Runner:
         self._h = h
         self._c = c
         self._first = False
-        self.targets = (self.targets + self.increments[levels]).clip(
-            self.lower, self.upper
-        )
+        targets = self.targets + self.increments[levels]
+        self.targets = targets.clip(self.lower, self.upper)
         return levels
 
     def _check_outputs(self, levels: np.ndarray, h: np.ndarray, c: np.ndarray) -> None:
@@ -209,8 +230,9 @@ class Runner:
             )
 
 
-def _check_files(folder: Path, names: list[str], digests: Mapping[str, str]) -> None:
+def _check_files(folder: Path, names: list[str], contract: Contract) -> None:
     """Raise `ValueError` unless a folder holds the exported files, unchanged."""
+    digests = contract["digests"]
     if set(digests) != set(names):
         raise ValueError(
             f"{folder} must state digests of {', '.join(names)}; export again"
@@ -222,67 +244,30 @@ def _check_files(folder: Path, names: list[str], digests: Mapping[str, str]) -> 
             raise ValueError(f"{file} is not the exported file; export again")
 
 
-def _load_model(folder: Path, name: str, contract: Mapping[str, Any]) -> Model:
+def _load_model(folder: Path, name: str, contract: Contract) -> Model:
     """Load an ONNX model of an exported folder, which carries the fingerprint of its contract."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(folder / name)
-    if session.get_modelmeta().custom_metadata_map.get("contract") != fingerprint(
-        contract
-    ):
+    about = session.get_modelmeta().custom_metadata_map
+    if about.get("contract") != fingerprint(contract):
         raise ValueError(
             f"{folder / 'contract.json'} is not that of {name}; export again"
         )
-    inputs = [tensor.name for tensor in session.get_inputs()]
+    names = [tensor.name for tensor in session.get_inputs()]
 
-    def model(values: dict[str, np.ndarray]) -> Sequence[np.ndarray]:
-        outputs: Sequence[np.ndarray] = session.run(
-            None, {name: values[name] for name in inputs}
-        )
-        return outputs
+    def model(inputs: Arrays) -> Sequence[np.ndarray]:
+        return list(session.run(None, {name: inputs[name] for name in names}))
 
     return model
 
 
-def fingerprint(contract: Mapping[str, Any]) -> str:
+def fingerprint(contract: Contract) -> str:
     """Return the digest of a contract that its models carry: of all but the digests of files."""
-    stated = {key: value for key, value in contract.items() if key != "digests"}
+    stated = dict(contract)
+    stated.pop("digests", None)
     text = json.dumps(stated, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def check(contract: Mapping[str, Any], knowledge: np.ndarray) -> None:
-    """Raise `ValueError` for a contract or table (rows, width) by which nothing should move."""
-    joints = contract["joints"]
-    names = joints["names"]
-    rows = contract["knowledge"]["rows"]
-    box = np.array([*contract["workspace_m"].values()], float)
-    lower = np.array(joints["lower"], float)
-    upper = np.array(joints["upper"], float)
-    increments = np.array(joints["increments"], float)
-    sizes = [
-        contract["control_period_s"],
-        contract["max_episode_steps"],
-        joints["mpi"],
-        contract["camera"]["size"],
-        contract["recurrent"]["size"],
-    ]
-    arrays = (lower, upper, increments, box, sizes, knowledge)
-    _require(all(np.isfinite(array).all() for array in arrays), "numbers are finite")
-    _require(min(sizes) > 0, "periods, steps and sizes are larger than 0")
-    _require(len(set(names)) == len(names) > 0, "the names of the joints differ")
-    _require(
-        lower.shape == upper.shape == (len(names),),
-        "every joint has a lower and an upper limit",
-    )
-    _require(
-        np.all(lower < upper) and box.shape == (2, 3),
-        "lower limits lie below upper ones",
-    )
-    largest = np.abs(increments).max(initial=0)
-    _require(largest <= joints["mpi"] * (1 + 1e-6), "no action exceeds mpi")
-    is_named = len(set(rows)) == len(rows) == len(knowledge) > 0
-    _require(is_named, "every row of the table has a name")
 
 
 def _require(is_right: Any, what: str) -> None:

@@ -38,6 +38,8 @@ MOST_ENVIRONMENTS = 64
 """Values of ``env_id`` per connection, each with an episode of its own."""
 MOST_SOCKETS = 64
 """Open connections, with those that have sent no key yet; each takes a thread and three files."""
+EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+"""Errors of a system that has no file or memory for another connection."""
 KEY = re.compile(r"[!-~]{16,}")
 """Keys: visible ASCII characters, which every client can send."""
 IMAGE = "observation/image"
@@ -65,12 +67,7 @@ class _Listener(socket.socket):
                 connection, address = super().accept()
                 break
             except OSError as error:
-                if error.errno not in (
-                    errno.EMFILE,
-                    errno.ENFILE,
-                    errno.ENOBUFS,
-                    errno.ENOMEM,
-                ):
+                if error.errno not in EXHAUSTED:
                     raise
                 time.sleep(0.1)
         others = [other for other in self._open if other.fileno() >= 0]
@@ -271,9 +268,8 @@ class Episode:
             raise ValueError(f"the observation lacks the array {IMAGE!r}")
         if self._resize or observation.get(RESIZE) in (True,):
             image = shrunk(image, runner.contract["camera"]["size"])
-        starts = not runner.is_started or observation.get(RESET) in (
-            True,
-        )  # also of NumPy
+        # Members of a tuple are compared: True of NumPy counts as well.
+        starts = not runner.is_started or observation.get(RESET) in (True,)
         prompt = observation.get(PROMPT)
         if starts or (prompt is not None and prompt != self._prompt):
             question = self._read(prompt)

@@ -1,6 +1,7 @@
 """Checks of a real camera: a photograph over the simulated view, and the pose that fits points."""
 
 import csv
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,9 +83,8 @@ def fit_camera(scene: Scene, seen: Floats, places: Floats) -> FittedCamera:
         turned = start * Rotation.from_rotvec(change[3:6])
         local = turned.inv().apply(places - scene.camera_position - change[:3])
         depth = np.maximum(-local[:, 2:], 1e-3) * half_height * np.exp(change[6])
-        weak = (
-            1e-3 * change[6:]
-        )  # few points do not tell the field of view from the distance
+        # Few points do not tell the field of view from the distance.
+        weak = 1e-3 * change[6:]
         return np.concatenate([(local[:, :2] / depth - seen).ravel(), weak])
 
     fit = least_squares(errors, np.zeros(7))
@@ -123,11 +123,9 @@ def _compare(scene: Scene, camera: FittedCamera) -> list[Check]:
     robot = scene.robot
     ahead = camera.rotation.apply([0, 0, -1])
     rightward = camera.rotation.apply([1, 0, 0])
-    distance_m = np.linalg.norm(
-        np.subtract(robot.camera_look_at_m, robot.camera_position_m)
-    )
+    distance_m = math.dist(robot.camera_look_at_m, robot.camera_position_m)
     look_at = camera.position + distance_m * ahead
-    shift_m = float(np.linalg.norm(camera.position - scene.camera_position))
+    shift_m = math.dist(camera.position, scene.camera_position)
     turn = Rotation.from_matrix(scene.camera_matrix).inv() * camera.rotation
     roll_deg = np.degrees(np.arcsin(rightward[2] / np.hypot(*ahead[:2])))
     remedy = (

@@ -20,7 +20,7 @@ from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
-from knowarm.own_robot.poses import rounded
+from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.reading import one_line
@@ -72,16 +72,18 @@ WIDE_VIEW = {
 """A view in which everything is visible."""
 
 
+Choices = dict[str, str]
+"""What was chosen and why, by topic."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Draft:
     """A drafted description and how it was found."""
 
     robot: Robot  # The description
-    fields: dict[str, Any]  # Its fields as they are written to TOML
-    how: dict[str, str]  # What was chosen and why, by topic
-    success_angle_deg: (
-        float  # Orientation tolerance of the task that the arm can do [deg]
-    )
+    fields: Fields  # Its fields as they are written to TOML
+    how: Choices  # How they were found
+    success_angle_deg: float  # Orientation tolerance of the task that it can do [deg]
     ignore_roll: bool  # Whether that task ignores the rotation about the approach axis
     distance_m: float  # Distance within which an evaluation counts success [m]
 
@@ -144,9 +146,9 @@ def _toml(value: Any) -> str:
     return json.dumps(value)
 
 
-def read_overrides(settings: Sequence[str]) -> dict[str, Any]:
+def read_overrides(settings: Sequence[str]) -> Fields:
     """Read settings of the form ``field=value`` in TOML's notation."""
-    values: dict[str, Any] = {}
+    values: Fields = {}
     for setting in settings:
         try:
             values |= tomllib.loads(setting)
@@ -162,17 +164,15 @@ def read_overrides(settings: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def draft_robot(
-    path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
-) -> Draft:
+def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     """Draft the description of the arm in an MJCF file, which should reach objects.
 
     Targets are names or TOML files; overrides are fields of ``Robot`` that are not drafted.
     """
-    how: dict[str, str] = {}
+    how: Choices = {}
     build = partial(_wide_scene, path, targets)
     model = read_mjcf(path, str(path)).compile()
-    values = {"mjcf": str(path)} | _arm(model, overrides, how)
+    values: Fields = {"mjcf": str(path)} | _arm(model, overrides, how)
     scene = build(values | NO_RECTANGLE)
     is_placed = not BASE_FIELDS.isdisjoint(overrides)
     if not is_placed:
@@ -202,9 +202,7 @@ def draft_robot(
             f"{error} Tried: {tried or 'the given joints and TCP'}."
         ) from None
     _add_rectangle(layout, values, how)
-    values = _view(
-        build(values), layout, values, how, is_home_given="home" in overrides
-    )
+    values = _view(build(values), layout, values, how, "home" in overrides)
     scene = build(values)
     lag = servo_lag(scene)
     if lag >= MAX_LAG_RAD and "servo_frequency_hz" not in overrides:
@@ -214,9 +212,9 @@ def draft_robot(
         )
     robot = _robot(path, values)
     distance_m = round(SCALE * float(np.linalg.norm(robot.rectangle_half_size_m)), 2)
-    most_m = (
-        EVALUATION_M if layout.angle_deg <= EASY_DEG else EnvConfig.success_distance_m
-    )
+    most_m = EVALUATION_M
+    if layout.angle_deg > EASY_DEG:
+        most_m = EnvConfig.success_distance_m
     draft = Draft(
         robot=robot,
         fields=values,
@@ -230,11 +228,9 @@ def draft_robot(
     return draft
 
 
-def _arm(
-    model: mujoco.MjModel, overrides: Mapping[str, Any], how: dict[str, str]
-) -> dict[str, Any]:
+def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
     """Return the fields of arm and TCP, and all that are given."""
-    values: dict[str, Any] = {}
+    values: Fields = {}
     joints = overrides.get("joints", [])
     if not isinstance(joints, list):
         raise UserError(f"joints must be a list of names, got {joints!r}.")
@@ -268,7 +264,7 @@ def _rest(model: mujoco.MjModel, joints: Sequence[str]) -> list[float]:
     return rounded(rest)
 
 
-def _add_rectangle(layout: Layout, values: dict[str, Any], how: dict[str, str]) -> None:
+def _add_rectangle(layout: Layout, values: Fields, how: Choices) -> None:
     """Add the fields of a layout that are not given."""
     scene = layout.scene
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
@@ -280,8 +276,10 @@ def _add_rectangle(layout: Layout, values: dict[str, Any], how: dict[str, str]) 
     values.setdefault("rectangle_half_size_m", rounded(layout.half_size_m))
     yaws = [branch.yaw_deg for branch in layout.branches]
     usual = values.setdefault("target_yaw_deg", max(set(yaws), key=yaws.count))
-    named = zip(scene.targets, yaws, strict=True)
-    others = {target.name: yaw for target, yaw in named if yaw != usual}
+    others = {}
+    for target, yaw in zip(scene.targets, yaws, strict=True):
+        if yaw != usual:
+            others[target.name] = yaw
     if others:
         values.setdefault("target_yaws_deg", others)
     roll = ", any roll" if layout.ignore_roll else ""
@@ -295,11 +293,10 @@ def _add_rectangle(layout: Layout, values: dict[str, Any], how: dict[str, str]) 
 def _view(
     scene: Scene,
     layout: Layout,
-    values: dict[str, Any],
-    how: dict[str, str],
-    *,
+    values: Fields,
+    how: Choices,
     is_home_given: bool,
-) -> dict[str, Any]:
+) -> Fields:
     """Return the fields with those of camera and start pose before or among them."""
     homes = [Home(scene.home, 0.0, "")] if is_home_given else find_homes(scene, layout)
     values.setdefault("camera_fovy_deg", FOVY_DEG)
@@ -347,12 +344,11 @@ def shrink_distance(draft: Draft, targets: Sequence[str]) -> Draft:
     return replace(draft, distance_m=distance_m, how=how)
 
 
-def _wide_scene(path: Path, targets: Sequence[str], values: dict[str, Any]) -> Scene:
+def _wide_scene(path: Path, targets: Sequence[str], values: Fields) -> Scene:
     """Build a scene in which everything is visible, to compute with."""
     return build_scene(_robot(path, values | WIDE_VIEW), find_targets(targets))
 
 
-def _robot(path: Path, values: Mapping[str, Any]) -> Robot:
-    return from_dict(
-        Robot, {"name": path.stem, **values, "mjcf": path}, where=str(path)
-    )
+def _robot(path: Path, values: Fields) -> Robot:
+    fields = {"name": path.stem, **values, "mjcf": path}
+    return from_dict(Robot, fields, where=str(path))

@@ -7,10 +7,10 @@ contacts, which inverse kinematics does not see.
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.own_robot.object_check import MIN_ORACLE, oracle_success
+from knowarm.own_robot.poses import Fields
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots.robot import Robot
 from knowarm.world.tasks.skills.skill import Skill
@@ -21,26 +21,27 @@ ENOUGH = MIN_ORACLE + 0.1  # Success of the oracle from which no other area is t
 
 def find_area(
     robot: Robot, describe: Callable[..., str], skill: Skill
-) -> tuple[dict[str, Any], str]:
+) -> tuple[Fields, str]:
     """Find the area, of those that a skill proposes, in which its oracle succeeds most often.
 
     ``describe`` returns the description as TOML for a file, with fields that are given. Return the
     fields of the area, empty if nothing can be done, and what was found.
     """
-    best: tuple[float, dict[str, Any]] = (0.0, {})
+    best = 0.0
+    best_area: Fields = {}
     with TemporaryDirectory() as folder:
         for number, area in enumerate(skill.areas_to_try(robot)):
             file = Path(folder) / f"{skill.area}{number}.toml"
             file.write_text(describe(file, areas={skill.area: area}), "utf-8")
+            config = EnvConfig(robot=str(file), task=Task(skill=skill))
             try:
-                success = oracle_success(
-                    EnvConfig(robot=str(file), task=Task(skill=skill))
-                )
+                success = oracle_success(config)
             except UserError as error:
                 return {}, f"not possible: {error}"
-            best = max(best, (success, area), key=lambda pair: pair[0])
-            if best[0] >= ENOUGH:
+            if success > best:
+                best = success
+                best_area = area
+            if best >= ENOUGH:
                 break
-    return best[
-        1
-    ], f"the oracle succeeds in {100 * best[0]:.0f} % of the episodes in its area"
+    found = f"the oracle succeeds in {100 * best:.0f} % of the episodes in its area"
+    return best_area, found

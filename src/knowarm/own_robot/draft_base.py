@@ -1,13 +1,12 @@
 """Base of a drafted robot: turned and shifted so that the arm stands at the origin and faces x."""
 
-from typing import Any
-
 import numpy as np
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.own_robot.pixels import robot_parts
-from knowarm.own_robot.poses import rounded, sample_tips
+from knowarm.own_robot.poses import Fields, rounded, sample_tips
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
 
@@ -25,7 +24,7 @@ LEAST_REACH_M = 0.08  # Of the gripper of an arm from its first joint
 GREATEST_REACH_M = 10.0
 
 
-def place_base(scene: Scene, free: bool) -> dict[str, Any]:
+def place_base(scene: Scene, free: bool) -> Fields:
     """Return ``base_position_m`` and ``base_yaw_deg``, if they differ from the file's.
 
     The scene has the base at the file's origin. A robot whose base is ``free`` stands on the floor.
@@ -36,7 +35,7 @@ def place_base(scene: Scene, free: bool) -> dict[str, Any]:
     first = scene.joint_names[0]
     origin = scene.at(scene.home).joint(ROBOT_PREFIX + first).xanchor.copy()
     ahead = sample_tips(scene, 1000) - origin
-    reach = float(np.percentile(np.linalg.norm(ahead, axis=1), 95))
+    reach = float(np.percentile(norm(ahead, axis=1), 95))
     if not LEAST_REACH_M < reach < GREATEST_REACH_M:
         raise UserError(
             f"Robot {scene.robot.name!r}: the TCP reaches {reach:.3g} m from joint {first!r}, "
@@ -44,17 +43,18 @@ def place_base(scene: Scene, free: bool) -> dict[str, Any]:
             "that of a gripper alone holds no arm."
         )
     yaw_deg = -_faced_deg(ahead)
+    yaw = np.radians(yaw_deg)
+    sine = np.sin(yaw)
+    cosine = np.cos(yaw)
     shift = np.zeros(2)
-    if np.linalg.norm(origin[:2]) > NEAR_M:
+    if norm(origin[:2]) > NEAR_M:
         shift = -origin[:2]
-    sine = np.sin(np.radians(yaw_deg))
-    cosine = np.cos(np.radians(yaw_deg))
     x, y = np.array([[cosine, -sine], [sine, cosine]]) @ shift
     z = 0.0
     low = _lowest_m(scene, robot_parts(scene))
     if free and FLOATING_M < low < np.inf:
         z = -low
-    changed: dict[str, Any] = {}
+    changed: Fields = {}
     if yaw_deg:
         changed["base_yaw_deg"] = yaw_deg
     if yaw_deg or shift.any() or z:
@@ -67,18 +67,16 @@ def _faced_deg(ahead: Floats) -> float:
     azimuth = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
     away = np.abs((azimuth[:, None] - DIRECTIONS_DEG + 180) % 360 - 180)
     counts = (away < CONE_DEG).sum(axis=0)
-    best = 0
-    if counts[0] <= AHEAD_SHARE * counts.max():
-        best = int(counts.argmax())
-    return float(DIRECTIONS_DEG[best])
+    if counts[0] > AHEAD_SHARE * counts.max():
+        return 0.0
+    return float(DIRECTIONS_DEG[counts.argmax()])
 
 
 def lowest_fixed_m(scene: Scene) -> float:
     """Return the least height of the parts of a robot that no joint moves, at most; inf if none."""
     model = scene.model
-    return _lowest_m(
-        scene, robot_parts(scene) & (model.body_weldid[model.geom_bodyid] == 0)
-    )
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    return _lowest_m(scene, robot_parts(scene) & is_fixed)
 
 
 def _lowest_m(scene: Scene, parts: Mask) -> float:

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from mujoco import MjData, MjModel
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import unknown_name
@@ -16,35 +18,38 @@ GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNO
 SITE_WORDS = ("tcp", "pinch", "grasp", "grip", "ee", "end", "tool", "attach", "flange")
 """Sites at the tool centre point have one of these words in their name, best first."""
 
-FIRST_FINGER = (
-    3  # A joint is taken for a finger's after at least so many joints of the arm
-)
-ARM_JOINTS = (
-    4  # Several moving parts, of which one has at least so many joints, may be arms
-)
-ARM_SHARE = (
-    0.5  # Arms are at least so long, relative to what carries them; fingers are shorter
-)
-JAW_SHARE = (
-    0.5  # A fixed part that reaches at least so far along a moving one is its other jaw
-)
+FIRST_FINGER = 3
+"""A joint is taken for a finger's after at least so many joints of the arm."""
+
+ARM_JOINTS = 4
+"""Several moving parts, of which one has at least so many joints, may be arms."""
+
+ARM_SHARE = 0.5
+"""Arms are at least so long, relative to what carries them; fingers are shorter."""
+
+JAW_SHARE = 0.5
+"""A fixed part that reaches at least so far along a moving one is its other jaw."""
+
 JAW_TRAVEL_M = 0.1  # The last part of an arm slides farther than a jaw
 _MOVABLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+Ids = list[int]
+"""Ids of joints, bodies or sites of a model."""
 
 
 class JointChain(NamedTuple):
     """Joints of an arm."""
 
-    joints: list[int]  # From the base to the gripper
+    joints: Ids  # From the base to the gripper
     hand: int  # The last body they move
     end: str  # Why they end there
 
 
-def find_chain(data: mujoco.MjData, root: int) -> tuple[JointChain, list[int]]:
+def find_chain(data: MjData, root: int) -> tuple[JointChain, Ids]:
     """Return the arm that hangs on a body, or is it, and the bodies at which other arms begin."""
     model = data.model
     joints = _arm_joints(model, root)
-    others: list[int] = []
+    others: Ids = []
     body = root
     hand = root
     while True:
@@ -56,15 +61,8 @@ def find_chain(data: mujoco.MjData, root: int) -> tuple[JointChain, list[int]]:
         if len(branches) > 1 and longest > ARM_SHARE * _carried(data, joints, body):
             joints = []  # of a base, lift or waist that carries several parts
             others += arms[1:]
-        # Several branches at the end are fingers; below, the one with the most joints is the arm.
-        elif len(branches) > 1 and len(joints) >= FIRST_FINGER:
-            end = f"{len(branches)} moving parts begin"
-            break
-        if not free:
-            end = "a joint is named as a gripper's" if branches else "the chain ends"
-            break
-        if len(joints) >= FIRST_FINGER:
-            end = _finger(data, free[0])
+        else:
+            end = _end(data, len(joints), branches, free)
             if end:
                 break
         body = free[0]
@@ -78,9 +76,24 @@ def find_chain(data: mujoco.MjData, root: int) -> tuple[JointChain, list[int]]:
     return JointChain(joints, hand, end), others
 
 
-def follow_joints(model: mujoco.MjModel, names: Sequence[str]) -> JointChain:
+def _end(data: MjData, count: int, branches: Ids, free: Ids) -> str:
+    """Return why an arm of so many joints ends before its branches; '' if it goes on.
+
+    ``free`` are the branches that no name tells to be a gripper's, the longest first.
+    """
+    # Several branches at the end are fingers; below, the one with the most joints is the arm.
+    if len(branches) > 1 and count >= FIRST_FINGER:
+        return f"{len(branches)} moving parts begin"
+    if not branches:
+        return "the chain ends"
+    if not free:
+        return "a joint is named as a gripper's"
+    return _finger(data, free[0]) if count >= FIRST_FINGER else ""
+
+
+def follow_joints(model: MjModel, names: Sequence[str]) -> JointChain:
     """Return the chain of joints that are given by name."""
-    known = {model.joint(j).name: j for j in range(model.njnt)}
+    known = {name: j for j, name in enumerate(joint_names(model, range(model.njnt)))}
     for name in names:
         if name not in known:
             raise unknown_name("joint", name, known)
@@ -93,31 +106,30 @@ def follow_joints(model: mujoco.MjModel, names: Sequence[str]) -> JointChain:
         body = parts[0]
 
 
-def _moving_parts(model: mujoco.MjModel, body: int) -> list[int]:
+def _moving_parts(model: MjModel, body: int) -> Ids:
     """Return the bodies that hang on a body and have joints, or carry bodies that have."""
     children = np.flatnonzero(model.body_parentid == body)
     return [b for b in children.tolist() if b and _joint_count(model, b)]
 
 
-def _joint_count(model: mujoco.MjModel, body: int) -> int:
+def _joint_count(model: MjModel, body: int) -> int:
     """Return the number of joints of a body and all that hang on it."""
     return len(joints_of(model, subtree(model, body)))
 
 
-def _is_gripper(model: mujoco.MjModel, body: int) -> bool:
+def _is_gripper(model: MjModel, body: int) -> bool:
     """Return whether a joint of a body is named as a gripper's."""
-    return any(
-        GRIPPER_WORDS.search(model.joint(j).name) for j in joints_of(model, [body])
-    )
+    names = joint_names(model, joints_of(model, [body]))
+    return bool(GRIPPER_WORDS.search(" ".join(names)))
 
 
-def _arm_joints(model: mujoco.MjModel, body: int) -> list[int]:
+def _arm_joints(model: MjModel, body: int) -> Ids:
     """Return those of a body's joints that can be an arm's."""
     joints = joints_of(model, [body])
     return [j for j in joints if model.jnt_type[j] in _MOVABLE and model.joint(j).name]
 
 
-def _without_base(data: mujoco.MjData, joints: list[int]) -> list[int]:
+def _without_base(data: MjData, joints: Ids) -> Ids:
     """Leave out the slides of a mobile base, rail or lift before an arm of hinges."""
     slides = [is_slide(data.model, j) for j in joints]
     if all(slides):
@@ -128,18 +140,18 @@ def _without_base(data: mujoco.MjData, joints: list[int]) -> list[int]:
     return joints[first:] if slides[first:].count(False) > ARM_JOINTS else joints
 
 
-def _length(data: mujoco.MjData, body: int) -> float:
+def _length(data: MjData, body: int) -> float:
     """Return the distance from a body to the farthest of those that hang on it [m]."""
     inside = subtree(data.model, body)
-    return float(np.linalg.norm(data.xpos[inside] - data.xpos[body], axis=1).max())
+    return float(norm(data.xpos[inside] - data.xpos[body], axis=1).max())
 
 
-def _carried(data: mujoco.MjData, joints: list[int], body: int) -> float:
+def _carried(data: MjData, joints: Ids, body: int) -> float:
     """Return the length of the chain of joints up to a body [m]; 0 if there are none."""
     return polyline_m([*data.xanchor[joints], data.xpos[body]])
 
 
-def _finger(data: mujoco.MjData, body: int) -> str:
+def _finger(data: MjData, body: int) -> str:
     """Return by what a body is known as a finger: a coupling, a site before it, a fixed jaw; or ''.
 
     The body is the only one that moves where it hangs.
@@ -148,13 +160,11 @@ def _finger(data: mujoco.MjData, body: int) -> str:
     inside = subtree(model, body)
     for group in couplings(model):
         bodies = model.jnt_bodyid[group].tolist()
-        others = [
-            b for b in bodies if b not in inside and body not in subtree(model, b)
-        ]
-        if others and body in bodies:
-            return (
-                f"joints of several parts are coupled ({joint_name(model, group[0])!r})"
-            )
+        for b in bodies:
+            is_beside = b not in inside and body not in subtree(model, b)
+            if is_beside and body in bodies:
+                name = joint_name(model, group[0])
+                return f"joints of several parts are coupled ({name!r})"
     joints = joints_of(model, inside)
     if len(joints) > 1:
         return ""
@@ -165,22 +175,20 @@ def _finger(data: mujoco.MjData, body: int) -> str:
     if not joints:
         return ""
     joint = joints[0]
-    is_short = (
-        model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
-    )
-    if is_slide(model, joint) and is_short:
+    is_short = np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
+    if is_slide(model, joint) and model.jnt_limited[joint] and is_short:
         return f"the last part slides by less than {JAW_TRAVEL_M} m"
     is_jaw = _is_jaw(data, joint, geoms_of(model, inside), geoms_of(model, before))
     return "a jaw moves beside a fixed part" if is_jaw else ""
 
 
-def _is_jaw(data: mujoco.MjData, joint: int, moving: Integers, fixed: Integers) -> bool:
+def _is_jaw(data: MjData, joint: int, moving: Integers, fixed: Integers) -> bool:
     """Return whether geoms that a joint moves reach to one side, and fixed ones beside them."""
     if not len(moving) or not len(fixed):
         return False
     anchor = data.xanchor[joint]
     out = data.geom_xpos[moving].mean(axis=0) - anchor
-    length = float(np.linalg.norm(out))
+    length = float(norm(out))
     if length < 1e-6 or abs(data.xaxis[joint] @ out) > 0.3 * length:
         return False  # a wrist that rolls
     direction = out / length
@@ -190,12 +198,12 @@ def _is_jaw(data: mujoco.MjData, joint: int, moving: Integers, fixed: Integers) 
     return beside > JAW_SHARE * far and back < JAW_SHARE * far
 
 
-def fixed_to(model: mujoco.MjModel, body: int) -> list[int]:
+def fixed_to(model: MjModel, body: int) -> Ids:
     """Return the ids of a body and of those that no joint separates from it."""
     return np.flatnonzero(model.body_weldid == model.body_weldid[body]).tolist()
 
 
-def subtree(model: mujoco.MjModel, body: int) -> list[int]:
+def subtree(model: MjModel, body: int) -> Ids:
     """Return the ids of a body and all that hang on it."""
     inside = [body]
     for b in range(body + 1, model.nbody):
@@ -204,41 +212,41 @@ def subtree(model: mujoco.MjModel, body: int) -> list[int]:
     return inside
 
 
-def joints_of(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+def joints_of(model: MjModel, bodies: Sequence[int]) -> Ids:
     """Return the ids of the joints of bodies."""
     return np.flatnonzero(np.isin(model.jnt_bodyid, bodies)).tolist()
 
 
-def geoms_of(model: mujoco.MjModel, bodies: Sequence[int]) -> Integers:
+def geoms_of(model: MjModel, bodies: Sequence[int]) -> Integers:
     """Return the ids of the geoms of bodies."""
     return np.flatnonzero(np.isin(model.geom_bodyid, bodies))
 
 
-def tool_sites(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
     """Return the sites of bodies that are named as a tool centre point, best first."""
-    ranks = {}
+    names = {}
     for site in np.flatnonzero(np.isin(model.site_bodyid, bodies)).tolist():
-        name = model.site(site).name.lower()
-        words = [i for i, word in enumerate(SITE_WORDS) if word in name]
-        if words:
-            ranks[site] = words[0]
-    return sorted(ranks, key=ranks.__getitem__)
+        names[site] = model.site(site).name.lower()
+    sites: Ids = []
+    for word in SITE_WORDS:
+        sites += [s for s in names if word in names[s] and s not in sites]
+    return sites
 
 
-def is_slide(model: mujoco.MjModel, joint: int) -> bool:
+def is_slide(model: MjModel, joint: int) -> bool:
     """Return whether a joint slides."""
     return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def polyline_m(points: Sequence[Floats] | Floats) -> float:
     """Return the length of the line through points (n, 3) [m]."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return float(norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def extent(
-    data: mujoco.MjData, geoms: Integers, direction: Floats, origin: Floats
+    data: MjData, geoms: Integers, direction: Floats, origin: Floats | float = 0.0
 ) -> float:
-    """Return how far geoms reach from a point in a direction [m]."""
+    """Return how far geoms reach from a point, by default the world's, in a direction [m]."""
     middle, half = np.split(data.model.geom_aabb[geoms], 2, axis=1)
     local = direction @ data.geom_xmat[geoms].reshape(-1, 3, 3)
     ends = (data.geom_xpos[geoms] - origin) @ direction
@@ -246,19 +254,25 @@ def extent(
     return float(ends.max(initial=-np.inf))
 
 
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
+def joint_names(model: MjModel, joints: Sequence[int]) -> list[str]:
+    """Return the names of joints, '' for those without."""
+    return [model.joint(j).name for j in joints]
+
+
+def joint_name(model: MjModel, joint: int) -> str:
     """Return a joint's name, or its kind and body if it has none."""
     kind = mujoco.mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
     body = model.body(model.jnt_bodyid[joint]).name
     return model.joint(joint).name or f"unnamed {kind} joint of body {body!r}"
 
 
-def couplings(model: mujoco.MjModel) -> list[list[int]]:
+def couplings(model: MjModel) -> list[Ids]:
     """Return the joints that move together, by joint equality or fixed tendon."""
-    equalities = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
-    groups = np.column_stack([model.eq_obj1id, model.eq_obj2id])[equalities].tolist()
-    for first, count in zip(model.tendon_adr, model.tendon_num, strict=True):
-        wraps = slice(first, first + count)
-        is_joint = model.wrap_type[wraps] == mujoco.mjtWrap.mjWRAP_JOINT
-        groups.append(model.wrap_objid[wraps][is_joint].tolist())
+    is_equality = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[is_equality]
+    # What a tendon wraps is joints, or none at all.
+    is_joint = model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT
+    wrapped = np.where(is_joint, model.wrap_objid, -1)
+    tendons = np.split(wrapped, model.tendon_adr[1:])
+    groups = [group.tolist() for group in (*pairs, *tendons)]
     return [group for group in groups if len(group) > 1 and min(group) >= 0]

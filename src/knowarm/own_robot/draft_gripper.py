@@ -3,15 +3,17 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import MjData, MjModel
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import (
     JAW_SHARE,
+    Ids,
     extent,
     find_chain,
     fixed_to,
@@ -19,15 +21,18 @@ from knowarm.own_robot.draft_chain import (
     geoms_of,
     is_slide,
     joint_name,
+    joint_names,
     joints_of,
     subtree,
     tool_sites,
 )
+from knowarm.own_robot.poses import Fields
 
-AGREEING_COSINE = (
-    0.7  # From this cosine on a site's z axis counts as the approach direction
-)
-TOOL_M = 0.05  # Distance of the tool centre point in front of an arm that ends at its flange [m]
+AGREEING_COSINE = 0.7
+"""From this cosine on a site's z axis counts as the approach direction."""
+
+TOOL_M = 0.05
+"""Distance of the tool centre point in front of an arm that ends at its flange [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,20 +40,18 @@ class Gripper:
     """What was found of the arm and its tool centre point (TCP)."""
 
     joints: tuple[str, ...]  # Names of the arm's joints, base to tip
-    fields: dict[
-        str, Any
-    ]  # Fields of the description: ``tcp_...``, ``fingers``, ``held_joints``
+    fields: Fields  # ``tcp_...``, ``fingers``, ``held_joints``
     how: str  # How the joints and the TCP were chosen
 
 
-def find_gripper(model: mujoco.MjModel, given: Sequence[str] = ()) -> Gripper:
+def find_gripper(model: MjModel, given: Sequence[str] = ()) -> Gripper:
     """Find the arm's joints along the kinematic chain, and the TCP at its end.
 
     ``given`` are the joints of the arm where the file has several, base to tip.
     """
-    data = mujoco.MjData(model)
+    data = MjData(model)
     mujoco.mj_kinematics(model, data)
-    others: list[int] = []
+    others: Ids = []
     if given:
         chain = follow_joints(model, given)
     else:
@@ -58,7 +61,7 @@ def find_gripper(model: mujoco.MjModel, given: Sequence[str] = ()) -> Gripper:
             "The file has no chain of at least two named hinge or slide joints; an arm needs them. "
             "Name its joints, or list them in the description's field joints."
         )
-    names = _names(model, chain.joints)
+    names = joint_names(model, chain.joints)
     left = [joint_name(model, j) for j in range(model.njnt) if j not in chain.joints]
     how = (
         f"{len(names)} joints up to body {model.body(chain.hand).name!r}, where {chain.end}: "
@@ -66,18 +69,12 @@ def find_gripper(model: mujoco.MjModel, given: Sequence[str] = ()) -> Gripper:
     )
     for other in others:
         arm, _ = find_chain(data, other)
-        how += f"; another arm: joints = {json.dumps(_names(model, arm.joints))}"
+        how += f"; another arm: joints = {json.dumps(joint_names(model, arm.joints))}"
     fields, source = _tcp_fields(data, chain.joints[-1], chain.hand)
     return Gripper(joints=tuple(names), fields=fields, how=f"{how}; TCP: {source}")
 
 
-def _names(model: mujoco.MjModel, joints: Sequence[int]) -> list[str]:
-    return [model.joint(j).name for j in joints]
-
-
-def _tcp_fields(
-    data: mujoco.MjData, last: int, hand: int
-) -> tuple[dict[str, Any], str]:
+def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     """Return the fields of TCP and fingers of a hand after the last joint, and their source."""
     model = data.model
     inside = subtree(model, hand)
@@ -99,25 +96,23 @@ def _tcp_fields(
     else:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"
-    rotation = data.xmat[hand].reshape(3, 3)
+    to_hand = data.xmat[hand].reshape(3, 3).T
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, (rotation.T @ frame).ravel())
+    mujoco.mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
+    position = to_hand @ (point - data.xpos[hand])
     taken = [model.site(s).name for s in range(model.nsite)]
+    names = ("tcp", "knowarm_tcp", "tcp_")
     fields = {
-        "tcp_site": next(
-            name for name in ("tcp", "knowarm_tcp", "tcp_") if name not in taken
-        ),
+        "tcp_site": next(name for name in names if name not in taken),
         "tcp_body": model.body(hand).name,
-        "tcp_position_m": tuple(
-            np.round(rotation.T @ (point - data.xpos[hand]), 5).tolist()
-        ),
-        "tcp_quaternion": tuple(np.round(quaternion, 6).tolist()),
+        "tcp_position_m": tuple(position.round(5).tolist()),
+        "tcp_quaternion": tuple(quaternion.round(6).tolist()),
     }
     return fields | fingers, source
 
 
-def _fingers(data: mujoco.MjData, outer: list[int], across: Floats) -> dict[str, Any]:
+def _fingers(data: MjData, outer: Ids, across: Floats) -> Fields:
     """Return ``fingers`` and their open values in ``held_joints``, if two slide across the hand."""
     model = data.model
     slides = []
@@ -133,7 +128,7 @@ def _fingers(data: mujoco.MjData, outer: list[int], across: Floats) -> dict[str,
     outward = np.sign((first - second) @ across) or 1.0
     held = {}
     for joint, sign in zip(slides, (outward, -outward), strict=True):
-        opens = sign * float(data.xaxis[joint] @ across) > 0
+        opens = sign * (data.xaxis[joint] @ across) > 0
         name = model.joint(joint).name
         if name:
             held[name] = round(float(model.jnt_range[joint, int(opens)]), 5)
@@ -141,7 +136,7 @@ def _fingers(data: mujoco.MjData, outer: list[int], across: Floats) -> dict[str,
 
 
 def _approach(
-    data: mujoco.MjData, last: int, hand: int, fingers: list[int]
+    data: MjData, last: int, hand: int, fingers: Ids
 ) -> tuple[Floats, Floats]:
     """Return the direction out of the hand, world, and the point where hand or fingers end."""
     model = data.model
@@ -152,22 +147,19 @@ def _approach(
     centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
     middle = centres.mean(axis=0)
     out = middle - origin
-    if (
-        not fingers
-    ):  # the mesh of a flange may extend backward; what it carries continues the wrist
-        out += (
-            data.xpos[bodies[-1]]
-            - data.xpos[model.body_parentid[model.jnt_bodyid[last]]]
-        )
-    if np.linalg.norm(out) < 1e-6:
+    if not fingers:
+        # The mesh of a flange may extend backward; what it carries continues the wrist.
+        wrist = model.body_parentid[model.jnt_bodyid[last]]
+        out += data.xpos[bodies[-1]] - data.xpos[wrist]
+    if norm(out) < 1e-6:
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.
     along = axis @ out
-    length = float(np.linalg.norm(out))
-    approach = out / max(length, 1e-9)
+    length = norm(out)
+    approach = out / length
     if abs(along) > 0.3 * length:
         approach = axis * np.sign(along)
-    end = max((centres @ approach).max(), extent(data, geoms, approach, np.zeros(3)))
+    end = max((centres @ approach).max(), extent(data, geoms, approach))
     if fingers:  # which grasp a little before their ends
         end -= 0.1 * (end - origin @ approach)
     else:
@@ -180,16 +172,16 @@ def _approach(
 
 
 def _fixed_jaw(
-    data: mujoco.MjData, hand: int, finger: int, approach: Floats, end: float
+    data: MjData, hand: int, finger: int, approach: Floats, end: float
 ) -> Integers:
     """Return the geoms fixed to a hand that reach along a finger, which ends at a height."""
     start = data.xpos[finger] @ approach
     fixed = geoms_of(data.model, fixed_to(data.model, hand))
-    ends = [extent(data, np.array([g]), approach, np.zeros(3)) for g in fixed]
+    ends = [extent(data, np.array([g]), approach) for g in fixed]
     return fixed[np.array(ends) > start + JAW_SHARE * (end - start)]
 
 
-def _across(data: mujoco.MjData, fingers: list[int], approach: Floats) -> Floats:
+def _across(data: MjData, fingers: Ids, approach: Floats) -> Floats:
     """Return the direction in which the fingers open, world, perpendicular to the approach."""
     candidates = [data.xpos[a] - data.xpos[fingers[0]] for a in fingers[1:]]
     joints = joints_of(data.model, fingers)
@@ -199,7 +191,7 @@ def _across(data: mujoco.MjData, fingers: list[int], approach: Floats) -> Floats
     candidates += [np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])]
     for candidate in candidates:
         flat = candidate - (candidate @ approach) * approach
-        length = float(np.linalg.norm(flat))
-        if length > 0.3 * np.linalg.norm(candidate) > 0:
+        length = norm(flat)
+        if length > 0.3 * norm(candidate) > 0:
             return np.asarray(flat / length)
     raise AssertionError("one of two perpendicular directions lies across the approach")

@@ -20,14 +20,14 @@ HOME_OFFSET_RAD = 1.3
 HOME_CANDIDATES = 600
 """Number of poses tried."""
 
-NEAREST_DEG = (
-    55.0  # Least and greatest wanted angle between the start pose and a grasp [deg]
-)
+NEAREST_DEG = 55.0
 FARTHEST_DEG = 130.0
-TRAVEL_RAD = (
-    1.75  # Wanted largest travel of a joint from the start pose to a grasp [rad]
-)
-STEPS = 25  # Steps that the farthest grasp should take: half an episode, as for the shipped robots
+"""Least and greatest wanted angle between the start pose and a grasp."""
+
+TRAVEL_RAD = 1.75  # Wanted largest travel of a joint from the start pose to a grasp
+STEPS = 25
+"""Steps that the farthest grasp should take: half an episode, as for the shipped robots."""
+
 HOMES = 8  # Number of start poses
 DIFFERENT_RAD = 0.4  # Least difference of some joint between two of them
 MOST_TRAVEL = 1.4
@@ -77,19 +77,19 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
         + np.abs(y) / reach
     )
-    homes: list[Home] = []
+    chosen: list[int] = []
     for i in np.argsort(penalty):
-        if all(
-            np.abs(poses[i] - other.joints).max() > DIFFERENT_RAD for other in homes
-        ):
-            text = (
-                f"gripper {z[i] - support:.2f} m above the support, "
-                f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
-                f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
-            )
-            homes.append(Home(poses[i], float(travel[i]), text))
-        if len(homes) == HOMES:
-            break
+        apart = np.abs(poses[chosen] - poses[i]).max(axis=1)
+        if (apart > DIFFERENT_RAD).all():
+            chosen.append(i)
+    homes = []
+    for i in chosen[:HOMES]:
+        text = (
+            f"gripper {z[i] - support:.2f} m above the support, "
+            f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
+            f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
+        )
+        homes.append(Home(poses[i], float(travel[i]), text))
     return sorted(homes, key=lambda home: -_reached(scene, layout, home))
 
 
@@ -126,8 +126,8 @@ def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     start = np.tile(home.joints, (len(position), 1))
     offset = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
     signs = (-1.0) ** np.arange(len(start))
-    for joint in robot.start_joints:
-        start[:, joint] += offset[joint] * signs
+    moved = list(robot.start_joints)
+    start[:, moved] += np.outer(signs, offset[moved])
     start = start.clip(scene.joint_lower, scene.joint_upper)
     solver = InverseKinematics.within_angle(
         replace(scene, home=home.joints), layout.angle_deg, layout.ignore_roll

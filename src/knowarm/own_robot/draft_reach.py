@@ -1,43 +1,37 @@
 """Reach of a drafted robot: base height, rectangle and targets' directions, searched at once."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
-from knowarm.own_robot.poses import sample_joints, sample_tips
+from knowarm.own_robot.poses import Fields, sample_joints, sample_tips
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
-YAWS_DEG = (
-    180.0,
-    -135.0,
-    135.0,
-    -90.0,
-    90.0,
-)  # Directions of the targets that are tried [deg]
+YAWS_DEG = (180.0, -135.0, 135.0, -90.0, 90.0)
+"""Directions of the targets that are tried [deg]."""
+
 LARGEST = np.array([0.18, 0.4])
 """Half-sizes of the rectangle, relative to the reach: those of the shipped robots."""
 
 RECTANGLES = tuple(product((1.0, 0.75, 0.5), (0.6, 0.5, 0.7)))
 """Sizes relative to the largest, and distances of the centre relative to the reach, best first."""
 
-NODES = np.array(
-    list(product((0, -1, 1), (0, -1, 1)))
-)  # Places in a rectangle; its centre first
+NODES = np.array(list(product((0, -1, 1), repeat=2)))
+"""Places in a rectangle, relative to its half-sizes; its centre first."""
+
 STARTS = 16  # Random joint angles from which solutions are searched at the centre
 TOLERANCES_DEG = {False: (15.0,), True: (15.0, 30.0, 45.0, 60.0, 90.0)}
 """Success angles from the strictest to the easiest, by whether the roll is ignored."""
 
 MARGIN_DEG = 2.0  # Least distance of a solution from the success angle
-DISTANCE_M = (
-    0.03  # Distance from the grasp point within which a place counts as reached [m]
-)
+DISTANCE_M = 0.03  # Of a place that counts as reached from the grasp point
 SPREAD_RAD = 2.5  # Greatest wanted difference of a joint between two grasps
 
 
@@ -85,7 +79,7 @@ def reach_m(scene: Scene) -> float:
 def find_layout(
     scene_at: Callable[[float], Scene],
     heights: Sequence[float],
-    given: Mapping[str, Any],
+    given: Fields,
 ) -> Layout:
     """Search base height, rectangle and directions of the targets for the strictest task.
 
@@ -116,7 +110,7 @@ def find_layout(
 
 
 def _layouts(
-    scene: Scene, ignore_roll: bool, given: Mapping[str, Any], counts: dict[str, int]
+    scene: Scene, ignore_roll: bool, given: Fields, counts: dict[str, int]
 ) -> Iterator[Layout]:
     """Yield the layouts at a base height; count the places reached at best per target."""
     reach = reach_m(scene)
@@ -141,7 +135,7 @@ def _layouts(
                 break
 
 
-def _cases(scene: Scene, given: Mapping[str, Any]) -> list[tuple[int, float]]:
+def _cases(scene: Scene, given: Fields) -> list[tuple[int, float]]:
     """Return the indices of targets, each with a direction [deg] that is given or tried."""
     turned = given.get("target_yaws_deg", {})
     cases: list[tuple[int, float]] = []
@@ -213,10 +207,8 @@ def _is_good(solution: IKSolution, ignore_roll: bool) -> Mask:
 
 def _nearest(branches: Sequence[Sequence[Branch]]) -> list[Branch]:
     """Choose a branch per target, so that all grasps are near each other in joint angles."""
-    choices = []
-    for first in branches[0]:
-        choice = [first]
+    choices = [[first] for first in branches[0]]
+    for choice in choices:
         for others in branches[1:]:
             choice.append(min(others, key=lambda other: spread_rad([*choice, other])))
-        choices.append(choice)
     return min(choices, key=spread_rad)

@@ -2,10 +2,9 @@
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,9 +13,9 @@ from knowarm.arrays import Floats
 from knowarm.own_robot.draft_home import Home
 from knowarm.own_robot.draft_reach import NODES
 from knowarm.own_robot.pixels import SceneImages, different_pixels, robot_parts
-from knowarm.own_robot.poses import place_targets, rectangle_places
+from knowarm.own_robot.poses import Fields, place_targets, rectangle_places
 from knowarm.world.config import EnvConfig
-from knowarm.world.scene.compose import CAMERA, level_axes
+from knowarm.world.scene.compose import level_axes
 from knowarm.world.scene.scene import Scene, target_places
 
 FOVY_DEG = 40.0
@@ -42,8 +41,8 @@ FIELDS = ("camera_position_m", "camera_look_at_m", "camera_fovy_deg")
 
 
 def choose_view(
-    scene: Scene, homes: Sequence[Home], given: Mapping[str, Any]
-) -> tuple[Home, dict[str, Any], str]:
+    scene: Scene, homes: Sequence[Home], given: Fields
+) -> tuple[Home, Fields, str]:
     """Choose start pose and camera: the first that show enough of targets and arm, or most of them.
 
     Fields of the camera that are given are kept. Return the fields of the camera and a description.
@@ -69,18 +68,16 @@ def choose_view(
     return best
 
 
-def _frame(
-    scene: Scene, home: Home, direction: Floats, fovy_deg: float
-) -> dict[str, Any]:
+def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> Fields:
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     data = scene.at(home.joints)
     top = scene.grasp_position[:, 2].max() * 1.2
-    around = rectangle_places(scene.robot, NODES[1:])
-    places = np.repeat(target_places(scene, around), 2, axis=0)
-    places[1::2, 2] += top
+    places = target_places(scene, rectangle_places(scene.robot, NODES[1:]))
     ends = _robot_corners(scene, data)
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
-    points = np.concatenate([places, ends, data.site_xpos[[scene.tcp_site]]])
+    tip = data.site_xpos[scene.tcp_site]
+    above = places + np.array([0, 0, top])
+    points = np.vstack([places, above, ends, tip])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = level_axes(direction)
     local = (points - look_at) @ axes
@@ -104,20 +101,19 @@ def _robot_corners(scene: Scene, data: mujoco.MjData) -> Floats:
     return (data.geom_xpos[geoms, None] + turned).reshape(-1, 3)
 
 
-def _shown(scene: Scene, home: Home, view: Mapping[str, Any]) -> tuple[float, float]:
+def _shown(scene: Scene, home: Home, view: Fields) -> tuple[float, float]:
     """Return the least pixels of a target at a place, and the share of the image with the robot."""
     model = copy.copy(scene.model)
     position = np.array(view["camera_position_m"])
     axes = level_axes(position - view["camera_look_at_m"])
-    camera = model.camera(CAMERA)
-    camera.pos = position
-    camera.fovy = view["camera_fovy_deg"]
+    model.cam_pos[scene.camera] = position
+    model.cam_fovy[scene.camera] = view["camera_fovy_deg"]
     mujoco.mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
     simulation = place_targets(scene, home.joints, rectangle_places(scene.robot, NODES))
     images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
-    least = min(
-        different_pixels(images.targets([k]), images.empty).min()
-        for k in range(len(scene.targets))
-    )
+    least = np.inf
+    for k in range(len(scene.targets)):
+        pixels = different_pixels(images.targets([k]), images.empty)
+        least = min(least, float(pixels.min()))
     robot = images.robot_pixels()[0]
-    return float(least), float(robot) / EnvConfig.image_size**2
+    return least, float(robot) / EnvConfig.image_size**2

@@ -12,7 +12,7 @@ from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.own_robot.pixels import Images, SceneImages, different_pixels
 from knowarm.own_robot.poses import grasps, place_targets, rectangle_places
-from knowarm.own_robot.robot_check import check_reach, check_visible
+from knowarm.own_robot.robot_check import Way, check_reach, check_visible
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
@@ -24,9 +24,9 @@ from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import find_task
 from knowarm.world.tasks.skills.ik import InverseKinematics
 
-PLACES = (
-    4  # Positions per side of the grid over the rectangle at which objects are checked
-)
+PLACES = 4
+"""Positions per side of the grid over the rectangle at which objects are checked."""
+
 EPISODES = 60  # That the oracle plays
 MIN_ORACLE = 0.8  # Its least success
 MIN_DIFFERENT = 6
@@ -106,8 +106,8 @@ def _check_reach(scene: Scene, config: EnvConfig, places: Floats) -> list[Check]
     start = np.tile(scene.home, (len(places), 1))
     checks = []
     for k, (position, matrix) in enumerate(zip(*grasps(scene, places), strict=True)):
-        solution = solver.solve(position, matrix, start)
-        checks.append(check_reach(scene, config, k, places, start, solution, remedy))
+        way = Way(scene, config, start, solver.solve(position, matrix, start))
+        checks.append(check_reach(way, k, places, remedy))
     return checks
 
 
@@ -126,9 +126,9 @@ def _draw_objects(scene: Scene, images: SceneImages) -> Shown:
 def _check_differences(shown: Shown) -> list[Check]:
     """Compare every two objects of one colour, and every two colours of each object."""
     objects = []
-    for one, other in combinations(shown, 2):
-        for colour in shown[one].keys() & shown[other].keys():
-            pixels = _difference(shown[one][colour], shown[other][colour])
+    for (one, images), (other, others) in combinations(shown.items(), 2):
+        for colour in images.keys() & others.keys():
+            pixels = _difference(images[colour], others[colour])
             objects.append((pixels, f"{one} and {other} of one colour"))
     colours = []
     for name, images in shown.items():

@@ -19,6 +19,9 @@ from knowarm.world.scene.scene import Scene
 Images = NDArray[np.uint8]
 """RGB images, (..., H, W, 3)."""
 
+Colours = NDArray[np.float32]
+"""Red, green, blue and opacity of each geom, (n, G, 4)."""
+
 DIFFERENCE = 25
 """Change of a colour channel from which a pixel counts as showing the target, of 255."""
 
@@ -47,7 +50,7 @@ class SceneImages:
         colours[:, robot_parts(self._scene), 3] = 0.0
         return different_pixels(self._draw(colours), self.empty)
 
-    def _draw(self, colours: NDArray[np.float32]) -> Images:
+    def _draw(self, colours: Colours) -> Images:
         simulation = self._simulation
         return self._renderer.draw(
             simulation.geom_position, simulation.geom_matrix, colours
@@ -58,7 +61,7 @@ def draw_once(
     scene: Scene,
     config: EnvConfig,
     data: mujoco.MjData,
-    colours: NDArray[np.float32],
+    colours: Colours,
     side: int,
 ) -> Image.Image:
     """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high."""
@@ -71,7 +74,7 @@ def draw_large(
     scene: Scene,
     config: EnvConfig,
     data: mujoco.MjData,
-    colours: NDArray[np.float32],
+    colours: Colours,
     side: int,
 ) -> Image.Image:
     """Draw one image with full meshes, which is faster than simplifying them first."""

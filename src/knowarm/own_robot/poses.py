@@ -11,6 +11,9 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.skills.ik import InverseKinematics
 
+Fields = dict[str, Any]
+"""Fields of a robot's description, as they are written to TOML."""
+
 CORNERS = (
     (-1, -1),
     (-1, 1),

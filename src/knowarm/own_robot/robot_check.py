@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,9 +28,9 @@ from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
 SAMPLES = 100  # Episodes per check
-MIN_REACHABLE = (
-    0.99  # Least fraction of target positions with a solution of the inverse kinematics
-)
+MIN_REACHABLE = 0.99
+"""Least fraction of target positions with a solution of the inverse kinematics."""
+
 MOVING_SHARE = 0.9
 """Share of the time limit in which a solution has to be reached; servos lag behind."""
 
@@ -75,11 +76,11 @@ def check_robot(
         yield Check("scene", False, str(error), "Correct what that line names.")
         return
     env.reset(options={"episodes": evaluation_episodes(config, SAMPLES, 0)})
-    is_well = True
+    failed = 0
     for check in _check_parts(env):
         yield check
-        is_well &= check.ok
-    if is_well:
+        failed += not check.ok
+    if not failed:
         yield from check_agents(replace(config, image_size=1), distance_m)
 
 
@@ -129,9 +130,8 @@ def check_joints(scene: Scene) -> Check:
     file = _read_file(robot).compile()
     named = {*robot.joints, *robot.held_joints}
     ranges = []
-    for name, low, high in zip(
-        robot.joints, scene.joint_lower, scene.joint_upper, strict=True
-    ):
+    limits = zip(scene.joint_lower, scene.joint_upper, strict=True)
+    for name, (low, high) in zip(robot.joints, limits, strict=True):
         limited = scene.model.joint(ROBOT_PREFIX + name).limited[0]
         note = "" if limited else " (no range in the file)"
         ranges.append(f"{name} [{low:.2f}, {high:.2f}]{note}")
@@ -141,20 +141,21 @@ def check_joints(scene: Scene) -> Check:
         if robot.tcp_body
         else file.site(robot.tcp_site).bodyid[0]
     )
+    names = [joint_name(file, j) for j in range(file.njnt)]
     still: list[str] = []
     while body:
-        names = [joint_name(file, j) for j in joints_of(file, [body])]
-        still += [name for name in names if name not in named]
+        on_body = [names[j] for j in joints_of(file, [body])]
+        still += [name for name in on_body if name not in named]
         body = file.body_parentid[body]
     if still:
         found += f"; held still between base and gripper: {', '.join(still)}"
     freed = []
     is_free = True
     for group in couplings(file):
-        names = [joint_name(file, j) for j in group]
-        if named & set(names):
-            freed.append(" and ".join(names))
-        is_free &= len(set(robot.joints) & set(names)) < 2
+        coupled = [names[j] for j in group]
+        if named.intersection(coupled):
+            freed.append(" and ".join(coupled))
+        is_free &= len(set(robot.joints).intersection(coupled)) < 2
     if freed:
         found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
     return Check(
@@ -221,42 +222,50 @@ def _check_reach(env: ArmVectorEnv) -> Check:
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics.of_task(scene, env.running)
     start = env.joint_positions
-    position = env.running.goal_position
-    matrix = env.running.goal_matrix
-    solution = solver.solve(position, matrix, start)
-    reached = _reached(scene, env.config, start, solution)
-    if (
-        reached.any()
-    ):  # the branch of the nearest place that is reached may also reach the others
+    goal = (env.running.goal_position, env.running.goal_matrix)
+    way = Way(scene, env.config, start, solver.solve(*goal, start))
+    solution = way.solution
+    reached = way.reached
+    if reached.any():
+        # The branch of the nearest place that is reached may also reach the others.
+        position = goal[0]
         distance = np.linalg.norm(position[:, None] - position[reached], axis=2)
         near = solution.joints[reached][distance.argmin(axis=1)]
         follow = InverseKinematics.of_task(scene, env.running, starts=1)
-        again = follow.solve(position, matrix, near, attempts=1)
-        better = ~reached & _reached(scene, env.config, start, again)
+        again = way._replace(solution=follow.solve(*goal, near, attempts=1))
+        better = ~reached & again.reached
         for name in ("joints", "distance", "angle", "contact"):
-            getattr(solution, name)[better] = getattr(again, name)[better]
+            getattr(solution, name)[better] = getattr(again.solution, name)[better]
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
-    return check_reach(scene, env.config, 0, episodes.position, start, solution, remedy)
+    return check_reach(way, 0, episodes.position, remedy)
 
 
-def _steps(
-    scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution
-) -> Floats:
-    """Return the number of largest steps from joint angles to solutions, (n,)."""
-    largest = joint_increments(scene.robot, config).max()
-    return np.asarray(np.abs(solution.joints - start).max(axis=1) / largest)
+class Way(NamedTuple):
+    """The way from joint angles (n, J) to solutions for n places, as episodes would go it."""
 
+    scene: Scene
+    config: EnvConfig
+    start: Floats
+    solution: IKSolution
 
-def _reached(
-    scene: Scene, config: EnvConfig, start: Floats, solution: IKSolution
-) -> Mask:
-    """Return which places are reached within the thresholds, without contact and in time."""
-    reached = solution.within(config.success_distance_m, config.success_angle_deg)
-    in_time = (
-        _steps(scene, config, start, solution)
-        <= MOVING_SHARE * config.max_episode_steps
-    )
-    return reached & in_time
+    @property
+    def steps(self) -> Floats:
+        """The number of largest steps, (n,)."""
+        largest = joint_increments(self.scene.robot, self.config).max()
+        change = np.abs(self.solution.joints - self.start).max(axis=1)
+        return np.asarray(change / largest)
+
+    @property
+    def most_steps(self) -> float:
+        """The number in which a solution has to be reached."""
+        return MOVING_SHARE * self.config.max_episode_steps
+
+    @property
+    def reached(self) -> Mask:
+        """Which places are reached within the thresholds, without contact and in time, (n,)."""
+        config = self.config
+        thresholds = (config.success_distance_m, config.success_angle_deg)
+        return self.solution.within(*thresholds) & (self.steps <= self.most_steps)
 
 
 def check_agents(
@@ -306,43 +315,33 @@ def fixed_list_success(config: EnvConfig, distance_m: float) -> tuple[float, flo
     return float(results.success.mean()), angle_deg
 
 
-def check_reach(
-    scene: Scene,
-    config: EnvConfig,
-    target: int,
-    places: Floats,
-    start: Floats,
-    solution: IKSolution,
-    remedy: str,
-) -> Check:
-    """Check that episodes can reach solutions for a target at places (n, 2) from joint angles.
+def check_reach(way: Way, target: int, places: Floats, remedy: str) -> Check:
+    """Check that episodes can reach solutions for a target at places (n, 2).
 
     The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
     """
-    name = scene.targets[target].name
-    reached = _reached(scene, config, start, solution)
-    share = float(reached.mean())
+    robot = way.scene.robot
+    name = way.scene.targets[target].name
+    missed = ~way.reached
     where = ""
-    if not reached.all():
-        missed = ~reached
+    if missed.any():
+        solution = way.solution
         x, y = places[missed].mean(axis=0)
         distance = np.median(solution.distance[missed])
         angle = np.median(solution.angle[missed])
-        steps = np.median(_steps(scene, config, start, solution)[missed])
-        most = MOVING_SHARE * config.max_episode_steps
+        steps = np.median(way.steps[missed])
         where = (
             f"Not reached: positions around x {x:.2f}, y {y:.2f} m (median error {distance:.3f} m, "
-            f"{angle:.0f} deg; {steps:.0f} steps of at most {most:.0f}; "
+            f"{angle:.0f} deg; {steps:.0f} steps of at most {way.most_steps:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
-    source = (
-        " (target_yaws_deg)" if object_of(name) in scene.robot.target_yaws_deg else ""
-    )
+    source = " (target_yaws_deg)" if object_of(name) in robot.target_yaws_deg else ""
+    share = float(way.reached.mean())
     return Check(
         f"reach of {name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact, at "
-        f"a yaw of {scene.robot.yaw_deg(name):.0f} degrees{source}",
+        f"a yaw of {robot.yaw_deg(name):.0f} degrees{source}",
         where,
     )
 

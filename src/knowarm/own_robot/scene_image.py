@@ -31,9 +31,10 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     large = draw_large(scene, config, data, colours, SIDE)
     _draw_lines(scene, data, corners, large)
     small = draw_once(scene, config, data, colours, config.image_size)
+    small = small.resize(large.size, Image.Resampling.NEAREST)
     both = Image.new("RGB", (2 * SIDE, SIDE))
-    both.paste(large, (0, 0))
-    both.paste(small.resize(large.size, Image.Resampling.NEAREST), (SIDE, 0))
+    both.paste(large)
+    both.paste(small, (SIDE, 0))
     with replacing(path) as temporary:
         both.save(temporary)
 
@@ -44,11 +45,11 @@ def _draw_lines(
     """Draw the rectangle and the gripper's approach over an image of the scene."""
     tip = data.site_xpos[scene.tcp_site]
     approach = data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
-    ahead = tip + APPROACH_M * approach
+    rectangle = np.vstack([corners, corners[:1]])
+    ahead = np.vstack([tip, tip + APPROACH_M * approach])
     pen = ImageDraw.Draw(image)
-    for points in (np.concatenate([corners, corners[:1]]), np.stack([tip, ahead])):
+    for points in (rectangle, ahead):
         right_and_down = project(scene, points) * [1, -1]
         pixels = (right_and_down + 1) * SIDE / 2
         if np.isfinite(pixels).all():
-            line = [tuple(pixel) for pixel in pixels.tolist()]
-            pen.line(line, fill=LINE, width=2)
+            pen.line(pixels.ravel().tolist(), fill=LINE, width=2)

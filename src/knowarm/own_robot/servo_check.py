@@ -13,9 +13,9 @@ from knowarm.world.tasks.state import ACTION_LEVELS
 ARMS = 50  # Copies of the arm with which the servos are measured
 STEPS = 10  # Random actions of each
 MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
-UNSTABLE_RAD = (
-    2 * np.pi
-)  # A joint that is farther from its target is not controlled at all
+UNSTABLE_RAD = 2 * np.pi
+"""A joint that is farther from its target is not controlled at all."""
+
 FREQUENCIES_HZ = (5.0, 3.5, 10.0, 14.0)  # Tried where a servo is not good enough
 
 
@@ -71,8 +71,6 @@ def check_servos(scene: Scene) -> Check:
 
 def _springs(scene: Scene) -> str:
     """Name the joints with a spring."""
-    joints = [scene.model.joint(ROBOT_PREFIX + name) for name in scene.joint_names]
-    names = [
-        joint.name.removeprefix(ROBOT_PREFIX) for joint in joints if joint.stiffness[0]
-    ]
+    joint = scene.model.joint
+    names = [n for n in scene.joint_names if joint(ROBOT_PREFIX + n).stiffness[0]]
     return ", ".join(names) or "no joint"

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
@@ -38,6 +39,10 @@ COMPILER = {
     "strippath": "false",
 }
 """Options of MuJoCo's compiler that keep visuals and fixed links."""
+
+
+FindPackage = Callable[[str], Path]
+"""Returns the folder of a ROS package."""
 
 
 class _Part(NamedTuple):
@@ -104,10 +109,9 @@ def _compile(file: Path) -> str:
     for mesh in spec.meshes:  # a visual has no mass, and may have no volume
         if mesh.name.startswith("visual"):
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    if any(geom.group == VISUAL_GROUP for geom in spec.geoms):
-        for (
-            geom
-        ) in spec.geoms:  # images show what a viewer of URDF does, safety boxes not
+    # Images show what a viewer of URDF does, and no safety boxes.
+    if VISUAL_GROUP in [geom.group for geom in spec.geoms]:
+        for geom in spec.geoms:
             geom.group = geom.group or COLLISION_GROUP
     for body in spec.bodies[1:]:  # frames without shape, such as tool0
         if not (list(body.geoms) or list(body.joints) or list(body.bodies)):
@@ -129,9 +133,7 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
     return pairs
 
 
-def _expand(
-    path: Path, find: Callable[[str], Path], arguments: Mapping[str, str]
-) -> ElementTree.Element:
+def _expand(path: Path, find: FindPackage, arguments: Mapping[str, str]) -> Element:
     """Expand a xacro file."""
     with packages_of("urdf", f"The xacro file {path}"):
         import xacro
@@ -168,22 +170,22 @@ def _package_name(folder: Path) -> str:
     return (name or folder.name).strip()
 
 
-def _set_compiler(root: ElementTree.Element) -> None:
+def _set_compiler(root: Element) -> None:
     """Set the options of MuJoCo's compiler in a URDF."""
     extension = root.find("mujoco")
     if extension is None:
-        extension = ElementTree.SubElement(root, "mujoco")
+        extension = SubElement(root, "mujoco")
     _remove(extension, "compiler")
-    ElementTree.SubElement(extension, "compiler", COMPILER)
+    SubElement(extension, "compiler", COMPILER)
 
 
-def _remove(element: ElementTree.Element, tag: str) -> None:
+def _remove(element: Element, tag: str) -> None:
     """Remove the children of an element that have a tag."""
     for child in element.findall(tag):
         element.remove(child)
 
 
-def _repair_inertias(root: ElementTree.Element) -> Iterator[str]:
+def _repair_inertias(root: Element) -> Iterator[str]:
     """Make the inertias of a URDF possible; name the links that move and whose inertia is not."""
     moved = []
     for joint in root.iter("joint"):
@@ -207,17 +209,15 @@ def _repair_inertias(root: ElementTree.Element) -> Iterator[str]:
         yield f"impossible inertia repaired: {', '.join(repaired)}"
 
 
-def _add_inertia(link: ElementTree.Element) -> None:
+def _add_inertia(link: Element) -> None:
     """Give a link without shape that can collide the least inertia."""
     if link.find("collision") is None:
-        inertial = ElementTree.SubElement(link, "inertial")
-        ElementTree.SubElement(inertial, "mass", value=str(LEAST_KG))
-        ElementTree.SubElement(
-            inertial, "inertia", _attributes(np.diag(3 * [LEAST_INERTIA]))
-        )
+        inertial = SubElement(link, "inertial")
+        SubElement(inertial, "mass", value=str(LEAST_KG))
+        SubElement(inertial, "inertia", _attributes(LEAST_INERTIA * np.eye(3)))
 
 
-def _repair_inertia(inertia: ElementTree.Element, mass: ElementTree.Element) -> bool:
+def _repair_inertia(inertia: Element, mass: Element) -> bool:
     """Make an inertia possible; return whether it was not."""
     kg = float(mass.get("value", 0))
     matrix = np.zeros((3, 3))
@@ -244,9 +244,7 @@ def _attributes(matrix: Floats) -> dict[str, str]:
     return dict(zip(_ATTRIBUTES, map(str, matrix[_UPPER].tolist()), strict=True))
 
 
-def _convert_meshes(
-    root: ElementTree.Element, path: Path, folder: Path, find: Callable[[str], Path]
-) -> None:
+def _convert_meshes(root: Element, path: Path, folder: Path, find: FindPackage) -> None:
     """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them."""
     folder.mkdir()
     known: dict[tuple[Path, str], list[_Part]] = {}
@@ -269,24 +267,24 @@ def _convert_meshes(
                 link.append(_coloured(shape, part))
 
 
-def _coloured(shape: ElementTree.Element, part: _Part) -> ElementTree.Element:
+def _coloured(shape: Element, part: _Part) -> Element:
     """Return a copy of a shape in the colour of a part of its mesh."""
     copy = deepcopy(shape)
     if part.rgba is not None:
         _remove(copy, "material")
-        material = ElementTree.SubElement(copy, "material", name=part.file.stem)
-        ElementTree.SubElement(material, "color", rgba=part.rgba)
+        material = SubElement(copy, "material", name=part.file.stem)
+        SubElement(material, "color", rgba=part.rgba)
     return copy
 
 
-def _mesh_file(name: str, path: Path, find: Callable[[str], Path]) -> Path:
+def _mesh_file(name: str, path: Path, find: FindPackage) -> Path:
     """Return the file of a mesh of a URDF."""
     scheme, separator, place = name.replace("\\", "/").rpartition("://")
+    if separator:
+        place = unquote(place)
     if scheme in ("package", "model"):
-        file = _package_file(unquote(place), path, find)
+        file = _package_file(place, path, find)
     else:
-        if separator:
-            place = unquote(place)
         if re.match(r"/[A-Za-z]:/", place):
             place = place[1:]
         file = path.parent / place
@@ -295,7 +293,7 @@ def _mesh_file(name: str, path: Path, find: Callable[[str], Path]) -> Path:
     return file.resolve()
 
 
-def _package_file(place: str, path: Path, find: Callable[[str], Path]) -> Path:
+def _package_file(place: str, path: Path, find: FindPackage) -> Path:
     """Return a file of a package from its place after the scheme."""
     package, _, inside = place.partition("/")
     # A copied folder may have lost its package.xml and its name.
@@ -314,17 +312,17 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
 
         import_module("collada")  # with which trimesh reads COLLADA
     parts = []
-    with reading(
-        source, "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."
-    ):
+    remedy = "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."
+    with reading(source, remedy):
         groups: dict[str | None, list[Any]] = {}
         for mesh in trimesh.load_scene(source).dump():
             if isinstance(mesh, trimesh.Trimesh):
-                metres = re.match(
-                    r"([\d.eE+-]+) \* meters", mesh.metadata.get("units", "")
-                )
-                mesh.apply_scale(float(metres[1]) if metres else 1.0)
-                groups.setdefault(_rgba(mesh) if colours else None, []).append(mesh)
+                units = mesh.metadata.get("units", "")
+                metres = re.match(r"([\d.eE+-]+) \* meters", units)
+                if metres:
+                    mesh.apply_scale(float(metres[1]))
+                rgba = _rgba(mesh) if colours else None
+                groups.setdefault(rgba, []).append(mesh)
         if not groups:
             raise ValueError("it has no faces")
         for i, (rgba, meshes) in enumerate(groups.items()):
@@ -349,9 +347,8 @@ def _rgba(mesh: Any) -> str | None:
     if not mesh.visual.defined:
         return None
     material = getattr(mesh.visual, "material", None) or mesh.visual
-    image = getattr(material, "image", None) or getattr(
-        material, "baseColorTexture", None
-    )
+    image = getattr(material, "image", None)
+    image = image or getattr(material, "baseColorTexture", None)
     if image is not None:
         colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
     else:
