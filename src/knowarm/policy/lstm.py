@@ -194,9 +194,8 @@ class MaskedLSTM(nn.Module):
         Returns:
             Hidden state (B, H) and the next state.
         """
-        return self._advance(
-            self._project(x), state, (~episode_start).to(x.dtype)[:, None]
-        )
+        keep = (~episode_start).to(x.dtype)[:, None]
+        return self._advance(self._project(x), state, keep)
 
     def forward(
         self, x: Tensor, state: State, episode_start: Tensor
@@ -208,12 +207,12 @@ class MaskedLSTM(nn.Module):
         Returns:
             Hidden states (T, B, H) and the state after the last step.
         """
-        keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
+        weight = self.weight_hh
+        keep = (~episode_start).to(weight.dtype)[:, :, None]
         projected = self.projected(self._project(x))
-        if _has_kernels(self.weight_hh):
-            hidden, h, c = MaskedLSTMFunction.apply(
-                projected, self.weight_hh, *state, keep
-            )
+        # The compiled loops compute with float32 on the CPU.
+        if weight.device.type == "cpu" and weight.dtype == torch.float32:
+            hidden, h, c = MaskedLSTMFunction.apply(projected, weight, *state, keep)
             return hidden, (h, c)
         outputs = []
         for gates, mask in zip(projected, keep, strict=True):
@@ -269,6 +268,7 @@ class MaskedLSTMFunction(torch.autograd.Function):
         and last cell state (B, H).
         """
         gates = projected.to(weight_hh.dtype, copy=True).contiguous()
+        gates = gates.unflatten(2, (4, -1))
         h_in = projected.new_empty(len(projected), *h.shape)
         c_in = torch.empty_like(h_in, dtype=gates.dtype)
         c_tanh = torch.empty_like(c_in)
@@ -278,14 +278,14 @@ class MaskedLSTMFunction(torch.autograd.Function):
         recurrent = weight.t()
         h = h * keep[0]
         c = c.clone()
-        tensors = (_by_gate(added), keep, _by_gate(gates), c_in, c_tanh, hidden, h, c)
+        tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
         arrays = [tensor.numpy() for tensor in tensors]
         # Where every step starts an episode, the recurrent products are zeros.
         ctx.remembers = bool(keep.any())
         for t, h_t in enumerate(h_in):
             h_t.copy_(h)
             if ctx.remembers:
-                added.copy_(torch.mm(h_t, recurrent))
+                added.copy_(torch.mm(h_t, recurrent).view_as(added))
             forward_step(t, *arrays)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h, c
@@ -298,32 +298,19 @@ class MaskedLSTMFunction(torch.autograd.Function):
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
-        d_projected = torch.empty_like(gates, dtype=weight.dtype)
+        d_projected = torch.empty_like(gates.flatten(2), dtype=weight.dtype)
         d_gates = torch.empty_like(gates[0])
         d_next = dh.clone()
         dc = dc.clone()
         d_hidden = d_hidden.contiguous()
-        gates = _by_gate(gates)
-        d_gates_by_gate = _by_gate(d_gates)
-        tensors = (d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates_by_gate, dc)
+        tensors = (d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates, dc)
         arrays = [tensor.numpy() for tensor in tensors]
         for t in reversed(range(len(d_projected))):
             backward_step(t, *arrays)
-            d_projected_t = d_projected[t]
-            d_projected_t.copy_(d_gates)
+            d_projected[t] = d_gates.flatten(1)
             if t or ctx.needs_input_grad[2]:
-                d_next.copy_(torch.mm(d_projected_t, weight))
+                d_next.copy_(torch.mm(d_projected[t], weight))
         d_weight = torch.zeros_like(weight)
         if ctx.remembers:
             d_weight = d_projected.flatten(0, 1).t() @ h_in.flatten(0, 1)
         return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None
-
-
-def _by_gate(tensor: Tensor) -> Tensor:
-    """View an axis 4H as (4, H)."""
-    return tensor.unflatten(-1, (4, -1))
-
-
-def _has_kernels(weight: Tensor) -> bool:
-    """Tell whether the compiled loops compute with these parameters."""
-    return weight.device.type == "cpu" and weight.dtype == torch.float32
