@@ -82,6 +82,12 @@ def _first(enter: float32, leave: float32) -> float32:
 
 
 @scalar
+def _interval_if(hit: bool, enter: float32, leave: float32) -> Interval:
+    """Return an interval, or an empty one, which ends before it begins."""
+    return enter if hit else FAR, leave if hit else -FAR
+
+
+@scalar
 def _unit_sphere(origin: Vector, direction: Vector) -> Interval:
     """Return the interval inside the sphere of radius 1 (enter > leave for none).
 
@@ -92,10 +98,9 @@ def _unit_sphere(origin: Vector, direction: Vector) -> Interval:
     discriminant = square - dot(normal, normal)
     root = math.sqrt(max(discriminant, ZERO))
     middle = -dot(origin, direction)
-    hit = discriminant >= ZERO
     enter = (middle - root) / square
     leave = (middle + root) / square
-    return enter if hit else FAR, leave if hit else -FAR
+    return _interval_if(discriminant >= ZERO, enter, leave)
 
 
 @scalar
@@ -138,7 +143,7 @@ def _tube(origin: Vector, direction: Vector, radius: float32) -> Interval:
     hit = inside if parallel else discriminant >= ZERO
     enter = -FAR if parallel else (middle - root) * inverse
     leave = FAR if parallel else (middle + root) * inverse
-    return enter if hit else FAR, leave if hit else -FAR
+    return _interval_if(hit, enter, leave)
 
 
 @scalar

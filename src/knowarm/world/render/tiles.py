@@ -248,17 +248,18 @@ def _box_bounds(p: Vector, m: Matrix, size: Vector) -> Rectangle:
     x_axis, y_axis, z_axis = transposed(m)
     half_x, half_y, half_z = size
     bounds = NOWHERE
-    for corner in range(8):
-        at = plus(p, times(x_axis, half_x if corner & 1 else -half_x))
-        at = plus(at, times(y_axis, half_y if corner & 2 else -half_y))
-        at = plus(at, times(z_axis, half_z if corner & 4 else -half_z))
-        x, y, z = at
-        if z > -NEAR:
-            return EVERYWHERE
-        inverse = ONE / -z
-        x *= inverse
-        y *= inverse
-        bounds = _union(bounds, (x, x, y, y))
+    for along_x in (-half_x, half_x):
+        face = plus(p, times(x_axis, along_x))
+        for along_y in (-half_y, half_y):
+            edge = plus(face, times(y_axis, along_y))
+            for along_z in (-half_z, half_z):
+                x, y, z = plus(edge, times(z_axis, along_z))
+                if z > -NEAR:
+                    return EVERYWHERE
+                inverse = ONE / -z
+                x *= inverse
+                y *= inverse
+                bounds = _union(bounds, (x, x, y, y))
     return bounds
 
 

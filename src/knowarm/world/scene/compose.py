@@ -130,9 +130,26 @@ SLOWER = 0.3  # Wanted largest share by which damping slows it
 SUBSTEPS = 5  # Physics steps per control period
 CAMERA = "policy"  # Name of the camera that shows the observations
 DISTRACTOR = "distractor_"  # Prefix of the names of distractors
-FLOOR_RGBA = (0.60, 0.61, 0.63, 1.0)
 TABLE_RGBA = (0.52, 0.54, 0.57, 1.0)
 LEG_RGBA = (0.35, 0.36, 0.38, 1.0)
+
+_SURROUNDINGS = f"""
+<mujoco>
+  <compiler angle="radian"/>
+  <option integrator="implicitfast"/>
+  <visual>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
+  </visual>
+  <worldbody>
+    <geom name="floor" type="plane" size="10 10 0.1" rgba="0.60 0.61 0.63 1"
+      contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>
+    <light name="sun" type="directional" pos="0 0 3" dir="-0.3 0.35 -0.9"
+      diffuse="0.45 0.45 0.45" ambient="0 0 0" specular="0 0 0" castshadow="false"/>
+  </worldbody>
+</mujoco>
+"""
+"""Floor and lights. Light comes from the camera and from above: edges are visible, and no side of an
+object is black."""
 
 
 def compose(
@@ -142,12 +159,12 @@ def compose(
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
     """
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec.from_string(_SURROUNDINGS)
     spec.modelname = f"knowarm {robot.name}"
-    spec.compiler.degree = False
     spec.option.timestep = CONTROL_PERIOD_S / SUBSTEPS
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    _add_surroundings(spec, robot)
+    if robot.table:
+        _add_table(spec.worldbody, robot.table)
+    _add_camera(spec.worldbody, robot)
     attach_robot(spec, robot)
     for target in targets:
         attach_target(spec, robot, target, targets)
@@ -196,34 +213,8 @@ def _check_joint(robot: Robot, name: str, joint: Any) -> None:
         )
 
 
-def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add floor, table, lights and camera."""
-    world = spec.worldbody
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[10, 10, 0.1],
-        rgba=FLOOR_RGBA,
-        contype=SUPPORT_BIT,
-        conaffinity=ROBOT_BIT,
-    )
-    if robot.table:
-        _add_table(world, robot.table)
-    # Light from the camera and from above: edges are visible, and no side of an object is black.
-    headlight = spec.visual.headlight
-    headlight.ambient = [0.35, 0.35, 0.35]
-    headlight.diffuse = [0.35, 0.35, 0.35]
-    headlight.specular = [0, 0, 0]
-    world.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 3],
-        dir=[-0.3, 0.35, -0.9],
-        diffuse=[0.45, 0.45, 0.45],
-        ambient=[0, 0, 0],
-        specular=[0, 0, 0],
-        castshadow=False,
-    )
+def _add_camera(world: mujoco.MjsBody, robot: Robot) -> None:
+    """Add the policy's camera, level."""
     position = np.array(robot.camera_position_m)
     backward = position - np.array(robot.camera_look_at_m)
     if np.linalg.norm(backward[:2]) < 1e-6:
