@@ -5,6 +5,7 @@ writes the whole batch, and calling it costs as much as its arithmetic. One comp
 cells takes half the time.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -30,11 +31,7 @@ _PER_LN2 = float32(1 / np.log(2))
 _LN2_HIGH = float32(0.693359375)
 _LN2_LOW = float32(np.log(2) - 0.693359375)
 # Coefficients 1 / n! of the Taylor polynomial.
-_C3 = float32(1 / 6)
-_C4 = float32(1 / 24)
-_C5 = float32(1 / 120)
-_C6 = float32(1 / 720)
-_C7 = float32(1 / 5040)
+_C3, _C4, _C5, _C6, _C7 = (float32(1 / math.factorial(n)) for n in range(3, 8))
 
 _inlined: Callable[..., Any] = njit(inline="always")
 _kernel: Callable[..., Any] = njit(
@@ -67,7 +64,7 @@ def _tanh(x: float32) -> float32:
 def forward_step(
     t: int,
     added: Singles,
-    keep: Singles,
+    masks: Singles,
     gates: Singles,
     c_in: Singles,
     c_tanh: Singles,
@@ -77,16 +74,16 @@ def forward_step(
 ) -> None:
     """Compute step t in place; all arrays are contiguous float32.
 
-    Read are ``added`` (B, 4, H), recurrent part of the gates, and ``keep`` (T, B, 1), 0 where an
+    Read are ``added`` (B, 4, H), recurrent part of the gates, and ``masks`` (T + 1, B), 0 where an
     episode starts, else 1. ``gates`` (T, B, 4, H) turn from their input part into their
     activations. Written at t (T, B, H): ``c_in``, masked cell state before the step, ``c_tanh``,
     tanh of the one after it, and ``hidden``. ``h`` (B, H) becomes the hidden state, masked for the
-    next step except after the last; ``c`` (B, H) the cell state.
+    next step; ``c`` (B, H) the cell state.
     """
-    steps, batch, size = hidden.shape
+    _, batch, size = hidden.shape
     for b in range(batch):
-        mask = keep[t, b, 0]
-        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = masks[t, b]
+        next_mask = masks[t + 1, b]
         gate = gates[t, b]
         recurrent = added[b]
         cell = c[b]
@@ -115,7 +112,7 @@ def backward_step(
     t: int,
     d_next: Singles,
     d_hidden: Singles,
-    keep: Singles,
+    masks: Singles,
     gates: Singles,
     c_in: Singles,
     c_tanh: Singles,
@@ -128,10 +125,10 @@ def backward_step(
     Written: ``d_gates`` (B, 4, H), gradient of the gates before their activation functions, and
     ``dc`` (B, H), from the gradient of the cell state after the step to that before it.
     """
-    steps, batch, size = d_hidden.shape
+    _, batch, size = d_hidden.shape
     for b in range(batch):
-        mask = keep[t, b, 0]
-        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = masks[t, b]
+        next_mask = masks[t + 1, b]
         gate = gates[t, b]
         before = c_in[t, b]
         squashed = c_tanh[t, b]
@@ -210,8 +207,7 @@ class MaskedLSTM(nn.Module):
         weight = self.weight_hh
         keep = (~episode_start).to(weight.dtype)[:, :, None]
         projected = self.projected(self._project(x))
-        # The compiled loops compute with float32 on the CPU.
-        if weight.device.type == "cpu" and weight.dtype == torch.float32:
+        if _has_kernels(weight):
             hidden, h, c = MaskedLSTMFunction.apply(projected, weight, *state, keep)
             return hidden, (h, c)
         outputs = []
@@ -278,7 +274,7 @@ class MaskedLSTMFunction(torch.autograd.Function):
         recurrent = weight.t()
         h = h * keep[0]
         c = c.clone()
-        tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
+        tensors = (added, _masks(keep), gates, c_in, c_tanh, hidden, h, c)
         arrays = [tensor.numpy() for tensor in tensors]
         # Where every step starts an episode, the recurrent products are zeros.
         ctx.remembers = bool(keep.any())
@@ -303,7 +299,7 @@ class MaskedLSTMFunction(torch.autograd.Function):
         d_next = dh.clone()
         dc = dc.clone()
         d_hidden = d_hidden.contiguous()
-        tensors = (d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates, dc)
+        tensors = (d_next, d_hidden, _masks(keep), gates, c_in, c_tanh, d_gates, dc)
         arrays = [tensor.numpy() for tensor in tensors]
         for t in reversed(range(len(d_projected))):
             backward_step(t, *arrays)
@@ -314,3 +310,13 @@ class MaskedLSTMFunction(torch.autograd.Function):
         if ctx.remembers:
             d_weight = d_projected.flatten(0, 1).t() @ h_in.flatten(0, 1)
         return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None
+
+
+def _masks(keep: Tensor) -> Tensor:
+    """Return masks (T, B, 1) as (T + 1, B); none follows the last step, so the last ones are 1."""
+    return F.pad(keep[:, :, 0], (0, 0, 0, 1), value=1.0)
+
+
+def _has_kernels(weight: Tensor) -> bool:
+    """Tell whether the compiled loops compute with these parameters."""
+    return weight.device.type == "cpu" and weight.dtype == torch.float32

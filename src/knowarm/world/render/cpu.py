@@ -137,10 +137,10 @@ class Raycaster:
             render_range(0, count, self._scratch[0], *model)
             return out
         tasks = []
-        for thread in range(threads):
-            start = count * thread // threads
-            stop = count * (thread + 1) // threads
-            scratch = self._scratch[thread]
+        stop = 0
+        for thread, scratch in enumerate(self._scratch[:threads], start=1):
+            start = stop
+            stop = count * thread // threads
             tasks.append(self._pool.submit(render_range, start, stop, scratch, *model))
         for task in tasks:
             task.result()

@@ -10,7 +10,12 @@ from numpy import int32
 from numpy.typing import NDArray
 
 from knowarm.arrays import Mask
-from knowarm.world.render.fill_loops import Field, fill_mesh, fill_primitive
+from knowarm.world.render.fill_loops import (
+    Field,
+    fill_mesh,
+    fill_primitive,
+    rows_of,
+)
 from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import (
     Floats32,
@@ -117,18 +122,20 @@ def _project_geoms(
 @kernel
 def _copy(target: NDArray[Any], source: NDArray[Any]) -> None:
     """Copy an array; slice assignment, which Numba does not vectorize, takes much longer."""
-    for i in range(target.shape[0]):
+    for i in range(len(target)):
         target[i] = source[i]
 
 
 @kernel
 def _restore(field: Field, source: Field, dirty: Integers32) -> None:
     """Copy the dirty samples of a stored field."""
-    for strip in range(dirty.shape[0]):
-        start = dirty[strip, 0] * TILE
-        stop = dirty[strip, 1] * TILE
-        _copy(field[0][strip, start:stop], source[0][strip, start:stop])
-        _copy(field[1][strip, start:stop], source[1][strip, start:stop])
+    for strip in range(len(dirty)):
+        first = dirty[strip, 0]
+        stop = dirty[strip, 1]
+        depth, value = rows_of(field, strip, first, stop)
+        stored_depth, stored_value = rows_of(source, strip, first, stop)
+        _copy(depth, stored_depth)
+        _copy(value, stored_value)
 
 
 @kernel
@@ -162,7 +169,7 @@ def _average(
 @scalar
 def _row(values: NDArray[Any], e: int) -> Any:
     """Return the values of an environment, or those that all have."""
-    return values[min(e, values.shape[0] - 1)]
+    return values[min(e, len(values) - 1)]
 
 
 @cached_njit

@@ -19,6 +19,7 @@ from knowarm.world.render.intersections import (
     ELLIPSOID,
     PLANE,
     SPHERE,
+    Faces,
     Hit,
     blend,
     face_planes,
@@ -58,6 +59,14 @@ Field = tuple[Floats32, Integers32]
 """Depth [m] and value (packed colour or geom id) of the samples, (strips, rows * TILE) each."""
 
 PROJECTION = 3  # Numbers stored per vertex: X, Y, and z in the camera frame
+
+
+@scalar
+def rows_of(field: Field, strip: int, first: int, stop: int) -> Field:
+    """Return the samples of some rows of a strip."""
+    depth, value = field
+    samples = slice(first * TILE, stop * TILE)
+    return depth[strip, samples], value[strip, samples]
 
 
 @scalar
@@ -115,9 +124,8 @@ def _fill(
     head, sun, paint = _light(record)
     first, stop, upper, lower = tiles_of(_window(extent))
     for strip in range(first, stop):
-        depth = field[0][strip, upper * TILE : lower * TILE]
-        value = field[1][strip, upper * TILE : lower * TILE]
-        for k in range((lower - upper) * TILE):
+        depth, value = rows_of(field, strip, upper, lower)
+        for k in range(len(depth)):
             t, normal = hit(origin, _lane_direction(k, strip, upper, frame, grid), size)
             colour = shade(normal, head, sun, paint)
             _keep_nearer(depth, value, k, t, geom if ids else colour)
@@ -125,7 +133,7 @@ def _fill(
 
 @kernel
 def _fill_triangle(
-    planes: intersections.Faces,
+    planes: Faces,
     window: Window,
     frame: Matrix,
     mark: int32,
@@ -135,9 +143,8 @@ def _fill_triangle(
     """Note ``mark`` in the columns and rows of samples where a triangle is nearest."""
     first, stop, upper, lower = tiles_of(window)
     for strip in range(first, stop):
-        depth = field[0][strip, upper * TILE : lower * TILE]
-        value = field[1][strip, upper * TILE : lower * TILE]
-        for k in range((lower - upper) * TILE):
+        depth, value = rows_of(field, strip, upper, lower)
+        for k in range(len(depth)):
             t, _ = triangle(planes, _lane_direction(k, strip, upper, frame, grid))
             _keep_nearer(depth, value, k, t, mark)
 
@@ -152,8 +159,8 @@ def _shade_triangles(
     head, sun, paint = _light(record)
     first, stop, upper, lower = tiles_of(_window(extent))
     for strip in range(first, stop):
-        value = field[1][strip, upper * TILE : lower * TILE]
-        for k in range((lower - upper) * TILE):
+        _, value = rows_of(field, strip, upper, lower)
+        for k in range(len(value)):
             mark = value[k]
             if mark >= 0:
                 continue
@@ -170,6 +177,7 @@ def fill_primitive(
     record: Floats32, extent: Integers32, grid: TileGrid, field: Field, ids: bool
 ) -> None:
     """Draw a projected primitive."""
+    # Functions that are passed as globals of this module would keep Numba from caching.
     kind = extent[0]
     if kind == BOX:
         _fill(intersections.box, record, extent, grid, field, ids)

@@ -130,8 +130,6 @@ SLOWER = 0.3  # Wanted largest share by which damping slows it
 SUBSTEPS = 5  # Physics steps per control period
 CAMERA = "policy"  # Name of the camera that shows the observations
 DISTRACTOR = "distractor_"  # Prefix of the names of distractors
-TABLE_RGBA = (0.52, 0.54, 0.57, 1.0)
-LEG_RGBA = (0.35, 0.36, 0.38, 1.0)
 
 _SURROUNDINGS = f"""
 <mujoco>
@@ -143,13 +141,14 @@ _SURROUNDINGS = f"""
   <worldbody>
     <geom name="floor" type="plane" size="10 10 0.1" rgba="0.60 0.61 0.63 1"
       contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>
+    {{table}}
     <light name="sun" type="directional" pos="0 0 3" dir="-0.3 0.35 -0.9"
       diffuse="0.45 0.45 0.45" ambient="0 0 0" specular="0 0 0" castshadow="false"/>
   </worldbody>
 </mujoco>
 """
-"""Floor and lights. Light comes from the camera and from above: edges are visible, and no side of an
-object is black."""
+"""Floor, table and lights. Light comes from the camera and from above: edges are visible, and no
+side of an object is black."""
 
 
 def compose(
@@ -159,11 +158,12 @@ def compose(
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
     """
-    spec = mujoco.MjSpec.from_string(_SURROUNDINGS)
+    table = ""
+    if robot.table:
+        table = _table(robot.table)
+    spec = mujoco.MjSpec.from_string(_SURROUNDINGS.format(table=table))
     spec.modelname = f"knowarm {robot.name}"
     spec.option.timestep = CONTROL_PERIOD_S / SUBSTEPS
-    if robot.table:
-        _add_table(spec.worldbody, robot.table)
     _add_camera(spec.worldbody, robot)
     attach_robot(spec, robot)
     for target in targets:
@@ -236,33 +236,28 @@ def level_axes(backward: Floats) -> Floats:
     return np.asarray(axes / np.linalg.norm(axes, axis=0))
 
 
-def _add_table(world: mujoco.MjsBody, table: Table) -> None:
+def _table(table: Table) -> str:
+    """Return the geoms of a table: its top, on which things stand, and four legs."""
     half_x, half_y = table.half_size_m
     x, y = table.centre_m
     half_thickness = 0.015
-    world.add_geom(
-        name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half_x, half_y, half_thickness],
-        pos=[x, y, table.height_m - half_thickness],
-        rgba=TABLE_RGBA,
-        contype=SUPPORT_BIT,
-        conaffinity=ROBOT_BIT,
-    )
     half_leg = 0.02
     half_height = (table.height_m - 2 * half_thickness) / 2
     to_leg_x = half_x - half_leg
     to_leg_y = half_y - half_leg
+    geoms = (
+        f'<geom name="table" type="box" size="{half_x} {half_y} {half_thickness}" '
+        f'pos="{x} {y} {table.height_m - half_thickness}" rgba="0.52 0.54 0.57 1" '
+        f'contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>'
+    )
     for i, (sign_x, sign_y) in enumerate(product((-1, 1), repeat=2)):
-        world.add_geom(
-            name=f"table_leg_{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[half_leg, half_leg, half_height],
-            pos=[x + sign_x * to_leg_x, y + sign_y * to_leg_y, half_height],
-            rgba=LEG_RGBA,
-            contype=0,
-            conaffinity=0,
+        geoms += (
+            f'<geom name="table_leg_{i}" type="box" '
+            f'size="{half_leg} {half_leg} {half_height}" '
+            f'pos="{x + sign_x * to_leg_x} {y + sign_y * to_leg_y} {half_height}" '
+            'rgba="0.35 0.36 0.38 1" contype="0" conaffinity="0"/>'
         )
+    return geoms
 
 
 # Shape, size [m] and height of the centre [m] of each distractor

@@ -86,31 +86,30 @@ def draw_axes(env: ArmVectorEnv, image: Images) -> Images:
     """
     running = env.running
     simulator = running.simulator
-    drawing = Image.fromarray(image)
-    draw = ImageDraw.Draw(drawing)
-    view = None
-    camera = env.scene.camera_position
+    scene = env.scene
+    view = np.append(scene.camera_position, scene.camera_matrix)
     if running.shown.views is not None:
         view = running.shown.views[0]
-        camera = view[:3]
-
-    def line(points: Floats, colour: tuple[int, int, int], width: int) -> None:
-        pixels = (1 + project(env.scene, points, view) * (1, -1)) * len(image) / 2
-        if np.isfinite(pixels).all():  # in front of the camera
-            draw.line(list(map(tuple, pixels)), colour, width)
-
-    def frame(origin: Floats, matrix: Floats, width: int) -> None:
-        for axis, colour in zip(matrix.reshape(3, 3).T, _COLOURS, strict=True):
-            line(np.stack([origin, origin + LENGTH_M * axis]), colour, width)
-
     goal = running.goal_position[0]
-    _, _, rotation = np.linalg.svd((goal - camera)[None])
+    _, _, rotation = np.linalg.svd((goal - view[:3])[None])
     right, up = rotation[1:]  # span the plane across the line of sight
     turn = np.linspace(0, 2 * np.pi, _SPHERE_POINTS)[:, None]
     circle = np.cos(turn) * right + np.sin(turn) * up
-    line(goal + running.limits[0] * circle, _PAPER, 2)
-    frame(goal, running.goal_matrix[0], 4)
-    frame(simulator.tcp_position[0], simulator.tcp_matrix[0], 2)
+    lines = [(goal + running.limits[0] * circle, _PAPER, 2)]
+    frames = (
+        (goal, running.goal_matrix[0], 4),
+        (simulator.tcp_position[0], simulator.tcp_matrix[0], 2),
+    )
+    for origin, matrix, width in frames:
+        for axis, colour in zip(matrix.reshape(3, 3).T, _COLOURS, strict=True):
+            end = origin + LENGTH_M * axis
+            lines.append((np.stack([origin, end]), colour, width))
+    drawing = Image.fromarray(image)
+    draw = ImageDraw.Draw(drawing)
+    for points, colour, width in lines:
+        pixels = (1 + project(scene, points, view) * (1, -1)) * len(image) / 2
+        if np.isfinite(pixels).all():  # in front of the camera
+            draw.line(list(map(tuple, pixels)), colour, width)
     return np.asarray(drawing)
 
 
