@@ -9,7 +9,7 @@ from numpy import float32, int32
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.render.cpu_kernels import Batch, Scratch, Stored, render_range
+from knowarm.world.render.cpu_kernels import RenderBatch, Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
 from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
 from knowarm.world.render.scenery import Scenery, read_lamps, read_scenery, read_view
@@ -209,7 +209,7 @@ class Raycaster:
         geom_rgba: Floats32 | None = None,
         views: Floats32 | None = None,
         lamps: Floats32 | None = None,
-    ) -> Batch:
+    ) -> RenderBatch:
         """Return environments as the kernels take them."""
         count = len(geom_position)
         scenery = self.scenery
@@ -221,7 +221,7 @@ class Raycaster:
         is_stored = has_stored_colours.all(axis=(1, 2))
         if views is not None or lamps is not None:
             is_stored[:] = False
-        return Batch(
+        return RenderBatch(
             np.ascontiguousarray(geom_position, float32),
             np.ascontiguousarray(geom_matrix, float32),
             rgba,

@@ -34,7 +34,7 @@ from knowarm.world.render.scenery import Scenery
 from knowarm.world.render.tiles import TILE, TileGrid, is_empty, project_geom, tiles_of
 
 
-class Batch(NamedTuple):
+class RenderBatch(NamedTuple):
     """Poses and appearance of n environments; one row of appearance can stand for all."""
 
     position: Floats32  # Positions of the geoms [m], (n, G, 3)
@@ -70,7 +70,7 @@ class Scratch(NamedTuple):
 @kernel
 def _project_geoms(
     geoms: Integers32,
-    batch: Batch,
+    batch: RenderBatch,
     e: int,
     grid: TileGrid,
     scenery: Scenery,
@@ -177,7 +177,7 @@ def render_range(
     start: int,
     stop: int,
     scratch: Scratch,
-    batch: Batch,
+    batch: RenderBatch,
     grid: TileGrid,
     scenery: Scenery,
     stored: Stored,
