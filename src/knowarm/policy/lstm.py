@@ -5,62 +5,66 @@ writes the whole batch, and calling it costs as much as its arithmetic. One comp
 cells takes half the time.
 """
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy import float32, int32
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from knowarm.compiling import njit
 
-Singles = NDArray[np.float32]
+Singles = NDArray[float32]
 
-_ONE = np.float32(1)
-_TWO = np.float32(2)
-_HALF = np.float32(0.5)
-_LARGEST = np.float32(87)
+_ONE = float32(1)
+_TWO = float32(2)
+_HALF = float32(0.5)
+_LARGEST = float32(87)
 """Bound of the exponent: exp of it and of its negative are normal float32 numbers."""
-_PER_LN2 = np.float32(1 / np.log(2))
+_PER_LN2 = float32(1 / np.log(2))
 # ln 2 as a sum of two parts: an integer times the first part is exact in float32.
-_LN2_HIGH = np.float32(0.693359375)
-_LN2_LOW = np.float32(np.log(2) - 0.693359375)
+_LN2_HIGH = float32(0.693359375)
+_LN2_LOW = float32(np.log(2) - 0.693359375)
 # Coefficients 1 / n! of the Taylor polynomial.
-_C3 = np.float32(1 / 6)
-_C4 = np.float32(1 / 24)
-_C5 = np.float32(1 / 120)
-_C6 = np.float32(1 / 720)
-_C7 = np.float32(1 / 5040)
+_C3, _C4, _C5, _C6, _C7 = (float32(1 / math.factorial(n)) for n in range(3, 8))
+
+_inlined: Callable[..., Any] = njit(inline="always")
+_kernel: Callable[..., Any] = njit(
+    cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}
+)
 
 
-@njit(inline="always")
-def _exp(x: np.float32) -> np.float32:
+@_inlined
+def _exp(x: float32) -> float32:
     """Compute exp(x) by powers of two and a Taylor polynomial; relative error 2e-7."""
     x = min(max(x, -_LARGEST), _LARGEST)
     whole = np.floor(x * _PER_LN2 + _HALF)
     r = x - whole * _LN2_HIGH - whole * _LN2_LOW
     tail = _C3 + r * (_C4 + r * (_C5 + r * (_C6 + r * _C7)))
-    power = np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+    power = int32((int32(whole) + int32(127)) << int32(23)).view(float32)
     return (_ONE + r + r * r * (_HALF + r * tail)) * power
 
 
-@njit(inline="always")
-def _sigmoid(x: np.float32) -> np.float32:
+@_inlined
+def _sigmoid(x: float32) -> float32:
     return _ONE / (_ONE + _exp(-x))
 
 
-@njit(inline="always")
-def _tanh(x: np.float32) -> np.float32:
+@_inlined
+def _tanh(x: float32) -> float32:
     return _ONE - _TWO / (_ONE + _exp(_TWO * x))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@_kernel
 def forward_step(
     t: int,
     added: Singles,
-    keep: Singles,
+    masks: Singles,
     gates: Singles,
     c_in: Singles,
     c_tanh: Singles,
@@ -70,16 +74,16 @@ def forward_step(
 ) -> None:
     """Compute step t in place; all arrays are contiguous float32.
 
-    Read are ``added`` (B, 4H), recurrent part of the gates, and ``keep`` (T, B, 1), 0 where an
-    episode starts, else 1. ``gates`` (T, B, 4H) turn from their input part into their activations.
-    Written at t (T, B, H): ``c_in``, masked cell state before the step, ``c_tanh``, tanh of the one
-    after it, and ``hidden``. ``h`` (B, H) becomes the hidden state, masked for the next step except
-    after the last; ``c`` (B, H) the cell state.
+    Read are ``added`` (B, 4, H), recurrent part of the gates, and ``masks`` (T + 1, B), 0 where an
+    episode starts, else 1. ``gates`` (T, B, 4, H) turn from their input part into their
+    activations. Written at t (T, B, H): ``c_in``, masked cell state before the step, ``c_tanh``,
+    tanh of the one after it, and ``hidden``. ``h`` (B, H) becomes the hidden state, masked for the
+    next step; ``c`` (B, H) the cell state.
     """
-    steps, batch, size = hidden.shape
+    _, batch, size = hidden.shape
     for b in range(batch):
-        mask = keep[t, b, 0]
-        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = masks[t, b]
+        next_mask = masks[t + 1, b]
         gate = gates[t, b]
         recurrent = added[b]
         cell = c[b]
@@ -88,28 +92,27 @@ def forward_step(
         out = hidden[t, b]
         next_h = h[b]
         # Short loops over few arrays: only these are vectorized by the compiler.
-        for j in range(2 * size):
-            gate[j] = _sigmoid(gate[j] + recurrent[j])
-        for j in range(2 * size, 3 * size):
-            gate[j] = _tanh(gate[j] + recurrent[j])
-        for j in range(3 * size, 4 * size):
-            gate[j] = _sigmoid(gate[j] + recurrent[j])
+        for k in (0, 1, 3):
+            for j in range(size):
+                gate[k, j] = _sigmoid(gate[k, j] + recurrent[k, j])
+        for j in range(size):
+            gate[2, j] = _tanh(gate[2, j] + recurrent[2, j])
         for j in range(size):
             before[j] = cell[j] * mask
-            cell[j] = gate[size + j] * before[j] + gate[j] * gate[2 * size + j]
+            cell[j] = gate[1, j] * before[j] + gate[0, j] * gate[2, j]
         for j in range(size):
             squashed[j] = _tanh(cell[j])
         for j in range(size):
-            out[j] = gate[3 * size + j] * squashed[j]
+            out[j] = gate[3, j] * squashed[j]
             next_h[j] = out[j] * next_mask
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@_kernel
 def backward_step(
     t: int,
     d_next: Singles,
     d_hidden: Singles,
-    keep: Singles,
+    masks: Singles,
     gates: Singles,
     c_in: Singles,
     c_tanh: Singles,
@@ -119,13 +122,13 @@ def backward_step(
     """Compute the backward pass of step t in place; arrays are those of `forward_step`.
 
     Read are ``d_next`` (B, H) and ``d_hidden`` (T, B, H), gradients of ``h`` and ``hidden``.
-    Written: ``d_gates`` (B, 4H), gradient of the gates before their activation functions, and
+    Written: ``d_gates`` (B, 4, H), gradient of the gates before their activation functions, and
     ``dc`` (B, H), from the gradient of the cell state after the step to that before it.
     """
-    steps, batch, size = d_hidden.shape
+    _, batch, size = d_hidden.shape
     for b in range(batch):
-        mask = keep[t, b, 0]
-        next_mask = keep[t + 1, b, 0] if t + 1 < steps else _ONE
+        mask = masks[t, b]
+        next_mask = masks[t + 1, b]
         gate = gates[t, b]
         before = c_in[t, b]
         squashed = c_tanh[t, b]
@@ -135,18 +138,18 @@ def backward_step(
         d_cell = dc[b]
         for j in range(size):
             dh = d_out[j] + d_next_h[j] * next_mask
-            o = gate[3 * size + j]
+            o = gate[3, j]
             y = squashed[j]
-            d_gate[3 * size + j] = dh * y * o * (_ONE - o)
+            d_gate[3, j] = dh * y * o * (_ONE - o)
             d_cell[j] += dh * o * (_ONE - y * y)
         for j in range(size):
-            i = gate[j]
-            g = gate[2 * size + j]
-            d_gate[j] = d_cell[j] * g * i * (_ONE - i)
-            d_gate[2 * size + j] = d_cell[j] * i * (_ONE - g * g)
+            i = gate[0, j]
+            g = gate[2, j]
+            d_gate[0, j] = d_cell[j] * g * i * (_ONE - i)
+            d_gate[2, j] = d_cell[j] * i * (_ONE - g * g)
         for j in range(size):
-            f = gate[size + j]
-            d_gate[size + j] = d_cell[j] * before[j] * f * (_ONE - f)
+            f = gate[1, j]
+            d_gate[1, j] = d_cell[j] * before[j] * f * (_ONE - f)
             d_cell[j] *= f * mask
 
 
@@ -188,9 +191,8 @@ class MaskedLSTM(nn.Module):
         Returns:
             Hidden state (B, H) and the next state.
         """
-        return self._advance(
-            self._project(x), state, (~episode_start).to(x.dtype)[:, None]
-        )
+        keep = (~episode_start).to(x.dtype)[:, None]
+        return self._advance(self._project(x), state, keep)
 
     def forward(
         self, x: Tensor, state: State, episode_start: Tensor
@@ -202,12 +204,11 @@ class MaskedLSTM(nn.Module):
         Returns:
             Hidden states (T, B, H) and the state after the last step.
         """
-        keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
+        weight = self.weight_hh
+        keep = (~episode_start).to(weight.dtype)[:, :, None]
         projected = self.projected(self._project(x))
-        if _has_kernels(self.weight_hh):
-            hidden, h, c = MaskedLSTMFunction.apply(
-                projected, self.weight_hh, *state, keep
-            )
+        if _has_kernels(weight):
+            hidden, h, c = MaskedLSTMFunction.apply(projected, weight, *state, keep)
             return hidden, (h, c)
         outputs = []
         for gates, mask in zip(projected, keep, strict=True):
@@ -262,11 +263,10 @@ class MaskedLSTMFunction(torch.autograd.Function):
         is 1.0, or 0.0 where an episode starts. Returns hidden states (T, B, H), last hidden state
         and last cell state (B, H).
         """
-        steps, batch, _ = projected.shape
-        size = weight_hh.shape[1]
         gates = projected.to(weight_hh.dtype, copy=True).contiguous()
-        h_in = projected.new_empty(steps, batch, size)
-        c_in = gates.new_empty(steps, batch, size)
+        gates = gates.unflatten(2, (4, -1))
+        h_in = projected.new_empty(len(projected), *h.shape)
+        c_in = torch.empty_like(h_in, dtype=gates.dtype)
         c_tanh = torch.empty_like(c_in)
         hidden = torch.empty_like(c_in)
         added = torch.zeros_like(gates[0])
@@ -274,14 +274,14 @@ class MaskedLSTMFunction(torch.autograd.Function):
         recurrent = weight.t()
         h = h * keep[0]
         c = c.clone()
-        tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
+        tensors = (added, _masks(keep), gates, c_in, c_tanh, hidden, h, c)
         arrays = [tensor.numpy() for tensor in tensors]
         # Where every step starts an episode, the recurrent products are zeros.
         ctx.remembers = bool(keep.any())
         for t, h_t in enumerate(h_in):
             h_t.copy_(h)
             if ctx.remembers:
-                added.copy_(torch.mm(h_t, recurrent))
+                added.copy_(torch.mm(h_t, recurrent).view_as(added))
             forward_step(t, *arrays)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h, c
@@ -294,32 +294,27 @@ class MaskedLSTMFunction(torch.autograd.Function):
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
-        size = weight.shape[1]
-        d_projected = torch.empty_like(gates, dtype=weight.dtype)
+        d_projected = torch.empty_like(gates.flatten(2), dtype=weight.dtype)
         d_gates = torch.empty_like(gates[0])
         d_next = dh.clone()
         dc = dc.clone()
-        tensors = (
-            d_next,
-            d_hidden.contiguous(),
-            keep,
-            gates,
-            c_in,
-            c_tanh,
-            d_gates,
-            dc,
-        )
+        d_hidden = d_hidden.contiguous()
+        tensors = (d_next, d_hidden, _masks(keep), gates, c_in, c_tanh, d_gates, dc)
         arrays = [tensor.numpy() for tensor in tensors]
         for t in reversed(range(len(d_projected))):
             backward_step(t, *arrays)
-            d_projected_t = d_projected[t]
-            d_projected_t.copy_(d_gates)
+            d_projected[t] = d_gates.flatten(1)
             if t or ctx.needs_input_grad[2]:
-                d_next.copy_(torch.mm(d_projected_t, weight))
+                d_next.copy_(torch.mm(d_projected[t], weight))
         d_weight = torch.zeros_like(weight)
         if ctx.remembers:
-            d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
+            d_weight = d_projected.flatten(0, 1).t() @ h_in.flatten(0, 1)
         return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None
+
+
+def _masks(keep: Tensor) -> Tensor:
+    """Return masks (T, B, 1) as (T + 1, B); none follows the last step, so the last ones are 1."""
+    return F.pad(keep[:, :, 0], (0, 0, 0, 1), value=1.0)
 
 
 def _has_kernels(weight: Tensor) -> bool:

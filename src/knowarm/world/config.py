@@ -63,16 +63,18 @@ class EnvConfig:
     """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "task", find_task(self.task))
-        task = self.task
+        task = find_task(self.task)
         targets: Any = self.targets
         if isinstance(targets, str):
             targets = (targets,)
-        object.__setattr__(self, "targets", tuple(targets) or task.targets)
-        if not self.max_episode_steps:
-            object.__setattr__(self, "max_episode_steps", task.skill.max_steps)
-        if task.asked.colours is not None:
-            object.__setattr__(self, "colours", task.asked.colours)
+        derived = {
+            "task": task,
+            "targets": tuple(targets) or task.targets,
+            "max_episode_steps": self.max_episode_steps or task.skill.max_steps,
+            "colours": task.asked.colours or self.colours,
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
         check_values(self)
         thresholds = ("success_distance_m", "success_angle_deg", "mpi_rad")
         above_zero(self, *thresholds, where="EnvConfig.")
@@ -101,16 +103,16 @@ class EnvConfig:
             )
         if task.asked.holds_out:
             return
-        unused = None
-        if self.held_out is not None:
-            unused = "held_out"
-        elif self.randomization.distractors > 0:
-            unused = "randomization.distractors"
-        if unused is not None:
-            raise UserError(
-                f"EnvConfig.{unused} cannot be combined with the task {task.name!r}, whose "
-                "questions decide what stands in the rectangle. Leave one of them out."
-            )
+        used = {
+            "held_out": self.held_out,
+            "randomization.distractors": self.randomization.distractors,
+        }
+        for name, value in used.items():
+            if value:
+                raise UserError(
+                    f"EnvConfig.{name} cannot be combined with the task {task.name!r}, whose "
+                    "questions decide what stands in the rectangle. Leave one of them out."
+                )
 
 
 def robot_of(config: EnvConfig) -> Robot:

@@ -14,9 +14,8 @@ from knowarm.reading import one_line, read_text, read_toml
 from knowarm.world.cache import cache_file, write_arrays
 
 SUFFIX = ".toml"  # A name with this suffix is the path of a description
-MENAGERIE = (
-    "menagerie:"  # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
-)
+# ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
+MENAGERIE = "menagerie:"
 HOW_TO_GET = (
     "git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie, then set "
     "KNOWARM_MENAGERIE to its folder"
@@ -90,19 +89,18 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 
     mjcf = _normal(_mjcf(read_toml(path), path))
     try:
-        files = [
-            _normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))
-        ]
+        names = mujoco.mju_getXMLDependencies(str(mjcf))
     except (ValueError, mujoco.FatalError) as error:
         raise UserError(
             f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
         ) from error
+    files = [_normal(Path(name)) for name in names]
     root = os.path.commonpath([file.parent for file in files])
     places = {file: f"model/{file.relative_to(root).as_posix()}" for file in files}
     text = read_text(path, remedy="Correct the file.")
     line = f"mjcf = {json.dumps(places[mjcf])}".replace("\\", "\\\\")
     text = re.sub(r"""(?m)^\s*["']?mjcf["']?\s*=.*$""", line, text, count=1)
-    model_files = {place: file for file, place in places.items()}
+    model_files = dict(zip(places.values(), files, strict=True))
     return {path.name: text.encode(), **model_files}
 
 
@@ -132,9 +130,8 @@ def _mjcf(values: Mapping[str, Any], path: Path) -> Path:
     if mjcf.startswith(MENAGERIE):
         return menagerie_folder() / mjcf.removeprefix(MENAGERIE)
     package, colon, inside = mjcf.partition(":")
-    if (
-        not colon or len(package) == 1 or not package.isidentifier()
-    ):  # a path; C: is a drive
+    is_drive = len(package) == 1
+    if not colon or is_drive or not package.isidentifier():
         return path.parent / mjcf
     try:
         spec = importlib.util.find_spec(package)

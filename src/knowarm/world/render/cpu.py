@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy import float32, int32
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range
+from knowarm.world.render.cpu_kernels import RenderBatch, Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
 from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
 from knowarm.world.render.scenery import Scenery, read_lamps, read_scenery, read_view
@@ -24,18 +25,8 @@ from knowarm.world.render.tiles import (
 
 MAX_SIDE = 4096
 
-NEAREST_M = (
-    0.2  # Least distance of a mesh from the camera for which triangles are added [m]
-)
-
-
-class Appearance(NamedTuple):
-    """What environments look like, as `render_range` takes it."""
-
-    rgba: Floats32  # Colours of the geoms, (n or 1, G, 4)
-    views: Floats32  # Cameras, (n or 1, 12)
-    lamps: Floats32  # Lights, (n or 1, 12)
-    is_own: bool  # Whether cameras and lights are those of the model
+# Least distance of a mesh from the camera for which triangles are added [m]
+NEAREST_M = 0.2
 
 
 class Trace(NamedTuple):
@@ -105,15 +96,12 @@ class Raycaster:
             triangle_m = mesh_triangle_px * pixel_m
         self.scenery = read_scenery(model, geom_groups, triangle_m)
         self.lamps = read_lamps(model, data)
-        self.grid = make_grid(
-            width, height, half_height, ANTIALIASING if antialiasing else 1
-        )
-        self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
-        self._positions = np.empty((0, 0, 3), dtype=np.float32)
-        self._matrices = np.empty((0, 0, 9), dtype=np.float32)
-        self._scratch = [
-            _make_scratch(self.grid, self.scenery) for _ in range(num_threads)
-        ]
+        samples = ANTIALIASING if antialiasing else 1
+        self.grid = make_grid(width, height, half_height, samples)
+        self._pool = ThreadPoolExecutor(num_threads)
+        self._scratch = []
+        for _ in range(num_threads):
+            self._scratch.append(_make_scratch(self.grid, self.scenery))
         self.stored = self._draw_fixed(data, background)
 
     @property
@@ -137,22 +125,23 @@ class Raycaster:
         ``geom_rgba``, geoms have the model's colours.
         """
         count = len(geom_position)
+        shape = (count, self.height, self.width, 3)
         if out is None:
-            out = np.empty((count, self.height, self.width, 3), dtype=np.uint8)
-        assert out.shape == (count, self.height, self.width, 3)
+            out = np.empty(shape, np.uint8)
+        assert out.shape == shape
         assert out.flags.c_contiguous
-        poses = self._poses(geom_position, geom_matrix)
-        appearance = self._appearance(count, geom_rgba, views, lamps)
-        if self._pool is None or count == 1:
-            self._draw_range(0, count, poses, appearance, 0, out)
-            return out
+        batch = self._batch(geom_position, geom_matrix, geom_rgba, views, lamps)
+        model = (batch, self.grid, self.scenery, self.stored, False, out)
         threads = min(len(self._scratch), count)
+        if threads == 1:
+            render_range(0, count, self._scratch[0], *model)
+            return out
         tasks = []
-        for thread in range(threads):
-            start = count * thread // threads
-            stop = count * (thread + 1) // threads
-            arguments = (start, stop, poses, appearance, thread, out)
-            tasks.append(self._pool.submit(self._draw_range, *arguments))
+        stop = 0
+        for thread, scratch in enumerate(self._scratch[:threads], start=1):
+            start = stop
+            stop = count * thread // threads
+            tasks.append(self._pool.submit(render_range, start, stop, scratch, *model))
         for task in tasks:
             task.result()
         return out
@@ -171,21 +160,23 @@ class Raycaster:
             )
         count = len(geom_position)
         grid = self.grid
-        poses = self._poses(geom_position, geom_matrix)
-        appearance = self._appearance(count, geom_rgba)
+        batch = self._batch(geom_position, geom_matrix, geom_rgba)
+        scratch = self._scratch[0]
+        no_images = np.empty((0, 0, 0, 3), np.uint8)
+        model = (scratch, batch, grid, self.scenery, self.stored, True, no_images)
         columns = np.arange(self.width)
         rows = np.arange(self.height)[:, None]
-        index = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
+        sample = (columns >> BITS, rows * TILE + (columns & (TILE - 1)))
         x = grid.left + columns * grid.pixel
         y = grid.top - rows * grid.step
         length = np.sqrt(x * x + y * y + 1)
-        geom = np.empty((count, self.height, self.width), dtype=np.int32)
-        distance = np.empty(geom.shape, dtype=np.float32)
-        depth, ids = self._scratch[0].field
+        geom = np.empty((count, self.height, self.width), int32)
+        distance = np.empty(geom.shape, float32)
+        depth, ids = scratch.field
         for e in range(count):
-            self._draw_range(e, e + 1, poses, appearance, 0, None)
-            geom[e] = ids[index]
-            distance[e] = np.where(geom[e] < 0, -1, depth[index] * length)
+            render_range(e, e + 1, *model)
+            geom[e] = ids[sample]
+            distance[e] = np.where(geom[e] < 0, -1, depth[sample] * length)
         return Trace(geom, distance)
 
     def _draw_fixed(
@@ -194,87 +185,64 @@ class Raycaster:
         """Draw the background and the geoms that stand still."""
         rgb = (np.clip(background, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
         red, green, blue = rgb.tolist()
-        empty = _make_field(self.grid, red | green << 8 | blue << 16)
-        empty_image = np.tile(rgb, self.height * self.width)
-        image = np.empty((1, self.height, self.width, 3), dtype=np.uint8)
+        grid = self.grid
         scenery = self.scenery
-        self.stored = Stored(empty, empty, empty_image, empty_image)
-        self.scenery = scenery._replace(fixed=scenery.fixed[:0], moving=scenery.fixed)
-        poses = self._poses(data.geom_xpos[None], data.geom_xmat[None])
-        self._draw_range(0, 1, poses, self._appearance(1), 0, image)
-        self.scenery = scenery
-        # Only the tiles that were touched are in the scratch field.
+        empty = _make_field(grid, red | green << 8 | blue << 16)
+        empty_image = np.tile(rgb, self.height * self.width)
+        stored = Stored(empty, empty, empty_image, empty_image)
         scratch = self._scratch[0]
-        backdrop = (empty[0].copy(), empty[1].copy())
-        for strip, dirty in enumerate(scratch.dirty):
-            first, last = (strip * self.grid.rows + dirty) * TILE
-            for target, source in zip(backdrop, scratch.field, strict=True):
-                target[first:last] = source[first:last]
-        return Stored(empty, backdrop, empty_image, image.reshape(-1))
-
-    def _draw_range(
-        self,
-        start: int,
-        stop: int,
-        poses: tuple[Floats32, Floats32],
-        appearance: Appearance,
-        thread: int,
-        out: Images | None,
-    ) -> None:
-        """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
-        ids = out is None
-        if out is None:
-            out = np.empty((0, 0, 0, 3), dtype=np.uint8)
-        model = (self.grid, self.scenery, self.stored)
-        render_range(
-            start, stop, *poses, *appearance, *model, self._scratch[thread], ids, out
+        # Tiles that are not drawn keep the background.
+        scratch.field[1][:] = empty[1]
+        image = np.empty((1, self.height, self.width, 3), np.uint8)
+        batch = self._batch(data.geom_xpos[None], data.geom_xmat[None])
+        fixed = scenery._replace(fixed=scenery.fixed[:0], moving=scenery.fixed)
+        render_range(0, 1, scratch, batch, grid, fixed, stored, False, image)
+        depth, value = scratch.field
+        return stored._replace(
+            backdrop=(depth.copy(), value.copy()), image=image.reshape(-1)
         )
 
-    def _appearance(
+    def _batch(
         self,
-        count: int,
+        geom_position: NDArray[Any],
+        geom_matrix: NDArray[Any],
         geom_rgba: Floats32 | None = None,
         views: Floats32 | None = None,
         lamps: Floats32 | None = None,
-    ) -> Appearance:
-        """Return colours, cameras and lights: one for all environments, or one per environment."""
-        return Appearance(
-            _batch(geom_rgba, self.scenery.rgba, count),
-            _batch(views, self.view, count),
-            _batch(lamps, self.lamps, count).reshape(-1, 12),
-            is_own=views is None and lamps is None,
-        )
-
-    def _poses(
-        self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]
-    ) -> tuple[Floats32, Floats32]:
-        """Copy poses to reused float32 arrays."""
+    ) -> RenderBatch:
+        """Return environments as the kernels take them."""
         count = len(geom_position)
-        geoms = len(self.scenery.kind)
+        scenery = self.scenery
+        geoms = len(scenery.kind)
         assert geom_position.shape == (count, geoms, 3), geom_position.shape
         assert geom_matrix.shape == (count, geoms, 9), geom_matrix.shape
-        if len(self._positions) < count:
-            self._positions = np.empty((count, geoms, 3), dtype=np.float32)
-            self._matrices = np.empty((count, geoms, 9), dtype=np.float32)
-        positions = self._positions[:count]
-        matrices = self._matrices[:count]
-        np.copyto(positions, geom_position, casting="same_kind")
-        np.copyto(matrices, geom_matrix, casting="same_kind")
-        return positions, matrices
+        rgba = _rows(geom_rgba, scenery.rgba, count)
+        has_stored_colours = rgba[:, scenery.fixed] == scenery.rgba[scenery.fixed]
+        is_stored = has_stored_colours.all(axis=(1, 2))
+        if views is not None or lamps is not None:
+            is_stored[:] = False
+        return RenderBatch(
+            np.ascontiguousarray(geom_position, float32),
+            np.ascontiguousarray(geom_matrix, float32),
+            rgba,
+            _rows(views, self.view, count),
+            _rows(lamps, self.lamps, count).reshape(-1, 12),
+            is_stored,
+        )
 
 
-def _batch(values: Floats32 | None, default: Floats32, count: int) -> Floats32:
+def _rows(values: Floats32 | None, default: Floats32, count: int) -> Floats32:
     """Return values of each of ``count`` environments, or the default as a batch of one."""
     if values is None:
         values = default[None]
     else:
         assert values.shape == (count, *default.shape), values.shape
-    return np.ascontiguousarray(values, dtype=np.float32)
+    return np.ascontiguousarray(values, float32)
 
 
 def _make_field(grid: TileGrid, value: int) -> Field:
-    count = grid.strips * grid.rows * TILE
-    return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
+    shape = (grid.strips, grid.rows * TILE)
+    return np.full(shape, FAR, float32), np.full(shape, value, int32)
 
 
 def _make_scratch(grid: TileGrid, scenery: Scenery) -> Scratch:
@@ -283,8 +251,8 @@ def _make_scratch(grid: TileGrid, scenery: Scenery) -> Scratch:
     vertices = int((span[:, 1] - span[:, 0]).max(initial=0))
     return Scratch(
         field=_make_field(grid, 0),
-        record=np.empty((geoms, RECORD), dtype=np.float32),
-        extent=np.empty((geoms, EXTENT), dtype=np.int32),
-        projection=np.empty((vertices, PROJECTION), dtype=np.float32),
-        dirty=np.empty((grid.strips, 2), dtype=np.int32),
+        record=np.empty((geoms, RECORD), float32),
+        extent=np.empty((geoms, EXTENT), int32),
+        projection=np.empty((vertices, PROJECTION), float32),
+        dirty=np.empty((grid.strips, 2), int32),
     )

@@ -6,27 +6,44 @@ first, so that only the tiles that any of them covers are drawn again.
 
 from typing import Any, NamedTuple
 
-import numpy as np
-from numba import njit
+from numpy import int32
 from numpy.typing import NDArray
 
-from knowarm.world.render.fill_loops import Field, fill_mesh, fill_primitive
+from knowarm.arrays import Mask
+from knowarm.world.render.fill_loops import (
+    Field,
+    fill_mesh,
+    fill_primitive,
+    rows_of,
+)
 from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import (
     Floats32,
     Images,
     Integers32,
-    Matrix,
-    Paint,
-    Vector,
     cached_njit,
+    kernel,
     light_geom,
     matrix_at,
     scalar,
     vector_at,
+    write_matrix,
+    write_vector,
 )
 from knowarm.world.render.scenery import Scenery
 from knowarm.world.render.tiles import TILE, TileGrid, is_empty, project_geom, tiles_of
+
+
+class RenderBatch(NamedTuple):
+    """Poses and appearance of n environments; one row of appearance can stand for all."""
+
+    position: Floats32  # Positions of the geoms [m], (n, G, 3)
+    matrix: Floats32  # Rotations from geom to world, row-major, (n, G, 9)
+    rgba: Floats32  # Colours of the geoms, alpha 0 hides, (n or 1, G, 4)
+    views: Floats32  # Cameras, (n or 1, 12)
+    lamps: Floats32  # Lights, as ``read_lamps``, (n or 1, 12)
+    # Whether the fixed geoms, the camera and the lights are those of the stored image, (n or 1,)
+    is_stored: Mask
 
 
 class Stored(NamedTuple):
@@ -41,7 +58,7 @@ class Stored(NamedTuple):
 class Scratch(NamedTuple):
     """Working memory of a thread."""
 
-    field: Field  # The samples, (strips * rows * TILE,) each
+    field: Field  # The samples
     record: Floats32  # Records of the visible geoms, (G, RECORD)
     extent: Integers32  # Extents of the visible geoms, (G, EXTENT)
     # Projected vertices of a mesh, (vertices of the largest, PROJECTION)
@@ -50,31 +67,20 @@ class Scratch(NamedTuple):
     dirty: Integers32
 
 
-@scalar
-def _write(numbers: Floats32, start: int, v: Vector) -> None:
-    numbers[start], numbers[start + 1], numbers[start + 2] = v
-
-
-@scalar
-def _write_all(numbers: Floats32, start: int, vectors: Matrix | Paint) -> None:
-    for i in range(3):
-        _write(numbers, start + 3 * i, vectors[i])
-
-
-@njit(error_model="numpy")
+@kernel
 def _project_geoms(
     geoms: Integers32,
-    position: Floats32,
-    matrix: Floats32,
-    rgba: Floats32,
-    view: Floats32,
-    lamps: Floats32,
+    batch: RenderBatch,
+    e: int,
     grid: TileGrid,
     scenery: Scenery,
     scratch: Scratch,
     count: int,
 ) -> int:
     """Append the visible geoms of a list to ``count`` records; return the new count."""
+    rgba = _row(batch.rgba, e)
+    lamps = _row(batch.lamps, e)
+    view = _row(batch.views, e)
     eye = vector_at(view, 0)
     camera = matrix_at(view, 3)
     meshes = scenery.meshes
@@ -84,17 +90,12 @@ def _project_geoms(
             continue
         kind = scenery.kind[g]
         size = vector_at(scenery.size[g], 0)
-        rotation = matrix_at(matrix[g], 0)
+        middle = vector_at(meshes.middle[g], 0)
+        half = vector_at(meshes.half[g], 0)
+        position = vector_at(batch.position[e, g], 0)
+        matrix = matrix_at(batch.matrix[e, g], 0)
         window, origin, frame = project_geom(
-            kind,
-            size,
-            vector_at(meshes.middle[g], 0),
-            vector_at(meshes.half[g], 0),
-            vector_at(position[g], 0),
-            rotation,
-            eye,
-            camera,
-            grid,
+            kind, size, middle, half, position, matrix, eye, camera, grid
         )
         if is_empty(window):
             continue
@@ -104,14 +105,13 @@ def _project_geoms(
         extent[0] = kind
         extent[1] = g
         extent[2], extent[3], extent[4], extent[5] = window
-        sun, paint = light_geom(
-            vector_at(rgba[g], 0), scenery.emission[g], lamps, rotation
-        )
-        _write(record, 0, origin)
-        _write_all(record, 3, frame)
-        _write(record, 12, size)
-        _write(record, 15, sun)
-        _write_all(record, 18, paint)
+        colour = vector_at(rgba[g], 0)
+        sun, paint = light_geom(colour, scenery.emission[g], lamps, matrix)
+        write_vector(record, 0, origin)
+        write_matrix(record, 3, frame)
+        write_vector(record, 12, size)
+        write_vector(record, 15, sun)
+        write_matrix(record, 18, paint)
         first, stop, upper, lower = tiles_of(window)
         for strip in range(first, stop):
             dirty[strip, 0] = min(dirty[strip, 0], upper)
@@ -119,61 +119,47 @@ def _project_geoms(
     return count
 
 
-@njit(error_model="numpy")
-def _has_stored_colours(scenery: Scenery, rgba: Floats32) -> bool:
-    """Tell whether the fixed geoms have the colours of the stored image."""
-    for g in scenery.fixed:
-        for c in range(4):
-            if rgba[g, c] != scenery.rgba[g, c]:
-                return False
-    return True
-
-
-@njit(error_model="numpy")
+@kernel
 def _copy(target: NDArray[Any], source: NDArray[Any]) -> None:
     """Copy an array; slice assignment, which Numba does not vectorize, takes much longer."""
-    for i in range(target.shape[0]):
+    for i in range(len(target)):
         target[i] = source[i]
 
 
-@njit(error_model="numpy")
-def _restore(field: Field, source: Field, dirty: Integers32, grid: TileGrid) -> None:
+@kernel
+def _restore(field: Field, source: Field, dirty: Integers32) -> None:
     """Copy the dirty samples of a stored field."""
-    depth, value = field
-    old_depth, old_value = source
-    for strip in range(dirty.shape[0]):
-        start = (strip * grid.rows + dirty[strip, 0]) * TILE
-        stop = (strip * grid.rows + dirty[strip, 1]) * TILE
-        _copy(depth[start:stop], old_depth[start:stop])
-        _copy(value[start:stop], old_value[start:stop])
+    for strip in range(len(dirty)):
+        first = dirty[strip, 0]
+        stop = dirty[strip, 1]
+        depth, value = rows_of(field, strip, first, stop)
+        stored_depth, stored_value = rows_of(source, strip, first, stop)
+        _copy(depth, stored_depth)
+        _copy(value, stored_value)
 
 
-@njit(error_model="numpy")
+@kernel
 def _average(
-    value: Integers32,
-    dirty: Integers32,
-    grid: TileGrid,
-    width: int,
-    out: Images,
+    value: Integers32, dirty: Integers32, grid: TileGrid, width: int, out: Images
 ) -> None:
     """Average the samples of the dirty pixels into an image (H * W * 3,)."""
-    samples = np.int32(grid.mask + 1)
-    half = np.int32(samples >> 1)
+    samples = int32(grid.mask + 1)
+    half = int32(samples >> 1)
     power = half  # 1 is 2 ** 0, and 4 is 2 ** 2
-    height = np.int32(out.shape[0] // (3 * width))
+    height = int32(out.shape[0] // (3 * width))
     for strip in range(grid.strips):
         left = strip * TILE
         for j in range(dirty[strip, 0] >> power, min(dirty[strip, 1] >> power, height)):
-            first = (strip * grid.rows + j * samples) * TILE
+            first = j * samples * TILE
             pixel = (j * width + left) * 3
             for lane in range(min(TILE, width - left)):
                 # Red and blue are summed in one integer, sixteen bits apart.
-                outer = np.int32(half | half << 16)
+                outer = int32(half | half << 16)
                 green = half
                 for s in range(samples):
-                    packed = value[first + s * TILE + lane]
-                    outer += packed & np.int32(0xFF00FF)
-                    green += (packed >> np.int32(8)) & np.int32(0xFF)
+                    packed = value[strip, first + s * TILE + lane]
+                    outer += packed & int32(0xFF00FF)
+                    green += (packed >> int32(8)) & int32(0xFF)
                 red = pixel + 3 * lane
                 out[red] = (outer >> power) & 0xFF
                 out[red + 1] = green >> power
@@ -181,25 +167,20 @@ def _average(
 
 
 @scalar
-def _row(values: NDArray[Any], e: int) -> NDArray[Any]:
+def _row(values: NDArray[Any], e: int) -> Any:
     """Return the values of an environment, or those that all have."""
-    return values[min(e, values.shape[0] - 1)]
+    return values[min(e, len(values) - 1)]
 
 
 @cached_njit
 def render_range(
     start: int,
     stop: int,
-    positions: Floats32,
-    matrices: Floats32,
-    rgba: Floats32,
-    views: Floats32,
-    lamps: Floats32,
-    is_own: bool,
+    scratch: Scratch,
+    batch: RenderBatch,
     grid: TileGrid,
     scenery: Scenery,
     stored: Stored,
-    scratch: Scratch,
     ids: bool,
     out: Images,
 ) -> None:
@@ -207,45 +188,28 @@ def render_range(
 
     Args:
         start, stop: first environment, and one past the last.
-        positions, matrices: (n, G, 3) [m] and (n, G, 9), row-major, from geom to world.
-        rgba: (n or 1, G, 4) colours; alpha 0 hides.
-        views: (n or 1, 12) cameras.
-        lamps: (n or 1, 12) lights, as ``read_lamps``.
-        is_own: cameras and lights are the model's, with which the stored image was drawn.
+        scratch: working memory; afterwards it holds the last environment's samples.
+        batch: the environments.
         grid, scenery: the samples and the geoms.
         stored: images to start from.
-        scratch: working memory; afterwards it holds the last environment's samples.
         ids: write geom ids instead of colours, and no image.
         out: the images; untouched with ``ids``.
     """
     field = scratch.field
     dirty = scratch.dirty
-    size = stored.image.shape[0]
     for e in range(start, stop):
-        colours = _row(rgba, e)
-        view = _row(views, e)
-        light = _row(lamps, e)
-        position = positions[e]
-        matrix = matrices[e]
-        reuse = is_own and not ids and _has_stored_colours(scenery, colours)
+        geoms = scenery.fixed
+        samples = stored.empty
+        background = stored.empty_image
+        if _row(batch.is_stored, e) and not ids:
+            geoms = geoms[:0]
+            samples = stored.backdrop
+            background = stored.image
         dirty[:, 0] = 0 if ids else grid.rows
         dirty[:, 1] = grid.rows if ids else 0
-        fixed = scenery.fixed[:0] if reuse else scenery.fixed
-        count = 0
-        for geoms in (fixed, scenery.moving):
-            count = _project_geoms(
-                geoms,
-                position,
-                matrix,
-                colours,
-                view,
-                light,
-                grid,
-                scenery,
-                scratch,
-                count,
-            )
-        _restore(field, stored.backdrop if reuse else stored.empty, dirty, grid)
+        count = _project_geoms(geoms, batch, e, grid, scenery, scratch, 0)
+        count = _project_geoms(scenery.moving, batch, e, grid, scenery, scratch, count)
+        _restore(field, samples, dirty)
         if ids:
             field[1][:] = -1
         for i in range(count):
@@ -258,6 +222,6 @@ def render_range(
             else:
                 fill_primitive(record, extent, grid, field, ids)
         if not ids:
-            image = out[e].reshape(size)
-            _copy(image, stored.image if reuse else stored.empty_image)
+            image = out[e].reshape(background.shape)
+            _copy(image, background)
             _average(field[1], dirty, grid, out.shape[2], image)

@@ -9,8 +9,7 @@ and are skipped.
 
 from collections.abc import Callable
 
-import numpy as np
-from numba import njit
+from numpy import float32, int32
 
 from knowarm.world.render import intersections
 from knowarm.world.render.intersections import (
@@ -20,6 +19,7 @@ from knowarm.world.render.intersections import (
     ELLIPSOID,
     PLANE,
     SPHERE,
+    Faces,
     Hit,
     blend,
     face_planes,
@@ -33,12 +33,14 @@ from knowarm.world.render.numeric import (
     Matrix,
     Paint,
     Vector,
+    kernel,
     matrix_at,
     minus,
     scalar,
     shade,
     to_parent,
     vector_at,
+    write_vector,
 )
 from knowarm.world.render.scenery import Meshes
 from knowarm.world.render.tiles import (
@@ -54,11 +56,17 @@ from knowarm.world.render.tiles import (
 )
 
 Field = tuple[Floats32, Integers32]
-"""Depth [m] and value (packed colour or geom id) of the samples, (strips * rows * TILE,) each."""
+"""Depth [m] and value (packed colour or geom id) of the samples, (strips, rows * TILE) each."""
 
-PROJECTION = (
-    3  # Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1
-)
+PROJECTION = 3  # Numbers stored per vertex: X, Y, and z in the camera frame
+
+
+@scalar
+def rows_of(field: Field, strip: int, first: int, stop: int) -> Field:
+    """Return the samples of some rows of a strip."""
+    depth, value = field
+    samples = slice(first * TILE, stop * TILE)
+    return depth[strip, samples], value[strip, samples]
 
 
 @scalar
@@ -81,15 +89,15 @@ def _lane_direction(
 
     The numbers are int32 so that they are as wide as the float32 ones in a vector register.
     """
-    lane = np.int32(k)
-    column = np.int32(np.int32(strip * TILE) + (lane & np.int32(TILE - 1)))
-    row = np.int32(np.int32(upper) + (lane >> np.int32(BITS)))
+    lane = int32(k)
+    column = int32(int32(strip * TILE) + (lane & int32(TILE - 1)))
+    row = int32(int32(upper) + (lane >> int32(BITS)))
     return sample_direction(column, row, frame, grid)
 
 
 @scalar
 def _keep_nearer(
-    depth: Floats32, value: Integers32, k: int, t: np.float32, new: np.int32
+    depth: Floats32, value: Integers32, k: int, t: float32, new: int32
 ) -> None:
     """Replace sample k by what lies at depth t if that is nearer, without branching."""
     old_depth = depth[k]
@@ -99,7 +107,7 @@ def _keep_nearer(
     value[k] = new if nearer else old_value
 
 
-@njit(error_model="numpy")
+@kernel
 def _fill(
     hit: Callable[..., Hit],
     record: Floats32,
@@ -115,45 +123,35 @@ def _fill(
     size = vector_at(record, 12)
     head, sun, paint = _light(record)
     first, stop, upper, lower = tiles_of(_window(extent))
-    count = (lower - upper) * TILE
     for strip in range(first, stop):
-        start = (strip * grid.rows + upper) * TILE
-        depth = field[0][start : start + count]
-        value = field[1][start : start + count]
-        for k in range(count):
+        depth, value = rows_of(field, strip, upper, lower)
+        for k in range(len(depth)):
             t, normal = hit(origin, _lane_direction(k, strip, upper, frame, grid), size)
             colour = shade(normal, head, sun, paint)
             _keep_nearer(depth, value, k, t, geom if ids else colour)
 
 
-@njit(error_model="numpy")
+@kernel
 def _fill_triangle(
-    planes: intersections.Faces,
+    planes: Faces,
     window: Window,
     frame: Matrix,
-    mark: np.int32,
+    mark: int32,
     grid: TileGrid,
     field: Field,
 ) -> None:
     """Note ``mark`` in the columns and rows of samples where a triangle is nearest."""
     first, stop, upper, lower = tiles_of(window)
-    count = (lower - upper) * TILE
     for strip in range(first, stop):
-        start = (strip * grid.rows + upper) * TILE
-        depth = field[0][start : start + count]
-        value = field[1][start : start + count]
-        for k in range(count):
+        depth, value = rows_of(field, strip, upper, lower)
+        for k in range(len(depth)):
             t, _ = triangle(planes, _lane_direction(k, strip, upper, frame, grid))
             _keep_nearer(depth, value, k, t, mark)
 
 
-@njit(error_model="numpy")
+@kernel
 def _shade_triangles(
-    record: Floats32,
-    extent: Integers32,
-    grid: TileGrid,
-    meshes: Meshes,
-    value: Integers32,
+    record: Floats32, extent: Integers32, grid: TileGrid, meshes: Meshes, field: Field
 ) -> None:
     """Replace the triangles' marks in the samples of a mesh by their colours."""
     eye = vector_at(record, 0)
@@ -161,9 +159,9 @@ def _shade_triangles(
     head, sun, paint = _light(record)
     first, stop, upper, lower = tiles_of(_window(extent))
     for strip in range(first, stop):
-        start = (strip * grid.rows + upper) * TILE
-        for k in range((lower - upper) * TILE):
-            mark = value[start + k]
+        _, value = rows_of(field, strip, upper, lower)
+        for k in range(len(value)):
+            mark = value[k]
             if mark >= 0:
                 continue
             face = -1 - mark
@@ -171,14 +169,15 @@ def _shade_triangles(
             direction = _lane_direction(k, strip, upper, frame, grid)
             _, weights = triangle(face_planes(a, b, c), direction)
             normal = blend(weights, matrix_at(meshes.normal[face], 0))
-            value[start + k] = shade(normal, head, sun, paint)
+            value[k] = shade(normal, head, sun, paint)
 
 
-@njit(error_model="numpy")
+@kernel
 def fill_primitive(
     record: Floats32, extent: Integers32, grid: TileGrid, field: Field, ids: bool
 ) -> None:
     """Draw a projected primitive."""
+    # Functions that are passed as globals of this module would keep Numba from caching.
     kind = extent[0]
     if kind == BOX:
         _fill(intersections.box, record, extent, grid, field, ids)
@@ -201,7 +200,7 @@ def _corner(meshes: Meshes, vertex: int, origin: Vector) -> Vector:
 
 
 @scalar
-def corners(meshes: Meshes, face: int, origin: Vector) -> tuple[Vector, Vector, Vector]:
+def corners(meshes: Meshes, face: int, origin: Vector) -> Matrix:
     """Return the corners of a triangle relative to an origin in the geom's frame [m]."""
     vertices = meshes.face[face]
     return (
@@ -212,7 +211,7 @@ def corners(meshes: Meshes, face: int, origin: Vector) -> tuple[Vector, Vector, 
 
 
 @scalar
-def _visible_winding(meshes: Meshes, geom: int, eye: Vector) -> np.float32:
+def _visible_winding(meshes: Meshes, geom: int, eye: Vector) -> float32:
     """Return the winding of the triangles that face the eye, 0 if all have to be drawn.
 
     Seen from outside, the far side of a closed mesh is hidden by its near side.
@@ -220,10 +219,10 @@ def _visible_winding(meshes: Meshes, geom: int, eye: Vector) -> np.float32:
     x, y, z = minus(eye, vector_at(meshes.middle[geom], 0))
     half_x, half_y, half_z = vector_at(meshes.half[geom], 0)
     outside = (abs(x) > half_x) | (abs(y) > half_y) | (abs(z) > half_z)
-    return np.float32(meshes.winding[geom]) if outside else ZERO
+    return float32(meshes.winding[geom]) if outside else ZERO
 
 
-@njit(error_model="numpy")
+@kernel
 def fill_mesh(
     record: Floats32,
     extent: Integers32,
@@ -241,33 +240,28 @@ def fill_mesh(
     span = meshes.span[geom]
     first = span[0]
     for i in range(span[1] - first):
-        right, up, backward = to_parent(frame, _corner(meshes, first + i, eye))
-        behind = backward > -NEAR
-        inverse = -ONE / (-ONE if behind else backward)
-        projection[i, 0] = right * inverse
-        projection[i, 1] = up * inverse
-        projection[i, 2] = ONE if behind else -ONE
+        x, y, z = to_parent(frame, _corner(meshes, first + i, eye))
+        inverse = -ONE / z  # of points behind the eye, X and Y are not used
+        write_vector(projection[i], 0, (x * inverse, y * inverse, z))
     for face in range(span[2], span[3]):
         vertices = meshes.face[face]
-        ax, ay, a_side = vector_at(projection[vertices[0] - first], 0)
-        bx, by, b_side = vector_at(projection[vertices[1] - first], 0)
-        cx, cy, c_side = vector_at(projection[vertices[2] - first], 0)
+        ax, ay, az = vector_at(projection[vertices[0] - first], 0)
+        bx, by, bz = vector_at(projection[vertices[1] - first], 0)
+        cx, cy, cz = vector_at(projection[vertices[2] - first], 0)
         window = _window(extent)
-        if max(a_side, b_side, c_side) < 0:
+        if max(az, bz, cz) <= -NEAR:
             turn = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
             if turn * winding < ZERO:
                 continue
-            bounds = (
-                min(ax, bx, cx),
-                max(ax, bx, cx),
-                min(ay, by, cy),
-                max(ay, by, cy),
-            )
-            window = samples_within(bounds, window, grid)
+            left = min(ax, bx, cx)
+            right = max(ax, bx, cx)
+            bottom = min(ay, by, cy)
+            top = max(ay, by, cy)
+            window = samples_within((left, right, bottom, top), window, grid)
         if is_empty(window):
             continue
         a, b, c = corners(meshes, face, eye)
-        mark = np.int32(geom if ids else -1 - face)
+        mark = int32(geom if ids else -1 - face)
         _fill_triangle(face_planes(a, b, c), window, frame, mark, grid, field)
     if not ids:
-        _shade_triangles(record, extent, grid, meshes, field[1])
+        _shade_triangles(record, extent, grid, meshes, field)

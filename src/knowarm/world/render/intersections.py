@@ -20,7 +20,7 @@ between them. Both sides of a triangle are hit, as with ``mj_ray``.
 
 import math
 
-import numpy as np
+from numpy import float32
 
 from knowarm.world.render.numeric import (
     FAR,
@@ -49,20 +49,12 @@ CYLINDER = 5
 BOX = 6
 MESH = 7
 
-SUPPORTED = (
-    PLANE,
-    SPHERE,
-    CAPSULE,
-    ELLIPSOID,
-    CYLINDER,
-    BOX,
-    MESH,
-)  # Geom types that can be drawn
-Interval = tuple[
-    np.float32, np.float32
-]  # Ray parameters at which a ray enters and leaves a solid
-Hit = tuple[np.float32, Vector]  # Ray parameter and normal
-Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
+# Geom types that can be drawn
+SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)
+# Ray parameters at which a ray enters and leaves a solid
+Interval = tuple[float32, float32]
+Hit = tuple[float32, Vector]  # Ray parameter and normal
+Faces = tuple[Vector, Vector, Vector, Vector, float32]
 """b x c, c x a, a x b, the plane's normal (a - c) x (b - c), and the normal times a."""
 
 
@@ -82,11 +74,17 @@ def plane(origin: Vector, direction: Vector, size: Vector) -> Hit:
 
 
 @scalar
-def _first(enter: np.float32, leave: np.float32) -> np.float32:
+def _first(enter: float32, leave: float32) -> float32:
     """Return the first t >= 0 at an end of the interval inside a solid, ``FAR`` for none."""
     t = enter if enter >= ZERO else leave
     hit = (enter <= leave) & (t >= ZERO)
     return t if hit else FAR
+
+
+@scalar
+def _interval_if(hit: bool, enter: float32, leave: float32) -> Interval:
+    """Return an interval, or an empty one, which ends before it begins."""
+    return enter if hit else FAR, leave if hit else -FAR
 
 
 @scalar
@@ -100,10 +98,9 @@ def _unit_sphere(origin: Vector, direction: Vector) -> Interval:
     discriminant = square - dot(normal, normal)
     root = math.sqrt(max(discriminant, ZERO))
     middle = -dot(origin, direction)
-    hit = discriminant >= ZERO
     enter = (middle - root) / square
     leave = (middle + root) / square
-    return enter if hit else FAR, leave if hit else -FAR
+    return _interval_if(discriminant >= ZERO, enter, leave)
 
 
 @scalar
@@ -131,7 +128,7 @@ def ellipsoid(origin: Vector, direction: Vector, size: Vector) -> Hit:
 
 
 @scalar
-def _tube(origin: Vector, direction: Vector, radius: np.float32) -> Interval:
+def _tube(origin: Vector, direction: Vector, radius: float32) -> Interval:
     """Return the interval inside the infinite cylinder around z (enter > leave for none)."""
     ox, oy, _ = origin
     dx, dy, _ = direction
@@ -146,17 +143,17 @@ def _tube(origin: Vector, direction: Vector, radius: np.float32) -> Interval:
     hit = inside if parallel else discriminant >= ZERO
     enter = -FAR if parallel else (middle - root) * inverse
     leave = FAR if parallel else (middle + root) * inverse
-    return enter if hit else FAR, leave if hit else -FAR
+    return _interval_if(hit, enter, leave)
 
 
 @scalar
-def _not_zero(direction: np.float32) -> np.float32:
+def _not_zero(direction: float32) -> float32:
     """Return a component of a direction by which one can divide."""
     return direction if abs(direction) > TINY else TINY
 
 
 @scalar
-def _slab(origin: np.float32, direction: np.float32, half: np.float32) -> Interval:
+def _slab(origin: float32, direction: float32, half: float32) -> Interval:
     """Return the interval inside -half <= x <= half along one axis."""
     inverse = ONE / _not_zero(direction)
     middle = -origin * inverse
@@ -165,7 +162,7 @@ def _slab(origin: np.float32, direction: np.float32, half: np.float32) -> Interv
 
 
 @scalar
-def _facing(direction: np.float32, from_outside: bool) -> np.float32:
+def _facing(direction: float32, from_outside: bool) -> float32:
     """Return the sign of a face's normal along an axis.
 
     A face hit from outside faces the ray; hit from inside, it faces away from it.
@@ -192,8 +189,8 @@ def cylinder(origin: Vector, direction: Vector, size: Vector) -> Hit:
 
 @scalar
 def _capsule_end(
-    origin: Vector, direction: Vector, size: Vector, t: np.float32, first: bool
-) -> tuple[np.float32, np.float32]:
+    origin: Vector, direction: Vector, size: Vector, t: float32, first: bool
+) -> tuple[float32, float32]:
     """Correct t, an intersection with the infinite cylinder, where the ray hits a cap instead.
 
     Return t and the z of the cap's centre, of the point itself between the rims.

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import fast_simplification
 import numpy as np
 import scipy
+from numpy import float32, int32
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats
@@ -23,9 +24,12 @@ NEIGHBOURS = 16  # Corners of the full mesh from which a corner takes its normal
 CREASE_COSINE = 0.4
 """Below this cosine between a triangle's and a corner's normal there is an edge between them."""
 
-REVISION = (
-    2  # Part of the cache's key; to be increased with every change of the results
-)
+# Part of the cache's key; to be increased with every change of the results
+REVISION = 2
+
+
+Array = NDArray[Any]
+Indices = NDArray[np.intp]
 
 
 class Mesh(NamedTuple):
@@ -43,8 +47,8 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
     so that a slightly different camera finds the same file.
     """
     side_m = float(2 ** (np.floor(2 * np.log2(side_m)) / 2))
-    corners = mesh.vertex[mesh.face].astype(np.float64)
-    area = np.linalg.norm(_cross(corners), axis=1).sum() / 2
+    doubled = _normals(mesh.vertex[mesh.face].astype(np.float64))
+    area = np.linalg.norm(doubled, axis=1).sum() / 2
     count = max(FEWEST, int(area / side_m**2))
     if count >= len(mesh.face):
         return mesh
@@ -57,9 +61,7 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
     return result
 
 
-def merge_vertices(
-    vertex: NDArray[Any], face: Integers32
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def merge_vertices(vertex: Array, face: Integers32) -> tuple[Indices, Indices]:
     """Merge equal vertices (V, 3): return the new index of each, (V,), and the triangles of these.
 
     Triangles of which corners have become one are left out.
@@ -76,7 +78,7 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
     # Edges exist where triangles share a vertex; files store close vertices several times.
     cells = np.round(mesh.vertex / (WELD * side_m))
     cell, faces = merge_vertices(cells, mesh.face)
-    faces = faces.astype(np.int32)
+    faces = faces.astype(int32)
     sums = np.stack([np.bincount(cell, axis) for axis in mesh.vertex.T], axis=1)
     points: Floats = sums / np.bincount(cell)[:, None]
     if len(faces) > count:
@@ -87,26 +89,24 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
         points = points * side_m
     if not len(faces):
         return mesh
-    corners = np.asarray(points, dtype=np.float64)[faces]
-    return Mesh(
-        points.astype(np.float32), faces.astype(np.int32), _normals(mesh, corners)
-    )
+    normals = _smooth_normals(mesh, points.astype(np.float64)[faces])
+    return Mesh(points.astype(float32), faces.astype(int32), normals)
 
 
-def _cross(corners: NDArray[Any]) -> NDArray[Any]:
+def _normals(corners: Array) -> Array:
     """Return the normals of triangles (T, 3, 3), as long as twice their area."""
-    first = corners[:, 0]
-    return np.cross(corners[:, 1] - first, corners[:, 2] - first)
+    a, b, c = corners.swapaxes(0, 1)
+    return np.cross(b - a, c - a)
 
 
-def unit_normals(corners: NDArray[Any]) -> NDArray[Any]:
+def unit_normals(corners: Array) -> Array:
     """Return the unit normals (T, 3) of triangles with corners (T, 3, 3)."""
-    normal = _cross(corners)
+    normal = _normals(corners)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return np.asarray(normal / np.maximum(length, 1e-20))
 
 
-def _normals(full: Mesh, corners: Floats) -> Floats32:
+def _smooth_normals(full: Mesh, corners: Floats) -> Floats32:
     """Average the full mesh's normals near each corner (T, 3, 3), those across an edge left out."""
     face_normal = unit_normals(corners)
     # A corner belongs to several sides of the surface; slightly inside, the triangle's own is near.
@@ -119,7 +119,5 @@ def _normals(full: Mesh, corners: Floats) -> Floats32:
     weight = np.maximum(cosine - CREASE_COSINE, 0.0)
     mean = np.einsum("tck,tcki->tci", weight, normals)
     length = np.linalg.norm(mean, axis=2, keepdims=True)
-    blended = np.where(
-        length > 1e-9, mean / np.maximum(length, 1e-9), face_normal[:, None]
-    )
-    return np.asarray(blended, dtype=np.float32)
+    unit = mean / np.maximum(length, 1e-9)
+    return np.where(length > 1e-9, unit, face_normal[:, None]).astype(float32)

@@ -15,33 +15,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import float32, int32
 from numpy.typing import NDArray
 
 from knowarm.compiling import njit
 from knowarm.private_apis import key_numba_cache
 
-Floats32 = NDArray[np.float32]
-Integers32 = NDArray[np.int32]
+Floats32 = NDArray[float32]
+Integers32 = NDArray[int32]
 Images = NDArray[np.uint8]
 
-Vector = tuple[np.float32, np.float32, np.float32]
+Vector = tuple[float32, float32, float32]
 """Three float32 scalars, which compiled code keeps in registers."""
 
 Matrix = tuple[Vector, Vector, Vector]  # Rows of a 3 x 3 matrix
-ZERO = np.float32(0)
-HALF = np.float32(0.5)
-ONE = np.float32(1)
+ZERO = float32(0)
+HALF = float32(0.5)
+ONE = float32(1)
 
-FAR = np.float32(1e9)
+FAR = float32(1e9)
 """Depth of a ray that hits nothing, and the far end of an unbounded interval [m]."""
 
-TINY = np.float32(1e-12)  # Direction components below this count as parallel
+TINY = float32(1e-12)  # Direction components below this count as parallel
 
 
-def scalar(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of scalars and tuples of scalars, inlined into its caller."""
-    compiled: Callable[..., Any] = njit(forceinline=True, error_model="numpy")(function)
-    return compiled
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+scalar: Decorator = njit(forceinline=True, error_model="numpy")
+"""Compile a function of scalars and tuples of scalars, inlined into its caller."""
+kernel: Decorator = njit(error_model="numpy")
+"""Compile a function that only compiled code calls."""
 
 
 def cached_njit(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,16 +54,20 @@ def cached_njit(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     files = sorted(Path(__file__).parent.glob("*.py"))
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    compiled: Callable[..., Any] = njit(nogil=True, cache=True, error_model="numpy")(
-        key_numba_cache(function, digest)
-    )
-    return compiled
+    compiler: Decorator = njit(nogil=True, cache=True, error_model="numpy")
+    return compiler(key_numba_cache(function, digest))
 
 
 @scalar
 def vector_at(values: Floats32, start: int) -> Vector:
     """Read three numbers of an array."""
     return values[start], values[start + 1], values[start + 2]
+
+
+@scalar
+def write_vector(values: Floats32, start: int, v: Vector) -> None:
+    """Write three numbers to an array."""
+    values[start], values[start + 1], values[start + 2] = v
 
 
 @scalar
@@ -74,7 +81,14 @@ def matrix_at(values: Floats32, start: int) -> Matrix:
 
 
 @scalar
-def dot(a: Vector, b: Vector) -> np.float32:
+def write_matrix(values: Floats32, start: int, matrix: Matrix) -> None:
+    """Write nine numbers to an array, row-major."""
+    for i in range(3):
+        write_vector(values, start + 3 * i, matrix[i])
+
+
+@scalar
+def dot(a: Vector, b: Vector) -> float32:
     """Compute the inner product of two vectors."""
     ax, ay, az = a
     bx, by, bz = b
@@ -114,20 +128,20 @@ def product(a: Vector, b: Vector) -> Vector:
 
 
 @scalar
-def times(a: Vector, factor: np.float32) -> Vector:
+def times(a: Vector, factor: float32) -> Vector:
     """Multiply a vector by a scalar."""
     x, y, z = a
     return x * factor, y * factor, z * factor
 
 
 @scalar
-def unit(a: Vector, least_square: np.float32) -> Vector:
+def unit(a: Vector, least_square: float32) -> Vector:
     """Scale a vector to length 1, or to less if the square of its length is below the least."""
     return times(a, ONE / math.sqrt(max(dot(a, a), least_square)))
 
 
 @scalar
-def point_at(origin: Vector, t: np.float32, direction: Vector) -> Vector:
+def point_at(origin: Vector, t: float32, direction: Vector) -> Vector:
     """Return the point at parameter t of a ray."""
     return plus(origin, times(direction, t))
 
@@ -135,9 +149,7 @@ def point_at(origin: Vector, t: np.float32, direction: Vector) -> Vector:
 @scalar
 def to_local(matrix: Matrix, v: Vector) -> Vector:
     """Rotate a vector from the parent to the local frame: by the transpose of ``matrix``."""
-    first, second, third = matrix
-    x, y, z = v
-    return plus(plus(times(first, x), times(second, y)), times(third, z))
+    return to_parent(transposed(matrix), v)
 
 
 @scalar
@@ -154,17 +166,17 @@ def transposed(matrix: Matrix) -> Matrix:
     return (xx, yx, zx), (xy, yy, zy), (xz, yz, zz)
 
 
-FULL = np.float32(255)
+FULL = float32(255)
 HALVES = (HALF, HALF, HALF)
 
-Paint = tuple[Vector, Vector, Vector]
+Paint = Matrix
 """RGB without light, plus a half for rounding, and RGB that headlight and directional light add at
 normal incidence, in 0..255."""
 
 
 @scalar
 def light_geom(
-    rgb: Vector, emission: np.float32, lamps: Floats32, matrix: Matrix
+    rgb: Vector, emission: float32, lamps: Floats32, matrix: Matrix
 ) -> tuple[Vector, Paint]:
     """Multiply a geom's colour by the light: the rows of ``read_lamps``, (12,).
 
@@ -180,13 +192,7 @@ def light_geom(
 
 
 @scalar
-def _channel(value: np.float32) -> np.int32:
-    """Convert to a byte by rounding down; the paint already holds the half that rounds."""
-    return np.int32(min(value, FULL))
-
-
-@scalar
-def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> np.int32:
+def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> int32:
     """Return red, green and blue of a surface in the lowest three bytes.
 
     The unit vectors towards headlight and directional light are in the frame of the normal.
@@ -196,7 +202,8 @@ def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> np.int32:
     towards_sun = max(dot(normal, sun), ZERO)
     lit = plus(dark, times(by_head, towards_head))
     red, green, blue = plus(lit, times(by_sun, towards_sun))
-    low = _channel(red)
-    middle = np.int32(_channel(green) << np.int32(8))
-    high = np.int32(_channel(blue) << np.int32(16))
-    return np.int32(low | middle | high)
+    # The paint already holds the half that rounds.
+    low = int32(min(red, FULL))
+    middle = int32(int32(min(green, FULL)) << int32(8))
+    high = int32(int32(min(blue, FULL)) << int32(16))
+    return int32(low | middle | high)

@@ -116,8 +116,9 @@ class OpenGLRenderer:
                 data.cam_xmat[self._camera] = views[i, 3:]
             if lamps is not None:
                 ambient, head, sun, towards_sun = lamps[i]
-                model.vis.headlight.ambient[:] = ambient
-                model.vis.headlight.diffuse[:] = head
+                headlight = model.vis.headlight
+                headlight.ambient[:] = ambient
+                headlight.diffuse[:] = head
                 model.light_ambient[:] = 0
                 model.light_diffuse[0] = sun
                 data.light_xdir[0] = -towards_sun

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy import float32, int32
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.render.intersections import MESH, SUPPORTED
 from knowarm.world.render.mesh_simplification import (
@@ -20,9 +20,9 @@ from knowarm.world.render.numeric import Floats32, Integers32
 from knowarm.world.scene.appearance import geom_colours
 
 NO_MESH = Mesh(
-    np.empty((0, 3), np.float32),
-    np.empty((0, 3), np.int32),
-    np.empty((0, 3, 3), np.float32),
+    np.empty((0, 3), float32),
+    np.empty((0, 3), int32),
+    np.empty((0, 3, 3), float32),
 )
 MIN_NORMAL_COSINE = 0.25
 """Below this cosine between a corner's and its triangle's normal the corner's is replaced."""
@@ -78,20 +78,16 @@ def read_scenery(
                 "geom group that is not drawn."
             )
     drawn = _without_twins(model, drawn)
-    fixed = np.array(
-        [_is_fixed(model, body) for body in model.geom_bodyid], dtype=np.bool_
-    )
-    emission = np.zeros(model.ngeom, dtype=np.float32)
-    has_material = model.geom_matid >= 0
-    emission[has_material] = model.mat_emission[model.geom_matid[has_material]]
+    is_fixed = _is_fixed(model, model.geom_bodyid[drawn])
+    emission = np.append(model.mat_emission, 0)  # the last is for no material, -1
     return Scenery(
-        kind=model.geom_type.astype(np.int32),
-        size=model.geom_size.astype(np.float32),
-        emission=emission,
+        kind=model.geom_type.astype(int32),
+        size=model.geom_size.astype(float32),
+        emission=emission[model.geom_matid].astype(float32),
         meshes=_read_meshes(model, drawn, triangle_m),
         rgba=geom_colours(model),
-        fixed=drawn[fixed[drawn]].astype(np.int32),
-        moving=drawn[~fixed[drawn]].astype(np.int32),
+        fixed=drawn[is_fixed].astype(int32),
+        moving=drawn[~is_fixed].astype(int32),
     )
 
 
@@ -107,9 +103,9 @@ def read_view(
         if camera not in names:
             raise unknown_name("camera", camera, names)
         camera = names.index(camera)
-    if not 0 <= camera < model.ncam:
+    if not 0 <= camera < len(names):
         raise UserError(
-            f"Camera {camera} does not exist; the model has {model.ncam}, from 0."
+            f"Camera {camera} does not exist; the model has {len(names)}, from 0."
         )
     label = names[camera] or camera
     if not _is_fixed(model, model.cam_bodyid[camera]) or model.cam_mode[camera] != 0:
@@ -126,8 +122,8 @@ def read_view(
             f"Camera {label!r} is orthographic or has a sensor size; the ray caster needs a "
             "perspective camera given by fovy."
         )
-    view = np.concatenate([data.cam_xpos[camera], data.cam_xmat[camera].reshape(9)])
-    return view.astype(np.float32), math.tan(math.radians(model.cam_fovy[camera]) / 2)
+    view = np.append(data.cam_xpos[camera], data.cam_xmat[camera])
+    return view.astype(float32), math.tan(math.radians(model.cam_fovy[camera]) / 2)
 
 
 def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
@@ -136,7 +132,7 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
     Rows: sum of ambient colours, diffuse colours of headlight and directional light, and the unit
     vector towards the latter.
     """
-    lamps = np.zeros((4, 3), dtype=np.float32)
+    lamps = np.zeros((4, 3), float32)
     head = model.vis.headlight
     if head.active:
         lamps[0] += head.ambient
@@ -155,9 +151,7 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
     return lamps
 
 
-def _without_twins(
-    model: mujoco.MjModel, drawn: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _without_twins(model: mujoco.MjModel, drawn: Integers) -> Integers:
     """Leave out geoms that show the same mesh at the same place in the same colour as another.
 
     Converted models often show each mesh once to be seen and once to collide.
@@ -178,37 +172,35 @@ def _without_twins(
     return drawn[np.sort(first)]
 
 
-def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
-    """Tell whether a body is permanently welded to the world (a mocap body is not)."""
-    return bool(
-        model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
-    )
+def _is_fixed(model: mujoco.MjModel, body: Integers | int) -> Mask:
+    """Tell whether bodies are permanently welded to the world (a mocap body is not)."""
+    is_welded: Mask = model.body_weldid[body] == 0
+    return is_welded & (model.body_mocapid[model.body_rootid[body]] < 0)
 
 
 def _read_meshes(
-    model: mujoco.MjModel, drawn: NDArray[np.intp], triangle_m: Floats | None
+    model: mujoco.MjModel, drawn: Integers, triangle_m: Floats | None
 ) -> Meshes:
     """Read the triangles of the drawn mesh geoms, those of a shared mesh once."""
-    span = np.zeros((model.ngeom, 4), dtype=np.int32)
-    winding = np.zeros(model.ngeom, dtype=np.int32)
+    span = np.zeros((model.ngeom, 4), int32)
+    winding = np.zeros(model.ngeom, int32)
     geoms = drawn[model.geom_type[drawn] == MESH]
     mesh_ids = model.geom_dataid[geoms]
     meshes = [NO_MESH]
-    vertices = 0
-    triangles = 0
+    vertex_stop = 0
+    face_stop = 0
     for mesh in np.unique(mesh_ids):
         users = geoms[mesh_ids == mesh]
         shape = _read_mesh(model, mesh)
         if triangle_m is not None:
             shape = simplified(shape, float(triangle_m[users].min()))
-        meshes.append(shape._replace(face=shape.face + np.int32(vertices)))
-        span[users, 0] = vertices
-        span[users, 2] = triangles
-        vertices += len(shape.vertex)
-        triangles += len(shape.face)
-        span[users, 1] = vertices
-        span[users, 3] = triangles
+        vertex_start = vertex_stop
+        face_start = face_stop
+        vertex_stop += len(shape.vertex)
+        face_stop += len(shape.face)
+        span[users] = (vertex_start, vertex_stop, face_start, face_stop)
         winding[users] = _winding(shape)
+        meshes.append(shape._replace(face=shape.face + int32(vertex_start)))
     vertex, face, normal = map(np.concatenate, zip(*meshes, strict=True))
     return Meshes(
         vertex=vertex,
@@ -216,8 +208,8 @@ def _read_meshes(
         normal=normal.reshape(-1, 9),
         span=span,
         winding=winding,
-        middle=model.geom_aabb[:, :3].astype(np.float32),
-        half=model.geom_aabb[:, 3:].astype(np.float32),
+        middle=model.geom_aabb[:, :3].astype(float32),
+        half=model.geom_aabb[:, 3:].astype(float32),
     )
 
 
@@ -225,14 +217,13 @@ def _read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
     """Read one mesh, with normals that fit its triangles."""
     first = model.mesh_vertadr[mesh]
     vertices = slice(first, first + model.mesh_vertnum[mesh])
-    vertex = model.mesh_vert[vertices].astype(np.float32)
+    vertex = model.mesh_vert[vertices].astype(float32)
     first = model.mesh_faceadr[mesh]
     triangles = slice(first, first + model.mesh_facenum[mesh])
-    face = model.mesh_face[triangles].astype(np.int32)
+    face = model.mesh_face[triangles].astype(int32)
     corner = model.mesh_facenormal[triangles] + model.mesh_normaladr[mesh]
-    return Mesh(
-        vertex, face, _plausible_normals(model.mesh_normal[corner], vertex[face])
-    )
+    normals = _plausible_normals(model.mesh_normal[corner], vertex[face])
+    return Mesh(vertex, face, normals)
 
 
 def _winding(mesh: Mesh) -> int:
@@ -257,4 +248,4 @@ def _plausible_normals(normals: Floats32, corners: Floats32) -> Floats32:
     """
     face_normal = unit_normals(corners)[:, None]
     deviates = (normals * face_normal).sum(axis=2) < MIN_NORMAL_COSINE
-    return np.where(deviates[:, :, None], face_normal, normals).astype(np.float32)
+    return np.where(deviates[:, :, None], face_normal, normals).astype(float32)

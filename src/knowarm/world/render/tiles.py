@@ -33,7 +33,7 @@ camera z, the last row of ``frame``.
 import math
 from typing import NamedTuple
 
-import numpy as np
+from numpy import float32, int32
 
 from knowarm.world.render.intersections import (
     BOX,
@@ -64,20 +64,18 @@ from knowarm.world.render.numeric import (
 BITS = 2
 TILE = 1 << BITS  # Side of a tile of samples
 ANTIALIASING = 4  # Samples per pixel with anti-aliasing
-SLACK = np.float32(0.02)
+SLACK = float32(0.02)
 """Fraction of a pixel or row by which a rectangle is widened against rounding."""
 
 RECORD = 27  # Float numbers stored per projected geom
 EXTENT = 6  # Integers stored per projected geom
-NEAR = np.float32(
-    1e-3
-)  # Points closer to the eye than this have no useful projection [m]
-Rectangle = tuple[np.float32, np.float32, np.float32, np.float32]
-Window = tuple[
-    int, int, int, int
-]  # First and last column, first and last row of samples
+# Points closer to the eye than this have no useful projection [m]
+NEAR = float32(1e-3)
+Rectangle = tuple[float32, float32, float32, float32]
+# First and last column, first and last row of samples
+Window = tuple[int, int, int, int]
 
-WIDE = np.float32(1e6)
+WIDE = float32(1e6)
 EVERYWHERE = (-WIDE, WIDE, -WIDE, WIDE)
 NOWHERE = (WIDE, -WIDE, WIDE, -WIDE)
 
@@ -85,20 +83,18 @@ NOWHERE = (WIDE, -WIDE, WIDE, -WIDE)
 class TileGrid(NamedTuple):
     """Positions of the samples in image coordinates."""
 
-    left: np.float32  # X of the centre of the first pixel
-    top: np.float32  # Y of the first row
-    pixel: np.float32  # Width of a pixel
-    step: np.float32  # Distance between rows, ``pixel / S``
-    mask: np.int32  # S - 1; row & mask is the index of the sample within its pixel
-    shift: np.float32  # Horizontal offset of sample 0 from the centre of the pixel
-    advance: np.float32  # Horizontal distance from one sample to the next
+    left: float32  # X of the centre of the first pixel
+    top: float32  # Y of the first row
+    pixel: float32  # Width of a pixel
+    step: float32  # Distance between rows, ``pixel / S``
+    mask: int32  # S - 1; row & mask is the index of the sample within its pixel
+    shift: float32  # Horizontal offset of sample 0 from the centre of the pixel
+    advance: float32  # Horizontal distance from one sample to the next
     # Horizontal distance back before sample 2, so that sample 3 stays inside the pixel
-    back: np.float32
-    reach: (
-        np.float32
-    )  # Largest horizontal distance of a sample from the centre, in pixels
-    strips: np.int32  # Number of strips of ``TILE`` columns that hold the image
-    rows: np.int32  # Number of rows of samples, a multiple of ``TILE``
+    back: float32
+    reach: float32  # Largest horizontal distance of a sample from the centre, in pixels
+    strips: int32  # Number of strips of ``TILE`` columns that hold the image
+    rows: int32  # Number of rows of samples, a multiple of ``TILE``
 
 
 SIDEWAYS = {1: (0, 0, 0, 0), ANTIALIASING: (-0.5, 2, 5, 1.5)}
@@ -115,56 +111,53 @@ def make_grid(width: int, height: int, half_height: float, samples: int) -> Tile
     quarter = pixel / 4
     shift, advance, back, reach = SIDEWAYS[samples]
     return TileGrid(
-        left=np.float32((1 - width) / 2 * pixel),
-        top=np.float32(half_height - step / 2),
-        pixel=np.float32(pixel),
-        step=np.float32(step),
-        mask=np.int32(samples - 1),
-        shift=np.float32(shift * quarter),
-        advance=np.float32(advance * quarter),
-        back=np.float32(back * quarter),
-        reach=np.float32(reach / 4),
-        strips=np.int32(-(-width // TILE)),
-        rows=np.int32(-(-height * samples // TILE) * TILE),
+        left=float32((1 - width) / 2 * pixel),
+        top=float32(half_height - step / 2),
+        pixel=float32(pixel),
+        step=float32(step),
+        mask=int32(samples - 1),
+        shift=float32(shift * quarter),
+        advance=float32(advance * quarter),
+        back=float32(back * quarter),
+        reach=float32(reach / 4),
+        strips=int32(-(-width // TILE)),
+        rows=int32(-(-height * samples // TILE) * TILE),
     )
 
 
 @scalar
-def sample_point(
-    column: np.int32, row: np.int32, grid: TileGrid
-) -> tuple[np.float32, np.float32]:
+def sample_point(column: int32, row: int32, grid: TileGrid) -> tuple[float32, float32]:
     """Return X and Y of the sample in a pixel column and a row of samples."""
-    s = np.int32(row & grid.mask)
-    half = np.int32(s >> np.int32(1))
-    aside = grid.shift + np.float32(s) * grid.advance - np.float32(half) * grid.back
-    x = grid.left + np.float32(column) * grid.pixel + aside
-    return x, grid.top - np.float32(row) * grid.step
+    s = int32(row & grid.mask)
+    half = int32(s >> int32(1))
+    aside = grid.shift + float32(s) * grid.advance - float32(half) * grid.back
+    x = grid.left + float32(column) * grid.pixel + aside
+    return x, grid.top - float32(row) * grid.step
 
 
 @scalar
 def sample_direction(
-    column: np.int32, row: np.int32, frame: Matrix, grid: TileGrid
+    column: int32, row: int32, frame: Matrix, grid: TileGrid
 ) -> Vector:
     """Return the direction of the ray through a sample, in a geom's frame."""
-    right, up, backward = frame
     x, y = sample_point(column, row, grid)
-    return minus(plus(times(right, x), times(up, y)), backward)
+    return to_local(frame, (x, y, -ONE))
 
 
 @scalar
-def _floor(value: np.float32) -> np.int32:
+def _floor(value: float32) -> int32:
     """Round down, clamped to what an integer can hold."""
-    return np.int32(math.floor(min(max(value, -FAR), FAR)))
+    return int32(math.floor(min(max(value, -FAR), FAR)))
 
 
 @scalar
-def _first_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
+def _first_sample(distance: float32, step: float32, reach: float32) -> int:
     """Return the index of the first sample beyond a distance from sample 0, less ``SLACK``."""
     return _floor(distance / step - SLACK - reach) + 1
 
 
 @scalar
-def _last_sample(distance: np.float32, step: np.float32, reach: np.float32) -> int:
+def _last_sample(distance: float32, step: float32, reach: float32) -> int:
     """Return the index of the last sample within a distance from sample 0, plus ``SLACK``."""
     return _floor(distance / step + SLACK + reach)
 
@@ -203,8 +196,8 @@ def tiles_of(window: Window) -> Window:
 
 @scalar
 def _interval(
-    p: np.float32, pz: np.float32, a_xx: np.float32, a_xz: np.float32, a_zz: np.float32
-) -> tuple[np.float32, np.float32]:
+    p: float32, pz: float32, a_xx: float32, a_xz: float32, a_zz: float32
+) -> tuple[float32, float32]:
     """Bound x / -z over {p + M u}, all of it in front of the eye."""
     a = pz * pz - a_zz
     b = p * pz - a_xz
@@ -240,7 +233,7 @@ def _union(a: Rectangle, b: Rectangle) -> Rectangle:
 
 
 @scalar
-def _long_bounds(p: Vector, m: Matrix, half: np.float32, end: Vector) -> Rectangle:
+def _long_bounds(p: Vector, m: Matrix, half: float32, end: Vector) -> Rectangle:
     """Bound the convex hull of two equal round ends at +-half along the local z axis."""
     _, _, z_axis = transposed(m)
     to_end = times(z_axis, half)
@@ -255,23 +248,24 @@ def _box_bounds(p: Vector, m: Matrix, size: Vector) -> Rectangle:
     x_axis, y_axis, z_axis = transposed(m)
     half_x, half_y, half_z = size
     bounds = NOWHERE
-    for corner in range(8):
-        at = plus(p, times(x_axis, half_x if corner & 1 else -half_x))
-        at = plus(at, times(y_axis, half_y if corner & 2 else -half_y))
-        at = plus(at, times(z_axis, half_z if corner & 4 else -half_z))
-        x, y, z = at
-        if z > -NEAR:
-            return EVERYWHERE
-        inverse = ONE / -z
-        x *= inverse
-        y *= inverse
-        bounds = _union(bounds, (x, x, y, y))
+    for along_x in (-half_x, half_x):
+        face = plus(p, times(x_axis, along_x))
+        for along_y in (-half_y, half_y):
+            edge = plus(face, times(y_axis, along_y))
+            for along_z in (-half_z, half_z):
+                x, y, z = plus(edge, times(z_axis, along_z))
+                if z > -NEAR:
+                    return EVERYWHERE
+                inverse = ONE / -z
+                x *= inverse
+                y *= inverse
+                bounds = _union(bounds, (x, x, y, y))
     return bounds
 
 
 @scalar
 def _bounds(
-    kind: np.int32, p: Vector, frame: Matrix, size: Vector, middle: Vector, half: Vector
+    kind: int32, p: Vector, frame: Matrix, size: Vector, middle: Vector, half: Vector
 ) -> Rectangle:
     """Bound the projection of a geom of any type."""
     if kind == MESH:
@@ -295,7 +289,7 @@ def _bounds(
 
 @scalar
 def project_geom(
-    kind: np.int32,
+    kind: int32,
     size: Vector,
     middle: Vector,
     half: Vector,

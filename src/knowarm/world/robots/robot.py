@@ -202,16 +202,16 @@ class Robot:
         if name not in self.areas:
             return self
         area = self.areas[name]
-        changes: dict[str, Any] = {}
+        changes: dict[str, Any] = {"areas": {}}
         for field_name, area_field in _AREA_FIELDS.items():
             value = getattr(area, area_field)
             if value is not None:
                 changes[field_name] = value
+        yaws = dict(area.target_yaws_deg)
         # The area's yaw of all targets also replaces the robot's yaws of single ones.
-        yaws = self.target_yaws_deg if area.target_yaw_deg is None else {}
-        return replace(
-            self, areas={}, target_yaws_deg={**yaws, **area.target_yaws_deg}, **changes
-        )
+        if area.target_yaw_deg is None:
+            yaws = {**self.target_yaws_deg, **yaws}
+        return replace(self, target_yaws_deg=yaws, **changes)
 
     @property
     def support_height_m(self) -> float:

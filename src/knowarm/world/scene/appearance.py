@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers
 from knowarm.config import within
-from knowarm.world.scene.scene import Scene
+from knowarm.world.scene.scene import Floats32, Scene
 
 MAX_DISTRACTORS = 4
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
@@ -71,7 +70,7 @@ class VisualRandomization:
         return FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
 
 
-def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+def _material_colours(model: mujoco.MjModel) -> Floats32:
     """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
     colours = model.mat_rgba.astype(np.float32)
     textures = model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
@@ -85,18 +84,16 @@ def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     return colours
 
 
-def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+def geom_colours(model: mujoco.MjModel) -> Floats32:
     """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
-    is_default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(
-        axis=1
-    )
+    is_default = (model.geom_rgba == DEFAULT_RGBA).all(axis=1)
     from_material = is_default & (model.geom_matid >= 0)
     colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
     return colours
 
 
-def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
+def resting_colours(scene: Scene, num_envs: int) -> Floats32:
     """Return the colours of the model files with all targets hidden, (n, G, 4) in 0..1."""
     rgba = geom_colours(scene.model)
     rgba[scene.geom_target >= 0, 3] = 0.0
@@ -117,7 +114,7 @@ class TargetColours:
 
     def __call__(
         self, target: Integers, colour: Integers, marked: bool = False
-    ) -> NDArray[np.float32]:
+    ) -> Floats32:
         """Return the colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
 
         The visible targets and their colours are indices, (k, M), or (k,) for one. ``marked``
@@ -129,34 +126,26 @@ class TargetColours:
         rgb = self._resting[:, :3]
         alpha = self._resting[:, 3:]
         for j in range(target.shape[1]):
-            visible = scene.geom_target == target[:, j, None]
+            visible = (scene.geom_target == target[:, j, None])[..., None]
             if marked:
                 painted = visible
-                paint = np.array(
-                    MARKED_RGB if j == 0 else UNMARKED_RGB, dtype=np.float32
-                )
+                paint = np.array(UNMARKED_RGB if j else MARKED_RGB, np.float32)
             else:
-                painted = visible & scene.geom_coloured
+                painted = visible & scene.geom_coloured[:, None]
                 paint = scene.target_colours[target[:, j], colour[:, j], None]
-            rgb = np.where(painted[..., None], paint, rgb)
-            alpha = visible.astype(np.float32)[..., None] + alpha
+            rgb = np.where(painted, paint, rgb)
+            alpha = visible + alpha
         return np.concat([rgb, alpha], axis=-1)
 
 
 class Shown(NamedTuple):
     """Appearance of k environments: the arguments of ``Renderer.draw`` besides the poses."""
 
-    rgba: NDArray[
-        np.float32
-    ]  # Colours of the geoms, alpha 0 for hidden ones, (k, G, 4) float32
-    views: (
-        NDArray[np.float32] | None
-    )  # Cameras, (k, 12) float32; None for the camera of the model
-    lamps: (
-        NDArray[np.float32] | None
-    )  # Lights, (k, 4, 3) float32; None for the lights of the model
-    # x and y of the distractors [m], (k, D, 2) float64; None without randomization
-    distractor_position: Floats | None
+    rgba: Floats32  # Colours of the geoms, alpha 0 for hidden ones, (k, G, 4)
+    views: Floats32 | None = None  # Cameras, (k, 12); None for the camera of the model
+    lamps: Floats32 | None = None  # Lights, (k, 4, 3); None for the lights of the model
+    # x and y of the distractors [m], (k, D, 2); None without randomization
+    distractor_position: Floats | None = None
 
 
 class AppearanceSource:
@@ -182,7 +171,7 @@ class AppearanceSource:
         scene = self._scene
         rgba = self._colours(target, colour, self._marked)
         if not config.draws:
-            return Shown(rgba, None, None, None)
+            return Shown(rgba)
         signed = 2 * look - 1
         if config.surface_colour > 0:
             rgba[:, scene.surface_geoms, :3] = self._surface_colours(signed)
@@ -197,16 +186,15 @@ class AppearanceSource:
             lamps = self._lamps(signed)
         return Shown(rgba, views, lamps, self._places(2 * draws[..., :2] - 1, position))
 
-    def _views(self, signed: Floats) -> NDArray[np.float32]:
+    def _views(self, signed: Floats) -> Floats32:
         scene = self._scene
-        position = (
-            scene.camera_position + self._config.camera_shift_m * signed[:, _SHIFT]
-        )
+        shift = self._config.camera_shift_m * signed[:, _SHIFT]
+        position = scene.camera_position + shift
         turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN]
         matrix = scene.camera_matrix @ Rotation.from_rotvec(turn).as_matrix()
         return np.concat([position, matrix.reshape(-1, 9)], axis=1).astype(np.float32)
 
-    def _lamps(self, signed: Floats) -> NDArray[np.float32]:
+    def _lamps(self, signed: Floats) -> Floats32:
         model = self._scene.model
         headlight = model.vis.headlight
         ambient = headlight.ambient + model.light_ambient.sum(axis=0)
@@ -216,12 +204,8 @@ class AppearanceSource:
         turn = np.concat([turn_x, turn_y, np.zeros_like(turn_x)], axis=1)
         turn *= math.radians(self._config.light_angle_deg)
         towards = -(Rotation.from_rotvec(turn).as_matrix() @ model.light_dir[0])
-        lamps = [
-            ambient * head,
-            headlight.diffuse * head,
-            model.light_diffuse[0] * sun,
-            towards,
-        ]
+        diffuse = model.light_diffuse[0] * sun
+        lamps = [ambient * head, headlight.diffuse * head, diffuse, towards]
         return np.stack(lamps, axis=1).astype(np.float32)
 
     def _surface_colours(self, signed: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Composition of a scene: one ``MjSpec`` of robot, servos, targets, support, lights and camera."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -34,34 +35,29 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     Floor, tables and loose bodies of its file are left out: targets and support are the scene's.
     """
     owner = f"Robot {robot.name!r}"
-    part = read_mjcf(robot.mjcf, owner)
-    for field in ("joints", "held_joints"):
-        check_names(
-            owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints
-        )
+    mjcf = robot.mjcf
+    held = robot.held_joints
+    site = robot.tcp_site
+    part = read_mjcf(mjcf, owner)
+    check_names(owner, "joints", robot.joints, mjcf, "joints", part.joints)
+    check_names(owner, "held_joints", held, mjcf, "joints", part.joints)
     if robot.tcp_body is not None:
-        check_names(
-            owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies
-        )
+        check_names(owner, "tcp_body", [robot.tcp_body], mjcf, "bodies", part.bodies)
         body = part.body(robot.tcp_body)
-        body.add_site(
-            name=robot.tcp_site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion
-        )
+        body.add_site(name=site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion)
     else:
         remedy = " Name one of them, or set tcp_body to have the site added."
-        check_names(
-            owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy
-        )
+        check_names(owner, "tcp_site", [site], mjcf, "sites", part.sites, remedy)
     take_ranges(part, robot.joints)
     strip(part, spec)
-    for element in surroundings(part, (*robot.joints, *robot.held_joints)):
+    for element in surroundings(part, (*robot.joints, *held)):
         part.delete(element)
     for joint in list(part.joints):
         if joint.name in robot.joints:
             joint.actfrclimited = False  # a limit of its own motor; servos demand more
         else:
-            if joint.name in robot.held_joints:
-                hold(part, joint, robot.held_joints[joint.name], owner)
+            if joint.name in held:
+                hold(part, joint, held[joint.name], owner)
             part.delete(joint)
     for body in part.bodies:
         body.gravcomp = 1
@@ -76,26 +72,25 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def attach_target(
-    spec: mujoco.MjSpec, robot: Robot, target: Target, beside: Sequence[Target] = ()
+    spec: mujoco.MjSpec, robot: Robot, target: Target, targets: Sequence[Target]
 ) -> None:
-    """Attach a target as a mocap body without physics, at its yaw.
+    """Attach one of the targets as a mocap body without physics, at its yaw.
 
-    Of several parts of one object among the targets ``beside``, each draws its own geoms.
+    Of several parts of one object among the targets, each draws its own geoms.
     """
     owner = f"Target {target.name!r}"
-    part = read_mjcf(target.mjcf, owner, target.xml)
+    mjcf = target.mjcf
+    part = read_mjcf(mjcf, owner, target.xml)
     bodies = part.worldbody.bodies
     if len(bodies) != 1 or list(part.worldbody.geoms):
         raise UserError(
-            f"{owner}: {target.mjcf.name} must hold one top-level body with all geoms in it; it "
-            f"holds {len(bodies)}."
+            f"{owner}: {mjcf.name} must hold one top-level body with all geoms in it; it holds "
+            f"{len(bodies)}."
         )
-    check_names(
-        owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites
-    )
-    check_names(
-        owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms
-    )
+    site = target.grasp_site
+    coloured = target.coloured_geoms
+    check_names(owner, "grasp_site", [site], mjcf, "sites", part.sites)
+    check_names(owner, "coloured_geoms", coloured, mjcf, "geoms", part.geoms)
     strip(part, spec)
     for joint in list(part.joints):
         part.delete(joint)
@@ -107,9 +102,8 @@ def attach_target(
             while part.geom(f"geom_{number}") is not None:
                 number += 1
             geom.name = f"geom_{number}"
-            number += 1
     whole = object_of(target.name)
-    siblings = [other for other in beside if object_of(other.name) == whole] or [target]
+    siblings = [other for other in targets if object_of(other.name) == whole]
     for geom in list(part.geoms):
         owners = [sibling for sibling in siblings if geom.name in sibling.part_geoms]
         if target != (owners or siblings)[0]:
@@ -129,17 +123,32 @@ CONTROL_PERIOD_S = 0.1
 """Time between actions [s]. The largest MPI of a shipped robot, .10 rad, is then 1 rad/s, which is
 below the limit of all joints."""
 
-STOP_RAD = (
-    0.01  # Wanted largest distance from its target at which friction stops a joint
-)
+# Wanted largest distance from its target at which friction stops a joint
+STOP_RAD = 0.01
 SLOWER = 0.3  # Wanted largest share by which damping slows it
 
 SUBSTEPS = 5  # Physics steps per control period
 CAMERA = "policy"  # Name of the camera that shows the observations
 DISTRACTOR = "distractor_"  # Prefix of the names of distractors
-FLOOR_RGBA = (0.60, 0.61, 0.63, 1.0)
-TABLE_RGBA = (0.52, 0.54, 0.57, 1.0)
-LEG_RGBA = (0.35, 0.36, 0.38, 1.0)
+
+_SURROUNDINGS = f"""
+<mujoco>
+  <compiler angle="radian"/>
+  <option integrator="implicitfast"/>
+  <visual>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
+  </visual>
+  <worldbody>
+    <geom name="floor" type="plane" size="10 10 0.1" rgba="0.60 0.61 0.63 1"
+      contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>
+    {{table}}
+    <light name="sun" type="directional" pos="0 0 3" dir="-0.3 0.35 -0.9"
+      diffuse="0.45 0.45 0.45" ambient="0 0 0" specular="0 0 0" castshadow="false"/>
+  </worldbody>
+</mujoco>
+"""
+"""Floor, table and lights. Light comes from the camera and from above: edges are visible, and no
+side of an object is black."""
 
 
 def compose(
@@ -149,12 +158,13 @@ def compose(
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
     """
-    spec = mujoco.MjSpec()
+    table = ""
+    if robot.table:
+        table = _table(robot.table)
+    spec = mujoco.MjSpec.from_string(_SURROUNDINGS.format(table=table))
     spec.modelname = f"knowarm {robot.name}"
-    spec.compiler.degree = False
     spec.option.timestep = CONTROL_PERIOD_S / SUBSTEPS
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    _add_surroundings(spec, robot)
+    _add_camera(spec.worldbody, robot)
     attach_robot(spec, robot)
     for target in targets:
         attach_target(spec, robot, target, targets)
@@ -173,22 +183,21 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     """
     model = spec.compile()
     data = mujoco.MjData(model)
-    dofs = []
-    for name, angle in zip(robot.joints, robot.home, strict=True):
-        joint = model.joint(ROBOT_PREFIX + name)
+    joints = [model.joint(ROBOT_PREFIX + name) for name in robot.joints]
+    for name, joint, angle in zip(robot.joints, joints, robot.home, strict=True):
         _check_joint(robot, name, joint)
-        data.qpos[model.jnt_qposadr[joint.id]] = angle
-        dofs.append(model.jnt_dofadr[joint.id])
+        data.qpos[joint.qposadr] = angle
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     frequency = 2 * np.pi * robot.servo_frequency_hz
-    for name, dof in zip(robot.joints, dofs, strict=True):
-        least_for_friction = model.dof_frictionloss[dof] / (STOP_RAD * frequency**2)
-        least_for_damping = model.dof_damping[dof] / (2 * SLOWER * frequency)
+    for name, joint in zip(robot.joints, joints, strict=True):
+        dof = joint.dofadr[0]
+        least_for_friction = joint.frictionloss[0] / (STOP_RAD * frequency**2)
+        least_for_damping = joint.damping[0] / (2 * SLOWER * frequency)
         mass = float(max(inertia[dof, dof], least_for_friction, least_for_damping))
         actuator = spec.add_actuator(
-            name=name, target=ROBOT_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         actuator.set_to_position(kp=mass * frequency**2, kv=2 * mass * frequency)
 
@@ -196,43 +205,16 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
 def _check_joint(robot: Robot, name: str, joint: Any) -> None:
     """Check that a joint has one degree of freedom, and a range if it is a slide."""
     kind = joint.type[0]
-    is_hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
-    is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
-    if not is_hinge and not (is_slide and joint.limited[0]):
+    is_limited_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE and joint.limited[0]
+    if kind != mujoco.mjtJoint.mjJNT_HINGE and not is_limited_slide:
         raise UserError(
             f"Robot {robot.name!r}: joint {name!r} must be a hinge, or a slide with a range "
             "(actions are clipped to it): give it a range in the MJCF or remove it from joints."
         )
 
 
-def _add_surroundings(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add floor, table, lights and camera."""
-    world = spec.worldbody
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[10, 10, 0.1],
-        rgba=FLOOR_RGBA,
-        contype=SUPPORT_BIT,
-        conaffinity=ROBOT_BIT,
-    )
-    if robot.table:
-        _add_table(world, robot.table)
-    # Light from the camera and from above: edges are visible, and no side of an object is black.
-    headlight = spec.visual.headlight
-    headlight.ambient = [0.35, 0.35, 0.35]
-    headlight.diffuse = [0.35, 0.35, 0.35]
-    headlight.specular = [0, 0, 0]
-    world.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 3],
-        dir=[-0.3, 0.35, -0.9],
-        diffuse=[0.45, 0.45, 0.45],
-        ambient=[0, 0, 0],
-        specular=[0, 0, 0],
-        castshadow=False,
-    )
+def _add_camera(world: mujoco.MjsBody, robot: Robot) -> None:
+    """Add the policy's camera, level."""
     position = np.array(robot.camera_position_m)
     backward = position - np.array(robot.camera_look_at_m)
     if np.linalg.norm(backward[:2]) < 1e-6:
@@ -254,33 +236,28 @@ def level_axes(backward: Floats) -> Floats:
     return np.asarray(axes / np.linalg.norm(axes, axis=0))
 
 
-def _add_table(world: mujoco.MjsBody, table: Table) -> None:
+def _table(table: Table) -> str:
+    """Return the geoms of a table: its top, on which things stand, and four legs."""
     half_x, half_y = table.half_size_m
     x, y = table.centre_m
     half_thickness = 0.015
-    world.add_geom(
-        name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half_x, half_y, half_thickness],
-        pos=[x, y, table.height_m - half_thickness],
-        rgba=TABLE_RGBA,
-        contype=SUPPORT_BIT,
-        conaffinity=ROBOT_BIT,
-    )
     half_leg = 0.02
     half_height = (table.height_m - 2 * half_thickness) / 2
     to_leg_x = half_x - half_leg
     to_leg_y = half_y - half_leg
-    for i, (sign_x, sign_y) in enumerate([(-1, -1), (-1, 1), (1, -1), (1, 1)]):
-        world.add_geom(
-            name=f"table_leg_{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[half_leg, half_leg, half_height],
-            pos=[x + sign_x * to_leg_x, y + sign_y * to_leg_y, half_height],
-            rgba=LEG_RGBA,
-            contype=0,
-            conaffinity=0,
+    geoms = (
+        f'<geom name="table" type="box" size="{half_x} {half_y} {half_thickness}" '
+        f'pos="{x} {y} {table.height_m - half_thickness}" rgba="0.52 0.54 0.57 1" '
+        f'contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>'
+    )
+    for i, (sign_x, sign_y) in enumerate(product((-1, 1), repeat=2)):
+        geoms += (
+            f'<geom name="table_leg_{i}" type="box" '
+            f'size="{half_leg} {half_leg} {half_height}" '
+            f'pos="{x + sign_x * to_leg_x} {y + sign_y * to_leg_y} {half_height}" '
+            'rgba="0.35 0.36 0.38 1" contype="0" conaffinity="0"/>'
         )
+    return geoms
 
 
 # Shape, size [m] and height of the centre [m] of each distractor

@@ -64,9 +64,9 @@ def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
             continue
         joint = part.joint(actuator.target)
         if joint is not None and joint.range[0] >= joint.range[1]:
-            joint.range = (
-                np.degrees([low, high]) if part.compiler.degree else (low, high)
-            )
+            joint.range = actuator.ctrlrange
+            if part.compiler.degree:
+                joint.range = np.degrees(joint.range)
             joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
@@ -78,10 +78,9 @@ def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
     world = part.worldbody
     floors = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
     elements: list[Any] = [geom for geom in world.geoms if geom.type in floors]
-    names = set(joints)
     for body in world.bodies:
-        carried = {joint.name for joint in body.find_all("joint")}
-        if not names & carried:
+        carried = [joint.name for joint in body.find_all("joint")]
+        if set(joints).isdisjoint(carried):
             elements.append(body)
     return elements
 
@@ -104,7 +103,10 @@ def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) 
     body = joint.parent
     in_degrees = part.compiler.degree
     is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-    value -= np.radians(joint.ref) if is_hinge and in_degrees else joint.ref
+    reference = joint.ref
+    if is_hinge and in_degrees:
+        reference = np.radians(reference)
+    value -= reference
     if value == 0:
         return
     quaternion_type = mujoco.mjtOrientation.mjORIENTATION_QUAT

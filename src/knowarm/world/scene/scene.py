@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -21,12 +22,11 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
 from knowarm.world.scene.mjcf import turn_about_z
 
+Floats32 = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
-ENDLESS_RANGE_RAD = (
-    -2 * np.pi,
-    2 * np.pi,
-)  # Range of hinges that have none of their own [rad]
+# Range of hinges that have none of their own [rad]
+ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -53,10 +53,8 @@ class Scene:
     geom_target: Indices  # Index of the target each geom belongs to, -1 for none, (G,)
     geom_coloured: Mask  # Whether a geom has its target's colour, (G,)
     # RGB by target and colour, (K, C, 3); padded with the first colour
-    target_colours: NDArray[np.float32]
-    surface_geoms: tuple[
-        int, ...
-    ]  # Ids of the floor and, if there is one, the table top
+    target_colours: Floats32
+    surface_geoms: tuple[int, ...]  # Ids of floor and, if there is one, table top
     distractor_geoms: Indices  # Ids of the distractors' geoms, (D,)
     distractor_mocap: Indices  # Index in the mocap arrays of each distractor, (D,)
     target_mocap: Indices  # Index in the mocap arrays of each target, (K,)
@@ -105,15 +103,14 @@ def load_scene(
     Both may be TOML files, which are read again when they or the MJCF files beside them change.
     ``area`` is the robot's area in which the targets stand.
     """
-    files: list[Path] = []
+    written = []
     for name in (robot, *targets):
         if name.endswith(SUFFIX):
             description = Path(name).resolve()
-            files += [description, *description.parent.glob("*.xml")]
-    written = tuple(
-        (str(file), file.stat().st_mtime_ns) for file in files if file.is_file()
-    )
-    return _load_scene(robot, tuple(targets), distractors, area, build, written)
+            for file in (description, *description.parent.glob("*.xml")):
+                if file.is_file():
+                    written += [file, file.stat().st_mtime_ns]
+    return _load_scene(robot, tuple(targets), distractors, area, build, *written)
 
 
 @lru_cache(maxsize=16)
@@ -123,7 +120,7 @@ def _load_scene(
     distractors: int,
     area: str,
     build: SceneBuilder,
-    written: tuple[tuple[str, int], ...],
+    *written: Path | int,
 ) -> Scene:
     return build(find_robot(robot).for_area(area), find_targets(targets), distractors)
 
@@ -170,7 +167,9 @@ def describe_model(
     surfaces = ["floor"]
     if robot.table:
         surfaces.append("table")
-    shapes = [f"{DISTRACTOR}{i}" for i in range(distractors)]
+    shapes = [model.geom(f"{DISTRACTOR}{i}").id for i in range(distractors)]
+    distractor_geoms = np.array(shapes, dtype=np.intp)
+    distractor_mocap = model.body_mocapid[model.geom_bodyid[distractor_geoms]]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
@@ -196,12 +195,8 @@ def describe_model(
         geom_coloured=geom_coloured,
         target_colours=colours,
         surface_geoms=tuple(model.geom(name).id for name in surfaces),
-        distractor_geoms=np.array(
-            [model.geom(name).id for name in shapes], dtype=np.intp
-        ),
-        distractor_mocap=np.array(
-            [model.body(name).mocapid[0] for name in shapes], dtype=np.intp
-        ),
+        distractor_geoms=distractor_geoms,
+        distractor_mocap=distractor_mocap.astype(np.intp),
         target_mocap=target_mocap.astype(np.intp),
         grasp_position=data.site_xpos[grasp_sites] - data.xpos[bodies],
         grasp_matrix=data.site_xmat[grasp_sites].reshape(-1, 3, 3),
@@ -212,19 +207,19 @@ def describe_model(
 
 def _target_geoms(
     model: mujoco.MjModel, targets: Sequence[Target]
-) -> tuple[Indices, Mask, NDArray[np.float32]]:
+) -> tuple[Indices, Mask, Floats32]:
     """Return ``geom_target``, ``geom_coloured`` and ``target_colours`` of a `Scene`."""
     geom_target = np.full(model.ngeom, -1, dtype=np.intp)
     geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
     width = max(len(target.colours) for target in targets)
     colours = np.zeros((len(targets), width, 3), dtype=np.float32)
-    names = [model.geom(g).name for g in range(model.ngeom)]
     for k, target in enumerate(targets):
         rgb = list(target.colours.values())
         colours[k] = rgb[0]
         colours[k, : len(rgb)] = rgb
         prefix = f"{target.name}/"
-        for g, name in enumerate(names):
+        for g in range(model.ngeom):
+            name = model.geom(g).name
             if name.startswith(prefix):
                 geom_target[g] = k
                 geom_coloured[g] = name.removeprefix(prefix) in target.coloured_geoms
@@ -279,7 +274,7 @@ def _turn_grasps(
 def _check_in_image(scene: Scene) -> None:
     """Check that all grasp points are inside the image at the corners of the rectangle."""
     robot = scene.robot
-    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    signs = np.array(list(product((-1, 1), repeat=2)))
     offsets = signs * np.array(robot.rectangle_half_size_m)
     corners = target_places(scene, np.array(robot.rectangle_centre_m) + offsets)
     for target, grasp_position in zip(scene.targets, scene.grasp_position, strict=True):

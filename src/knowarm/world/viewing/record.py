@@ -13,7 +13,7 @@ from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.pictures import animation, check_suffix, data_uri
 from knowarm.reading import replacing
-from knowarm.svg import element, escape, style_sheet
+from knowarm.svg import escape, style_sheet
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.base import Images
@@ -21,9 +21,8 @@ from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.scene.scene import project
 from knowarm.world.tasks.sampling import Episodes
 
-FRAMES_PER_S = (
-    10  # Frames per second of the video: one per step, the speed of the real robot
-)
+# Frames per second of the video: one per step, the speed of the real robot
+FRAMES_PER_S = 10
 _LAST_FRAMES = 10
 _LAST_MS = 1_500  # Display time of the last image of a page's film [ms]
 _MARGIN = 8
@@ -33,11 +32,8 @@ _INK = (30, 30, 30)
 LENGTH_M = 0.08  # Length of a drawn axis [m]
 _SPHERE_POINTS = 64
 _COLOURS = ((214, 39, 40), (44, 160, 44), (31, 119, 180))  # of the x, y and z axis
-_SPHERE = (255, 255, 255)
-_SHEET = (
-    2 * RENDER_SIZE + 3 * _MARGIN,
-    RENDER_SIZE + 44,
-)  # Size of a frame of a film [px]
+# Size of a frame of a film [px]
+_SHEET = (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,32 +86,31 @@ def draw_axes(env: ArmVectorEnv, image: Images) -> Images:
     """
     running = env.running
     simulator = running.simulator
-    picture = Image.fromarray(image)
-    draw = ImageDraw.Draw(picture)
-    view = None
-    camera = env.scene.camera_position
+    scene = env.scene
+    view = np.append(scene.camera_position, scene.camera_matrix)
     if running.shown.views is not None:
         view = running.shown.views[0]
-        camera = view[:3]
-
-    def line(points: Floats, colour: tuple[int, int, int], width: int) -> None:
-        pixels = (1 + project(env.scene, points, view) * (1, -1)) * len(image) / 2
-        if np.isfinite(pixels).all():  # in front of the camera
-            draw.line(list(map(tuple, pixels)), colour, width)
-
-    def frame(origin: Floats, matrix: Floats, width: int) -> None:
-        for axis, colour in zip(matrix.reshape(3, 3).T, _COLOURS, strict=True):
-            line(np.stack([origin, origin + LENGTH_M * axis]), colour, width)
-
     goal = running.goal_position[0]
-    _, _, rotation = np.linalg.svd((goal - camera)[None])
+    _, _, rotation = np.linalg.svd((goal - view[:3])[None])
     right, up = rotation[1:]  # span the plane across the line of sight
     turn = np.linspace(0, 2 * np.pi, _SPHERE_POINTS)[:, None]
     circle = np.cos(turn) * right + np.sin(turn) * up
-    line(goal + running.limits[0] * circle, _SPHERE, 2)
-    frame(goal, running.goal_matrix[0], 4)
-    frame(simulator.tcp_position[0], simulator.tcp_matrix[0], 2)
-    return np.asarray(picture)
+    lines = [(goal + running.limits[0] * circle, _PAPER, 2)]
+    frames = (
+        (goal, running.goal_matrix[0], 4),
+        (simulator.tcp_position[0], simulator.tcp_matrix[0], 2),
+    )
+    for origin, matrix, width in frames:
+        for axis, colour in zip(matrix.reshape(3, 3).T, _COLOURS, strict=True):
+            end = origin + LENGTH_M * axis
+            lines.append((np.stack([origin, end]), colour, width))
+    drawing = Image.fromarray(image)
+    draw = ImageDraw.Draw(drawing)
+    for points, colour, width in lines:
+        pixels = (1 + project(scene, points, view) * (1, -1)) * len(image) / 2
+        if np.isfinite(pixels).all():  # in front of the camera
+            draw.line(list(map(tuple, pixels)), colour, width)
+    return np.asarray(drawing)
 
 
 def check_video(path: Path) -> None:
@@ -148,18 +143,19 @@ def write_strip(
     strip = Image.new("RGB", size, _PAPER)
     draw = ImageDraw.Draw(strip)
     font = ImageFont.load_default(14)
-    for row, frames in enumerate(episodes):
-        top = _MARGIN + row * row_height + title
+    top = _MARGIN + title
+    for frames in episodes:
         draw.text((_MARGIN, top - 22), frames[0].goal, _INK, font)
         chosen = np.unique(np.linspace(0, len(frames) - 1, columns).round().astype(int))
-        for column, index in enumerate(chosen):
+        left = _MARGIN
+        for index in chosen:
             frame = frames[index]
-            left = _MARGIN + column * column_width
             large = Image.fromarray(frame.large)
-            strip.paste(
-                large.resize((side, side), Image.Resampling.LANCZOS), (left, top)
-            )
+            large = large.resize((side, side), Image.Resampling.LANCZOS)
+            strip.paste(large, (left, top))
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
+            left += column_width
+        top += row_height
     with replacing(path, "Name another file.") as temporary:
         strip.save(temporary)
 
@@ -187,20 +183,18 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
 def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> None:
     """Write a self-contained HTML page with a film per episode, which a browser repeats."""
     check_page(path)
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("title", escape(title)),
-        element("style", style_sheet()),
+    films = ""
+    for number, frames in enumerate(episodes, start=1):
+        films += _film(f"Episode {number}", frames)
+    heading = escape(title)
+    page = (
+        '<!doctype html>\n<html lang="en">'
+        f'<head><meta charset="utf-8"/><title>{heading}</title>'
+        f"<style>{style_sheet()}</style></head>"
+        f"<body><main><h2>{heading}</h2>{films}</main></body></html>\n"
     )
-    films = [
-        _film(f"Episode {number}", frames)
-        for number, frames in enumerate(episodes, start=1)
-    ]
-    main = element("main", element("h2", escape(title)), *films)
-    page = element("html", head, element("body", main), lang="en")
     with replacing(path, "Name another file.") as temporary:
-        temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8")
 
 
 def _film(name: str, frames: Sequence[Frame]) -> str:
@@ -211,8 +205,11 @@ def _film(name: str, frames: Sequence[Frame]) -> str:
     goal = f": {last.goal}" if last.goal else ""
     outcome = "reached" if last.success else "failed"
     caption = f"{name}{goal}, {outcome} after {last.step} steps"
-    image = element("img", src=source, alt=caption, style="max-width: 100%")
-    return element("figure", image, element("figcaption", escape(caption)))
+    alt = escape(caption, quote=True)
+    return (
+        f'<figure><img src="{source}" alt="{alt}" style="max-width: 100%"/>'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
 
 
 def _side_by_side(frame: Frame) -> Images:

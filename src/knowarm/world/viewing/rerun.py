@@ -53,9 +53,8 @@ def write_rrd(
                 recording.set_time("time", duration=time / FRAMES_PER_S)
                 time += 1
                 recording.log("camera/policy", rerun.Image(frame.policy))
-                recording.log(
-                    "camera/large", rerun.Image(frame.large).compress(jpeg_quality=90)
-                )
+                large = rerun.Image(frame.large).compress(jpeg_quality=90)
+                recording.log("camera/large", large)
                 recording.log("distance", rerun.Scalars(frame.distance))
                 recording.log("angle", rerun.Scalars(frame.angle))
                 for name, value in zip(joints, frame.joints, strict=True):
