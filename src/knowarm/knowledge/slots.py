@@ -130,8 +130,8 @@ def _condition_parts(
     A value that the graph does not hold, such as a colour without facts, has its own label only.
     """
     names = graph.relation_names
-    found = names.at(names.find_local(condition.relation))
-    relation, *_ = (*found, condition.relation)
+    same_name = names.at(names.find_local(condition.relation))
+    relation = [*same_name, condition.relation][0]
     value = _entity(graph, condition, config)
     parts = relation_parts(graph, relation, config)
     parts.append(entity_part(graph, value or condition.value))
