@@ -28,6 +28,7 @@ from knowarm.knowledge.vectors.source import (
     Facet,
     Request,
     VectorLookup,
+    Vectors,
     pool,
 )
 from knowarm.questions import Condition, ObjectColour, Query, conditions_of
@@ -44,7 +45,7 @@ class Embedding:
     """The config it was made by."""
     slots: tuple[Facet | Condition, ...]
     """Object and colour of each slot, or the condition of a query."""
-    matrix: np.ndarray = field(repr=False)
+    matrix: Vectors = field(repr=False)
     """The slots' vectors, (S, slot_dim) float32."""
     coverage: Coverage = field(repr=False)
     """How labels were found among the vectors."""
@@ -69,7 +70,7 @@ class Embedding:
         return self.dim // self.slot_dim
 
     @property
-    def vector(self) -> np.ndarray:
+    def vector(self) -> Vectors:
         """All slots concatenated, (S * slot_dim,) float32."""
         return self.matrix.reshape(-1)
 
@@ -131,7 +132,7 @@ class SceneEmbedding(Embedding):
         """Whether every episode gets the same numbers, which then act as a bias."""
         return self.scope == "scene" or bool(np.ptp(self.matrix, axis=0).max() == 0)
 
-    def table(self, facets: Facets) -> np.ndarray:
+    def table(self, facets: Facets) -> Vectors:
         """Return the knowledge input of the policy for each facet, (F, K) float32."""
         if self.scope == "scene":
             return np.tile(self.vector, (len(facets), 1))
@@ -171,7 +172,7 @@ class QueryEmbedding(Embedding):
         """Whether every query gets the same numbers."""
         return bool(np.ptp(self.table(self.queries), axis=0).max() == 0)
 
-    def table(self, queries: Sequence[Query]) -> np.ndarray:
+    def table(self, queries: Sequence[Query]) -> Vectors:
         """Return the knowledge input of the policy for each embedded query, (Q, K) float32.
 
         Facts fill the slots of a row from the first, colours and objects from the last, so that a
@@ -298,7 +299,7 @@ def _embed(
 
 def _vectors(
     config: KnowledgeConfig, described: Described, coverage: Coverage
-) -> np.ndarray:
+) -> Vectors:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
     graph = described.graph
     everything = Sentence()
@@ -329,7 +330,7 @@ def _vectors(
         if len(set(described.values)) > 1:  # a colour less itself would be nothing
             value_centre = _centre(lookup, described.values)
     share = config.colour_share
-    rows = list[np.ndarray]()
+    rows = list[Vectors]()
     for sentence, value, rest in described.slots:
         labels = sentence if share is None else rest
         found = [lookup.find(part, coverage) for part in labels]
@@ -345,7 +346,7 @@ def _vectors(
     return np.array(rows, np.float32)
 
 
-def _centre(lookup: VectorLookup, parts: Sentence) -> np.ndarray:
+def _centre(lookup: VectorLookup, parts: Sentence) -> Vectors:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
     matrices = [np.empty((0, lookup.dim), np.float32)]
     for part in parts:
@@ -357,7 +358,7 @@ def _centre(lookup: VectorLookup, parts: Sentence) -> np.ndarray:
     return vectors.mean(axis=0, dtype=np.float64)
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
+def _unit(vector: Vectors) -> Vectors:
     length = np.linalg.norm(vector)
     if length == 0:
         raise UserError(

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import scipy
 
+from knowarm.arrays import Integers, Mask, Names
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.knowledge.vectors.source import Vectors
 
 NEARLY_SAME = 0.9
 """Cosine at which two facets count as nearly the same."""
@@ -35,7 +37,7 @@ class Probe:
 
     slots: tuple[str, ...]
     """The task's facets."""
-    cosine: np.ndarray
+    cosine: Vectors
     """Cosine of every two facets, (S, S) float64; NaN where a slot is zero."""
     recovered: Recovered
     """By target ("object", "colour", a relation): share recovered for the task's facets ("task")
@@ -110,7 +112,7 @@ def _recovered(
     return recovered | _attributes(graph, vectors, objects, in_task, config)
 
 
-def _cosine(matrix: np.ndarray) -> np.ndarray:
+def _cosine(matrix: Vectors) -> Vectors:
     wide = matrix.astype(np.float64)
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.divide(wide, length, out=np.full_like(wide, np.nan), where=length > 0)
@@ -134,7 +136,7 @@ def _population(
     return population
 
 
-def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.ndarray:
+def _predict(vectors: Vectors, targets: Vectors, held: Mask) -> Vectors:
     """Fit ridge regression without the held rows; return scores for them, (h, classes)."""
     train = ~held
     mean = vectors[train].mean(axis=0)
@@ -146,8 +148,8 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
 
 
 def _leave_out(
-    vectors: np.ndarray, true: np.ndarray, groups: np.ndarray, asked: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    vectors: Vectors, true: Vectors, groups: Names | Integers, asked: Mask
+) -> tuple[Vectors, Vectors]:
     """Predict the values of the slots of each group without it, if some of it are asked, (S,).
 
     Returns:
@@ -166,7 +168,7 @@ def _leave_out(
     return shares, guess
 
 
-def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> Scores:
+def _scores(shares: Vectors, guess: Vectors, in_task: Mask) -> Scores:
     """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
     if np.isnan(shares[in_task]).all():
         return {}
@@ -177,7 +179,7 @@ def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> Score
     }
 
 
-def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> Scores:
+def _single(vectors: Vectors, answers: Names, in_task: Mask) -> Scores:
     """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
     true = np.eye(len(classes))[index]
@@ -189,9 +191,9 @@ def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> Sc
 
 def _attributes(
     graph: KnowledgeGraph,
-    vectors: np.ndarray,
-    objects: np.ndarray,
-    in_task: np.ndarray,
+    vectors: Vectors,
+    objects: Names,
+    in_task: Mask,
     config: KnowledgeConfig,
 ) -> Recovered:
     """Predict the values of each relation, leaving out all slots of one object at a time."""
@@ -215,7 +217,7 @@ def _attributes(
     return scores
 
 
-def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
+def _share_found(scores: Vectors, true: Vectors) -> float:
     """Return the share of the k true values that are among the k highest scores."""
     k = int(true.sum())
     highest = np.argsort(-scores, kind="stable")[:k]

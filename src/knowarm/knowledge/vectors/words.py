@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from safetensors.numpy import load_file
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.formats.files import byte_lines, decode, open_bytes
 from knowarm.knowledge.vectors.source import (
@@ -23,6 +24,7 @@ from knowarm.knowledge.vectors.source import (
     Request,
     SentencePart,
     VectorLookup,
+    Vectors,
     VectorSource,
 )
 from knowarm.reading import reading
@@ -67,9 +69,9 @@ class WordTable:
     name: str  # Name in reports: a shipped name or a file's name
     # The words held here; of a file, only those that were requested
     words: tuple[str, ...]
-    vectors: np.ndarray = field(repr=False)  # One row per word, (n, dim) float32
+    vectors: Vectors = field(repr=False)  # One row per word, (n, dim) float32
     # Place of each word in the file, 1 = most frequent, (n,) int64
-    ranks: np.ndarray = field(repr=False)
+    ranks: Integers = field(repr=False)
     size: int  # Number of words in the whole file
     length: float  # Median length of its vectors, of a file of its first hundred
 
@@ -84,7 +86,7 @@ class WordTable:
         return {word: row for row, word in enumerate(self.words)}
 
     @cached_property
-    def frequencies(self) -> np.ndarray:
+    def frequencies(self) -> Floats:
         """Estimated share of each word in running text, (n,) float64.
 
         Zipf's law, p(rank) = 1 / (rank * H(size)): a vector file gives the order of words only.
@@ -119,7 +121,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
     sample = [line for _, line in beginning[header:]]
     dim = _dimension(sample, path, header)
-    vectors: dict[str, np.ndarray] = {}
+    vectors: dict[str, Vectors] = {}
     ranks: list[int] = []
     count = 0
     for number, line in chain(beginning, lines):
@@ -177,7 +179,7 @@ def _dimension(lines: list[bytes], path: Path, header: int) -> int:
     return dim
 
 
-def _parse(numbers: list[bytes]) -> np.ndarray:
+def _parse(numbers: list[bytes]) -> Vectors:
     """Return numbers as float32, or one NaN if there is text among them."""
     try:
         return np.array(numbers, np.float32)
@@ -338,7 +340,7 @@ class WordLookup:
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
-        vectors = list[np.ndarray]()
+        vectors = list[Vectors]()
         for word in label.split():
             seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
             vector = np.random.default_rng(seed).standard_normal(self.dim)
