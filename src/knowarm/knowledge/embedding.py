@@ -306,8 +306,8 @@ def _vectors(
     if config.centring:
         everything = graph_parts(graph, relation_words=config.relation_words)
     parts = everything.copy()
-    for labels in described.slots:
-        parts += labels.sentence
+    for slot in described.slots:
+        parts += slot.sentence
     lookup = config.source.open(
         Request(
             graph=graph,
