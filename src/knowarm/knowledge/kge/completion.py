@@ -51,8 +51,10 @@ def completed(
         return graph
     heads, relations, tails = torch.tensor(candidates).T
     with torch.no_grad():
-        as_tails = trained(heads, relations).gather(1, tails[:, None])
-        as_heads = trained(tails, relations + num_relations).gather(1, heads[:, None])
+        all_tails = trained(heads, relations)
+        all_heads = trained(tails, relations + num_relations)
+    as_tails = all_tails.gather(1, tails[:, None])
+    as_heads = all_heads.gather(1, heads[:, None])
     order = (-(as_tails + as_heads)[:, 0]).argsort(stable=True).numpy()
     held = set(map(tuple, held_out.tolist()))
     hits = np.cumsum([candidates[index] in held for index in order])
