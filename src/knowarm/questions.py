@@ -5,10 +5,11 @@ A condition is a relation and a value ("usedFor drinking"); a query is one condi
 facet that is its target. A facet is an object, or one of its parts, in one of its colours.
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +72,11 @@ class Query:
         return self.name
 
 
+def conditions_of(queries: Iterable[Query]) -> dict[Condition, None]:
+    """Return the different conditions of queries as keys, in the order of the queries."""
+    return dict.fromkeys(chain.from_iterable(query.conditions for query in queries))
+
+
 @dataclass(frozen=True, eq=False)
 class QuestionTable:
     """Questions of a task: queries, facets that answer them, and facets that stand beside these.
@@ -96,7 +102,7 @@ class QuestionTable:
     def __post_init__(self) -> None:
         queries = len(self.queries)
         facets = len(self.facets)
-        _check_names("queries", [query.name for query in self.queries])
+        _check_names("queries", list(map(str, self.queries)))
         _check_names("facets", self.facets)
         shapes = {
             "satisfies": (queries, facets),
@@ -159,13 +165,9 @@ class QuestionTable:
 
         They are shown, related to the target, of another object, and do not satisfy the query.
         """
-        return _distractors(
-            self.satisfies[query],
-            self.related[target],
-            self.shown,
-            self.objects,
-            target,
-        )
+        satisfies = self.satisfies[query]
+        related = self.related[target]
+        return _distractors(satisfies, related, self.shown, self.objects, target)
 
     def check_objects(self, count: int) -> None:
         """Check that every question has enough distractors for ``count`` objects per episode."""
@@ -237,12 +239,10 @@ def kind_of(name: str) -> str:
 
 def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
     """Return the facets of the parts of each facet's object in its colour; see ``parts``."""
-    groups: dict[ObjectColour, list[int]] = {}
-    of_facets = []
-    for number, (name, colour) in enumerate(facets):
-        group = groups.setdefault((object_of(name), colour), [])
-        group.append(number)
-        of_facets.append(group)
+    groups: dict[ObjectColour, list[int]] = defaultdict(list)
+    wholes = [(object_of(name), colour) for name, colour in facets]
+    for number, whole in enumerate(wholes):
+        groups[whole].append(number)
     if len(set(map(len, groups.values()))) > 1:
         counts = {name: len(group) for (name, _), group in groups.items()}
         listed = ", ".join(f"{count} of {name}" for name, count in counts.items())
@@ -250,7 +250,7 @@ def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
             f"All objects of a task need the same number of parts, got {listed}. Add or remove "
             "parts among EnvConfig.targets."
         )
-    return np.array(of_facets, dtype=np.int64)
+    return np.array(list(map(groups.__getitem__, wholes)), np.int64)
 
 
 def with_distractors(

@@ -4,6 +4,8 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
+from operator import attrgetter
 
 import numpy as np
 
@@ -59,6 +61,10 @@ class _Box:
         return text_width(self.label) + 2 * PAD
 
 
+_Boxes = dict[int, _Box]
+"""Boxes by the id of their entity."""
+
+
 def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") -> str:
     """Draw a graph of at most `MAX_ENTITIES` entities; return the text of an SVG file.
 
@@ -77,11 +83,10 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
         )
     facts = list[_Fact]()
     for head, relation, tail in graph.triples.tolist():
-        facts.append(
-            (head, label_of(graph.relation_names[relation], graph.labels), tail)
-        )
+        words = label_of(graph.relation_names[relation], graph.labels)
+        facts.append((head, words, tail))
     beside = _neighbours(facts)
-    boxes = _columns(graph, beside, [graph.entity_id(name) for name in roots])
+    boxes = _columns(graph, beside, list(map(graph.entity_id, roots)))
     markup = [
         label(16, 26, title, font_size=16, font_weight="bold", fill="#222"),
         *_headings(boxes, beside),  # places the boxes
@@ -134,32 +139,33 @@ def _neighbours(facts: Sequence[_Fact]) -> _Neighbours:
     return beside
 
 
-def _columns(
-    graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]
-) -> dict[int, _Box]:
+def _columns(graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]) -> _Boxes:
     """Return every entity's box: its distance from the roots, and the relation that reaches it."""
     if not roots:
         roots = np.setdiff1d(graph.nodes, graph.tails).tolist()
     if not roots:
         roots = np.unique(graph.heads).tolist()
-    boxes = dict[int, _Box]()
-    for number, root in enumerate(dict.fromkeys(roots)):
-        boxes[root] = _box(graph, root, 0, "", COLOURS[number % len(COLOURS)])
-    _add_columns(graph, beside, boxes, roots)
+    boxes = _Boxes()
+    colours = zip(dict.fromkeys(roots), cycle(COLOURS), strict=False)
+    _add_columns(graph, beside, boxes, dict(colours))
     for node in graph.nodes.tolist():  # the components without a root
         if node not in boxes:
-            boxes[node] = _box(graph, node, 0, "", GREY)
-            _add_columns(graph, beside, boxes, [node])
+            _add_columns(graph, beside, boxes, {node: GREY})
     return boxes
 
 
 def _add_columns(
-    graph: KnowledgeGraph,
-    beside: _Neighbours,
-    boxes: dict[int, _Box],
-    frontier: list[int],
+    graph: KnowledgeGraph, beside: _Neighbours, boxes: _Boxes, roots: dict[int, str]
 ) -> None:
-    """Add the boxes of all that can be reached from some entities of the first column."""
+    """Add the boxes of roots with their colours, and of all that can be reached from these."""
+
+    def add(entity: int, column: int, group: str, colour: str) -> None:
+        text = label_of(graph.names[entity], graph.labels)
+        boxes[entity] = _Box(text, column, group, colour)
+
+    for root, colour in roots.items():
+        add(root, 0, "", colour)
+    frontier = list(roots)
     column = 0
     while frontier:
         column += 1
@@ -167,31 +173,20 @@ def _add_columns(
         for entity in frontier:
             for words, other in beside[entity]:
                 if other not in boxes:
-                    boxes[other] = _box(
-                        graph, other, column, words, boxes[entity].colour
-                    )
+                    add(other, column, words, boxes[entity].colour)
                     reached.append(other)
         frontier = sorted(reached)
 
 
-def _box(
-    graph: KnowledgeGraph, entity: int, column: int, group: str, colour: str
-) -> _Box:
-    return _Box(label_of(graph.names[entity], graph.labels), column, group, colour)
-
-
-def _headings(boxes: dict[int, _Box], beside: _Neighbours) -> list[str]:
+def _headings(boxes: _Boxes, beside: _Neighbours) -> list[str]:
     """Set the position of every box; return the headings of the groups."""
     columns: dict[int, list[int]] = defaultdict(list)
     for entity, box in boxes.items():
         columns[box.column].append(entity)
 
     def order(entity: int) -> tuple[str, float, str]:
-        return (
-            boxes[entity].group,
-            _barycentre(boxes, beside, entity),
-            boxes[entity].label,
-        )
+        box = boxes[entity]
+        return box.group, _barycentre(boxes, beside, entity), box.label
 
     headings = list[str]()
     x = 24.0
@@ -220,7 +215,7 @@ def _headings(boxes: dict[int, _Box], beside: _Neighbours) -> list[str]:
     return headings
 
 
-def _barycentre(boxes: dict[int, _Box], beside: _Neighbours, entity: int) -> float:
+def _barycentre(boxes: _Boxes, beside: _Neighbours, entity: int) -> float:
     """Return the mean height of the neighbours in earlier columns."""
     neighbours = [boxes[other] for _, other in beside[entity]]
     heights = [box.y for box in neighbours if box.column < boxes[entity].column]
@@ -229,11 +224,7 @@ def _barycentre(boxes: dict[int, _Box], beside: _Neighbours, entity: int) -> flo
 
 def _edge(head: _Box, words: str, tail: _Box) -> str:
     """Return the curve of an edge, with the fact as its tooltip."""
-    left = head
-    right = tail
-    if head.column > tail.column:
-        left = tail
-        right = head
+    left, right = sorted((head, tail), key=attrgetter("column"))
     end_x = right.x
     bend = None
     if left.column == right.column:

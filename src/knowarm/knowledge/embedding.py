@@ -3,10 +3,9 @@
 A placebo falsifies one of these steps; see the methods ``change_...`` of `VectorSource`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,21 +15,23 @@ from knowarm.knowledge.config import EmbeddingFacts, KnowledgeConfig, Scope
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.slots import (
-    ConditionSlots,
     Described,
-    FacetSlots,
+    Sentence,
+    describe_conditions,
+    describe_facets,
     graph_parts,
     slots_of,
+    words_of,
 )
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Facet,
     Request,
-    SentencePart,
     VectorLookup,
+    Vectors,
     pool,
 )
-from knowarm.questions import Condition, ObjectColour, Query
+from knowarm.questions import Condition, ObjectColour, Query, conditions_of
 
 Facets = Sequence[ObjectColour]
 """The task's (object, colour) pairs, in the environment's order."""
@@ -44,7 +45,7 @@ class Embedding:
     """The config it was made by."""
     slots: tuple[Facet | Condition, ...]
     """Object and colour of each slot, or the condition of a query."""
-    matrix: np.ndarray = field(repr=False)
+    matrix: Vectors = field(repr=False)
     """The slots' vectors, (S, slot_dim) float32."""
     coverage: Coverage = field(repr=False)
     """How labels were found among the vectors."""
@@ -69,7 +70,7 @@ class Embedding:
         return self.dim // self.slot_dim
 
     @property
-    def vector(self) -> np.ndarray:
+    def vector(self) -> Vectors:
         """All slots concatenated, (S * slot_dim,) float32."""
         return self.matrix.reshape(-1)
 
@@ -96,6 +97,7 @@ class Embedding:
     def describe(self) -> EmbeddingFacts:
         """Return the description that a run folder stores."""
         names = tuple(slot.name for slot in self.slots)
+        norms = np.linalg.norm(self.matrix.astype(float), axis=1)
         return EmbeddingFacts(
             source=self.config.source.short_name,
             slots=names,
@@ -103,9 +105,7 @@ class Embedding:
             dim=self.dim,
             norm=self.norm,
             note=self.note,
-            slot_norms=tuple(
-                np.linalg.norm(self.matrix.astype(float), axis=1).tolist()
-            ),
+            slot_norms=tuple(norms.tolist()),
             coverage=self.coverage.describe(),
             sentences=dict(zip(names, self.sentences, strict=True)),
             constant=self.constant,
@@ -132,18 +132,20 @@ class SceneEmbedding(Embedding):
         """Whether every episode gets the same numbers, which then act as a bias."""
         return self.scope == "scene" or bool(np.ptp(self.matrix, axis=0).max() == 0)
 
-    def table(self, facets: Facets) -> np.ndarray:
+    def table(self, facets: Facets) -> Vectors:
         """Return the knowledge input of the policy for each facet, (F, K) float32."""
         if self.scope == "scene":
             return np.tile(self.vector, (len(facets), 1))
-        return self.matrix[[self._slot(name, colour) for name, colour in facets]]
-
-    def _slot(self, name: str, colour: str) -> int:
-        wanted = Facet(name, None if self.config.detail == "partial" else colour)
-        if wanted in self.slots:
-            return self.slots.index(wanted)
-        names = ", ".join(slot.name for slot in self.slots)
-        raise UserError(f"No slot describes {wanted.name!r}. The slots are: {names}.")
+        rows = list[int]()
+        for name, colour in facets:
+            wanted = Facet(name, None if self.config.detail == "partial" else colour)
+            if wanted not in self.slots:
+                names = ", ".join(slot.name for slot in self.slots)
+                raise UserError(
+                    f"No slot describes {wanted.name!r}. The slots are: {names}."
+                )
+            rows.append(self.slots.index(wanted))
+        return self.matrix[rows]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +172,7 @@ class QueryEmbedding(Embedding):
         """Whether every query gets the same numbers."""
         return bool(np.ptp(self.table(self.queries), axis=0).max() == 0)
 
-    def table(self, queries: Sequence[Query]) -> np.ndarray:
+    def table(self, queries: Sequence[Query]) -> Vectors:
         """Return the knowledge input of the policy for each embedded query, (Q, K) float32.
 
         Facts fill the slots of a row from the first, colours and objects from the last, so that a
@@ -180,10 +182,7 @@ class QueryEmbedding(Embedding):
             UserError: no slot describes a condition.
         """
         slots = dict(zip(self.slots, self.matrix, strict=True))
-        new = (
-            set(chain.from_iterable(query.conditions for query in queries))
-            - slots.keys()
-        )
+        new = conditions_of(queries).keys() - slots.keys()
         if new:
             names = sorted(condition.name for condition in new)
             raise UserError(
@@ -191,15 +190,12 @@ class QueryEmbedding(Embedding):
             )
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
-            first = 0
-            last = self.width - sum(condition.is_seen for condition in query.conditions)
-            for condition in query.conditions:
-                if condition.is_seen:
-                    row[last] = slots[condition]
-                    last += 1
-                else:
-                    row[first] = slots[condition]
-                    first += 1
+            seen = [c for c in query.conditions if c.is_seen]
+            facts = [c for c in query.conditions if not c.is_seen]
+            for place, condition in enumerate(facts):
+                row[place] = slots[condition]
+            for place, condition in enumerate(seen, self.width - len(seen)):
+                row[place] = slots[condition]
         return rows.reshape(len(queries), -1)
 
 
@@ -227,9 +223,7 @@ def scene_embedding(
         (2, 50)
     """
     slots = slots_of(config, facets)
-    return SceneEmbedding(
-        slots=slots, **_embed(config, FacetSlots(slots), graph, run_seed)
-    )
+    return SceneEmbedding(**_embed(config, slots, describe_facets, graph, run_seed))
 
 
 def query_embedding(
@@ -259,65 +253,65 @@ def query_embedding(
         (1, 50)
     """
     embedded = tuple(dict.fromkeys((*trained_on, *queries)))
-    conditions = chain.from_iterable(query.conditions for query in embedded)
-    slots = tuple(dict.fromkeys(conditions))
-    fields = _embed(config, ConditionSlots(slots), graph, run_seed)
-    return QueryEmbedding(slots=slots, queries=embedded, **fields)
+    slots = tuple(conditions_of(embedded))
+    fields = _embed(config, slots, describe_conditions, graph, run_seed)
+    return QueryEmbedding(queries=embedded, **fields)
 
 
 def _embed(
     config: KnowledgeConfig,
-    slots: FacetSlots | ConditionSlots,
+    slots: tuple[Any, ...],
+    describe: Callable[[Any, KnowledgeGraph, KnowledgeConfig, int], Described],
     graph: KnowledgeGraph | None,
     run_seed: int,
 ) -> dict[str, Any]:
-    """Compute slots by the config's source; return all fields of `Embedding` but the slots."""
+    """Compute slots by the config's source; return all fields of `Embedding`."""
     source = config.source
     coverage = Coverage()
     matrix = np.zeros((len(slots), config.dim), np.float32)
-    sentences = ("",) * len(slots)
+    sentences = [""] * len(slots)
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
         if graph is None:
             graph = read_graph(config.graph)
-        described = slots.describe(graph, config, seed)
+        described = describe(slots, graph, config, seed)
         matrix = _vectors(config, described, coverage)
         if not source.content_free:
-            sentences = tuple(
-                " ".join(part.label for part in labels.sentence)
-                for labels in described.slots
-            )
+            sentences = [words_of(labels.sentence) for labels in described.slots]
     matrix = source.change_vectors(matrix, seed)
     if source.real is not source and not source.content_free:
         # A placebo with another content has slots as long as those of the source that it copies.
-        real = _embed(replace(config, source=source.real), slots, graph, run_seed=0)[
-            "matrix"
-        ]
-        wanted = np.linalg.norm(real, axis=1, keepdims=True)
+        real = replace(config, source=source.real)
+        copied = _embed(real, slots, describe, graph, run_seed=0)["matrix"]
+        wanted = np.linalg.norm(copied, axis=1, keepdims=True)
         length = np.linalg.norm(matrix, axis=1, keepdims=True)
         factor = np.divide(wanted, length, out=np.zeros_like(wanted), where=length > 0)
         matrix = (matrix * factor).astype(np.float32)
     return {
         "config": config,
+        "slots": slots,
         "matrix": matrix,
         "coverage": coverage,
-        "sentences": sentences,
+        "sentences": tuple(sentences),
         "note": source.note,
     }
 
 
 def _vectors(
     config: KnowledgeConfig, described: Described, coverage: Coverage
-) -> np.ndarray:
+) -> Vectors:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
-    parts = list(chain.from_iterable(labels.sentence for labels in described.slots))
-    everything = list[SentencePart]()
+    graph = described.graph
+    everything = Sentence()
     if config.centring:
-        everything = graph_parts(described.graph, relation_words=config.relation_words)
+        everything = graph_parts(graph, relation_words=config.relation_words)
+    parts = everything.copy()
+    for slot in described.slots:
+        parts += slot.sentence
     lookup = config.source.open(
         Request(
-            graph=described.graph,
-            parts=parts + everything,
+            graph=graph,
+            parts=parts,
             dim=config.dim,
             seed=config.seed,
             aliases=config.aliases,
@@ -335,28 +329,24 @@ def _vectors(
         centre = _centre(lookup, everything)
         if len(set(described.values)) > 1:  # a colour less itself would be nothing
             value_centre = _centre(lookup, described.values)
-    rows = list[np.ndarray]()
+    share = config.colour_share
+    rows = list[Vectors]()
     for sentence, value, rest in described.slots:
-        labels = sentence if config.colour_share is None else rest
-        vector = pool(
-            [lookup.find(part, coverage) for part in labels], config.pooling, centre
-        )
-        if value is not None and config.colour_share is not None:
-            value_vector = pool(
-                [lookup.find(value, coverage)], config.pooling, value_centre
-            )
-            length = np.linalg.norm(vector)
-            share = config.colour_share
-            vector = (
-                (1 - share) * _unit(vector) + share * _unit(value_vector)
-            ) * length
+        labels = sentence if share is None else rest
+        found = [lookup.find(part, coverage) for part in labels]
+        vector = pool(found, config.pooling, centre)
+        if value is not None and share is not None:
+            found = [lookup.find(value, coverage)]
+            value_unit = _unit(pool(found, config.pooling, value_centre))
+            mixed = (1 - share) * _unit(vector) + share * value_unit
+            vector = mixed * np.linalg.norm(vector)
         if config.slot_norm is not None:
             vector = _unit(vector) * config.slot_norm
         rows.append(vector)
     return np.array(rows, np.float32)
 
 
-def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
+def _centre(lookup: VectorLookup, parts: Sentence) -> Vectors:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
     matrices = [np.empty((0, lookup.dim), np.float32)]
     for part in parts:
@@ -368,7 +358,7 @@ def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
     return vectors.mean(axis=0, dtype=np.float64)
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
+def _unit(vector: Vectors) -> Vectors:
     length = np.linalg.norm(vector)
     if length == 0:
         raise UserError(

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import scipy
 
+from knowarm.arrays import Integers, Mask, Names
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.knowledge.vectors.source import Vectors
 
 NEARLY_SAME = 0.9
 """Cosine at which two facets count as nearly the same."""
@@ -23,15 +25,21 @@ MOST_OTHERS = 600
 """Largest number of facets beyond the task's that a probe is fitted on; more are subsampled."""
 
 
+Scores = dict[str, float]
+"""Shares of a target that are recovered."""
+Recovered = dict[str, Scores]
+"""Scores by target."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Probe:
     """What can be recovered from the vectors of a task."""
 
     slots: tuple[str, ...]
     """The task's facets."""
-    cosine: np.ndarray
+    cosine: Vectors
     """Cosine of every two facets, (S, S) float64; NaN where a slot is zero."""
-    recovered: dict[str, dict[str, float]]
+    recovered: Recovered
     """By target ("object", "colour", a relation): share recovered for the task's facets ("task")
     and for those of all objects of the graph ("all"), and by guessing the most frequent value
     ("guess"). Empty for placebos."""
@@ -40,9 +48,8 @@ class Probe:
     def nearly_same(self) -> list[tuple[str, str, float]]:
         """The pairs of facets that are nearly the same, and their cosine."""
         pairs = np.argwhere(np.triu(self.cosine, 1) >= NEARLY_SAME)
-        return [
-            (self.slots[i], self.slots[j], float(self.cosine[i, j])) for i, j in pairs
-        ]
+        cosine = self.cosine.tolist()
+        return [(self.slots[i], self.slots[j], cosine[i][j]) for i, j in pairs]
 
     @property
     def largest(self) -> float:
@@ -74,12 +81,11 @@ def probe(
     prediction is the k values with the highest scores, where k values are true.
     """
     task = scene_embedding(config, facets, run_seed=run_seed)
-    recovered: dict[str, dict[str, float]] = {}
+    recovered = Recovered()
     if not config.source.placebo:
         graph = read_graph(config.graph)
         population = scene_embedding(config, _population(graph, facets, config))
-        in_task = np.array([slot in task.slots for slot in population.slots])
-        recovered = _recovered(graph, population, in_task)
+        recovered = _recovered(graph, population, task)
     return Probe(
         slots=tuple(slot.name for slot in task.slots),
         cosine=_cosine(task.matrix),
@@ -88,16 +94,15 @@ def probe(
 
 
 def _recovered(
-    graph: KnowledgeGraph,
-    population: SceneEmbedding,
-    in_task: np.ndarray,
-) -> dict[str, dict[str, float]]:
+    graph: KnowledgeGraph, population: SceneEmbedding, task: SceneEmbedding
+) -> Recovered:
     """Return the shares recovered by target, {} for a target without any of the task."""
     config = population.config
     vectors = population.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    in_task = np.array([slot in task.slots for slot in population.slots])
     objects = np.array([slot.object for slot in population.slots])
-    recovered: dict[str, dict[str, float]] = {}
+    recovered = Recovered()
     if config.detail == "full":
         colours = list[str]()
         for slot in population.slots:
@@ -107,7 +112,7 @@ def _recovered(
     return recovered | _attributes(graph, vectors, objects, in_task, config)
 
 
-def _cosine(matrix: np.ndarray) -> np.ndarray:
+def _cosine(matrix: Vectors) -> Vectors:
     wide = matrix.astype(np.float64)
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.divide(wide, length, out=np.full_like(wide, np.nan), where=length > 0)
@@ -118,20 +123,20 @@ def _population(
     graph: KnowledgeGraph, facets: Sequence[tuple[str, str]], config: KnowledgeConfig
 ) -> list[tuple[str, str]]:
     """Return the task's facets, then those of all other objects that have a colour."""
-    task_objects = [graph.entity_id(config.graph_name(name)) for name, _ in facets]
+    names = [config.graph_name(name) for name, _ in facets]
+    task_objects = list(map(graph.entity_id, names))
     coloured = graph.relations == graph.relation_id(config.colour_relation)
     rows = np.flatnonzero(coloured & ~np.isin(graph.heads, task_objects))
     if len(rows) > MOST_OTHERS:
-        rows = np.random.default_rng(config.seed).choice(
-            rows, MOST_OTHERS, replace=False
-        )
+        rng = np.random.default_rng(config.seed)
+        rows = rng.choice(rows, MOST_OTHERS, replace=False)
     population = list(facets)
     for head, _, tail in graph.rows(np.sort(rows)):
         population.append((head, tail))
     return population
 
 
-def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.ndarray:
+def _predict(vectors: Vectors, targets: Vectors, held: Mask) -> Vectors:
     """Fit ridge regression without the held rows; return scores for them, (h, classes)."""
     train = ~held
     mean = vectors[train].mean(axis=0)
@@ -142,9 +147,28 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
     return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
 
 
-def _scores(
-    shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray
-) -> dict[str, float]:
+def _leave_out(
+    vectors: Vectors, true: Vectors, groups: Names | Integers, asked: Mask
+) -> tuple[Vectors, Vectors]:
+    """Predict the values of the slots of each group without it, if some of it are asked, (S,).
+
+    Returns:
+        The shares of the true values that are predicted, and those that are guessed by how
+        frequent values are; NaN where no value was predicted, (S,).
+    """
+    shares = np.full(len(groups), np.nan)
+    guess = shares.copy()
+    for group in np.unique(groups[asked]):
+        held = groups == group
+        frequent = true[~held].mean(axis=0)
+        predicted = _predict(vectors, true, held)
+        for row, score in zip(np.flatnonzero(held), predicted, strict=True):
+            shares[row] = _share_found(score, true[row])
+            guess[row] = _share_found(frequent, true[row])
+    return shares, guess
+
+
+def _scores(shares: Vectors, guess: Vectors, in_task: Mask) -> Scores:
     """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
     if np.isnan(shares[in_task]).all():
         return {}
@@ -155,60 +179,45 @@ def _scores(
     }
 
 
-def _single(
-    vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray
-) -> dict[str, float]:
+def _single(vectors: Vectors, answers: Names, in_task: Mask) -> Scores:
     """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
-    targets = np.eye(len(classes))[index]
-    hits = np.full(len(vectors), np.nan)
-    for row in np.flatnonzero(counts[index] > 1):
-        held = np.arange(len(vectors)) == row
-        hits[row] = _predict(vectors, targets, held)[0].argmax() == index[row]
+    true = np.eye(len(classes))[index]
+    slots = np.arange(len(answers))
+    hits, _ = _leave_out(vectors, true, slots, counts[index] > 1)
     most_frequent = counts.max(keepdims=True) / len(answers)
     return _scores(hits, most_frequent, in_task)
 
 
 def _attributes(
     graph: KnowledgeGraph,
-    vectors: np.ndarray,
-    objects: np.ndarray,
-    in_task: np.ndarray,
+    vectors: Vectors,
+    objects: Names,
+    in_task: Mask,
     config: KnowledgeConfig,
-) -> dict[str, dict[str, float]]:
+) -> Recovered:
     """Predict the values of each relation, leaving out all slots of one object at a time."""
     colour = graph.relation_id(config.colour_relation)
-    ids = np.array([graph.entity_id(config.graph_name(name)) for name in objects])
+    names = map(config.graph_name, objects)
+    ids = np.array(list(map(graph.entity_id, names)))
     about = np.isin(graph.heads, ids)
-    scores = dict[str, dict[str, float]]()
+    scores = Recovered()
     for relation in np.unique(graph.relations[about]):
         rows = np.flatnonzero((graph.relations == relation) & about)
         tails, columns = np.unique(graph.tails[rows], return_inverse=True)
         counts = np.bincount(columns)
         if relation == colour or (counts > 1).sum() < 2:
             continue
-        true = np.zeros((len(objects), len(tails)))
-        for row, column in zip(rows, columns, strict=True):
-            true[ids == graph.heads[row], column] = 1.0
-        true = true[
-            :, counts > 1
-        ]  # a value of a single object cannot be learned from others
-        shares = np.full(len(objects), np.nan)
-        guess = np.full(len(objects), np.nan)
-        for name in np.unique(objects[true.any(axis=1)]):
-            held = objects == name
-            frequent = true[~held].mean(axis=0)
-            predicted = _predict(vectors, true, held)
-            for row, score in zip(np.flatnonzero(held), predicted, strict=True):
-                shares[row] = _share_found(score, true[row])
-                guess[row] = _share_found(frequent, true[row])
-        scores[local_name(graph.relation_names[relation])] = _scores(
-            shares, guess, in_task
-        )
+        # A value of a single object cannot be learned from others.
+        values = np.eye(len(tails))[:, counts > 1]
+        true = (ids[:, None] == graph.heads[rows]) @ values[columns]
+        shares, guess = _leave_out(vectors, true, objects, true.any(axis=1))
+        name = local_name(graph.relation_names[relation])
+        scores[name] = _scores(shares, guess, in_task)
     return scores
 
 
-def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
+def _share_found(scores: Vectors, true: Vectors) -> float:
     """Return the share of the k true values that are among the k highest scores."""
     k = int(true.sum())
     highest = np.argsort(-scores, kind="stable")[:k]
@@ -223,9 +232,8 @@ def query_agreement(
     Over all pairs of facts, it compares the cosine of their slots with the share of objects that
     satisfy both among those that satisfy either. None if all slots are equally similar.
     """
-    facts = [
-        query for query in asked.queries("none") if not query.conditions[0].is_seen
-    ]
+    queries = asked.queries("none")
+    facts = [query for query in queries if not query.conditions[0].is_seen]
     embedding = query_embedding(config, facts, run_seed=run_seed, graph=asked.graph)
     cosine = _cosine(embedding.matrix)
     _, first_facets = np.unique(asked.owner, return_index=True)

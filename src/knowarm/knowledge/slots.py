@@ -1,7 +1,6 @@
 """Slots: what each one describes, an object with its colour or a condition, and how in words."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,148 +13,125 @@ from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.vectors.source import Facet, SentencePart
 from knowarm.questions import Condition, ObjectColour
 
+Sentence = list[SentencePart]
+"""The labels of a sentence in their order."""
+_Subgraph = tuple[KnowledgeGraph, str | None]
+"""The subgraph of a facet, and the graph's name of its colour if it has one."""
+
 
 class SlotLabels(NamedTuple):
     """What a slot says."""
 
-    sentence: list[SentencePart]
+    sentence: Sentence
     value: SentencePart | None  # The label of its colour, or of the value in a query
-    rest: list[SentencePart]  # The labels beside it
+    rest: Sentence  # The labels beside it
 
 
 class Described(NamedTuple):
     """What S slots say."""
 
     slots: list[SlotLabels]
-    values: list[SentencePart]  # Labels that the value of a slot is centred among
+    values: Sentence  # Labels that the value of a slot is centred among
     graph: KnowledgeGraph  # The graph that they are described by
 
 
-@dataclass(frozen=True)
-class FacetSlots:
-    """Slots of a scene."""
+def facet_subgraphs(
+    facets: Sequence[Facet], graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
+) -> tuple[KnowledgeGraph, list[_Subgraph]]:
+    """Return the graph that the slots of a scene are described by, and their subgraphs in it.
 
-    facets: tuple[Facet, ...]
-
-    def __len__(self) -> int:
-        return len(self.facets)
-
-    def subgraphs(
-        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
-    ) -> tuple[KnowledgeGraph, list[tuple[KnowledgeGraph, str | None]]]:
-        """Return the graph that slots are described by, and each one's subgraph and colour there.
-
-        Placebos change the graph, or the facets.
-        """
-        graph = config.source.change_graph(graph, seed)
-        named = list[Facet]()
-        for name, colour, _ in self.facets:
-            named.append(
-                Facet(config.graph_name(name), colour and config.graph_name(colour)),
-            )
-        subgraphs = list[tuple[KnowledgeGraph, str | None]]()
-        for facet in config.source.change_facets(
-            named, graph, config.colour_relation, seed
-        ):
-            around = _around(graph, facet.object, config)
-            subgraphs.append(facet_subgraph(around, facet, config.colour_relation))
-        return graph, subgraphs
-
-    def describe(
-        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
-    ) -> Described:
-        """Return the sentences of the subgraphs, and the colours."""
-        graph, subgraphs = self.subgraphs(graph, config, seed)
-        colours: list[SentencePart] = []
-        if config.detail == "full":  # every colour of the graph
-            rows = graph.relations == graph.relation_id(config.colour_relation)
-            colours = [
-                entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])
-            ]
-        slots = list[SlotLabels]()
-        for subgraph, colour in subgraphs:
-            labels = _labels_of_slot(sentence_parts(subgraph, config), colour)
-            if labels.value is not None and any(
-                h == t == colour for h, _, t in subgraph
-            ):
-                # An object with the name of its colour, such as an orange, keeps its own label.
-                rest = labels.sentence.copy()
-                rest.remove(labels.value)
-                labels = labels._replace(rest=rest)
-            slots.append(labels)
-        return Described(slots, colours, graph)
+    Placebos change the graph, or the facets.
+    """
+    source = config.source
+    graph = source.change_graph(graph, seed)
+    named = list[Facet]()
+    for name, colour, _ in facets:
+        colour = colour and config.graph_name(colour)
+        named.append(Facet(config.graph_name(name), colour))
+    subgraphs = list[_Subgraph]()
+    for facet in source.change_facets(named, graph, config.colour_relation, seed):
+        around = _around(graph, facet.object, config)
+        subgraphs.append(facet_subgraph(around, facet, config.colour_relation))
+    return graph, subgraphs
 
 
-@dataclass(frozen=True)
-class ConditionSlots:
-    """Slots of queries."""
+def describe_facets(
+    facets: Sequence[Facet], graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
+) -> Described:
+    """Return the sentences of the slots of a scene, and the colours."""
+    graph, subgraphs = facet_subgraphs(facets, graph, config, seed)
+    colours = Sentence()
+    if config.detail == "full":  # every colour of the graph
+        rows = graph.relations == graph.relation_id(config.colour_relation)
+        names = graph.names.at(np.unique(graph.tails[rows]))
+        colours = [entity_part(graph, name) for name in names]
+    slots = list[SlotLabels]()
+    for subgraph, colour in subgraphs:
+        labels = _labels_of_slot(sentence_parts(subgraph, config), colour)
+        if labels.value is not None and any(h == t == colour for h, _, t in subgraph):
+            # An object with the name of its colour, such as an orange, keeps its own label.
+            labels.rest[:] = labels.sentence
+            labels.rest.remove(labels.value)
+        slots.append(labels)
+    return Described(slots, colours, graph)
 
-    conditions: tuple[Condition, ...]
 
-    def __len__(self) -> int:
-        return len(self.conditions)
+def describe_conditions(
+    conditions: Sequence[Condition],
+    graph: KnowledgeGraph,
+    config: KnowledgeConfig,
+    seed: int,
+) -> Described:
+    """Return the labels of each condition, and its value where there are others beside it.
 
-    def describe(
-        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
-    ) -> Described:
-        """Return the labels of each condition, and its value where there are others beside it.
-
-        Raises:
-            UserError: the graph describes none of the conditions.
-        """
-        if config.hops and not any(_entity(graph, c, config) for c in self.conditions):
-            raise UserError(
-                f"The graph describes none of the {len(self)} conditions of the queries, such as "
-                f"{self.conditions[0].name!r}. Set graph to the one that the queries were made "
-                "from."
-            )
-        graph = config.source.change_graph(graph, seed)
-        slots = list[SlotLabels]()
-        values = list[SentencePart]()
-        for condition in config.source.change_conditions(self.conditions):
-            value = _entity(graph, condition, config) or condition.value
-            values.append(entity_part(graph, value))
-            labels = _labels_of_slot(_condition_parts(graph, condition, config), value)
-            if not labels.rest:
-                labels = SlotLabels(labels.sentence, None, labels.sentence)
-            slots.append(labels)
-        return Described(slots, values, graph)
+    Raises:
+        UserError: the graph describes none of the conditions.
+    """
+    if config.hops and not any(_entity(graph, c, config) for c in conditions):
+        raise UserError(
+            f"The graph describes none of the {len(conditions)} conditions of the queries, such as "
+            f"{conditions[0].name!r}. Set graph to the one that the queries were made "
+            "from."
+        )
+    graph = config.source.change_graph(graph, seed)
+    slots = list[SlotLabels]()
+    values = Sentence()
+    for condition in config.source.change_conditions(conditions):
+        value = _entity(graph, condition, config) or condition.value
+        values.append(entity_part(graph, value))
+        labels = _labels_of_slot(_condition_parts(graph, condition, config), value)
+        if not labels.rest:
+            labels = SlotLabels(labels.sentence, None, labels.sentence)
+        slots.append(labels)
+    return Described(slots, values, graph)
 
 
 def slots_of(
     config: KnowledgeConfig, facets: Sequence[ObjectColour]
 ) -> tuple[Facet, ...]:
     """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
-    if config.detail == "partial":
-        names = dict.fromkeys(name for name, _ in facets)
-        return tuple(Facet(name, None) for name in names)
-    return tuple(dict.fromkeys(Facet(name, colour) for name, colour in facets))
+    is_partial = config.detail == "partial"
+    slots = (Facet(name, None if is_partial else colour) for name, colour in facets)
+    return tuple(dict.fromkeys(slots))
 
 
-def _labels_of_slot(parts: list[SentencePart], name: str | None) -> SlotLabels:
+def _labels_of_slot(parts: Sentence, name: str | None) -> SlotLabels:
     """Return the labels of a sentence, with the value of this name apart, if there is one."""
-    value = None
-    rest = list[SentencePart]()
-    for part in parts:
-        if part.name != name:
-            rest.append(part)
-        elif value is None:
-            value = part
-    return SlotLabels(parts, value, rest)
+    rest = [part for part in parts if part.name != name]
+    values = [part for part in parts if part.name == name]
+    return SlotLabels(parts, values[0] if values else None, rest)
 
 
 def _condition_parts(
     graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig
-) -> list[SentencePart]:
+) -> Sentence:
     """Return the labels that describe a condition: its own, then those of Gamma of its value.
 
     A value that the graph does not hold, such as a colour without facts, has its own label only.
     """
-    relation = condition.relation
-    for name in graph.relation_names:
-        if local_name(name) == condition.relation:
-            relation = name
-            break
+    names = graph.relation_names
+    same_name = names.at(names.find_local(condition.relation))
+    relation = [*same_name, condition.relation][0]
     value = _entity(graph, condition, config)
     parts = relation_parts(graph, relation, config)
     parts.append(entity_part(graph, value or condition.value))
@@ -198,7 +174,7 @@ def graph_facets(
 
 def facet_subgraph(
     around: KnowledgeGraph, facet: Facet, colour_relation: str
-) -> tuple[KnowledgeGraph, str | None]:
+) -> _Subgraph:
     """Select the subgraph of a facet, by names of the graph: Gamma with the facet's colour only.
 
     Returns the graph's name of the colour as well, if the facet has one.
@@ -206,7 +182,7 @@ def facet_subgraph(
     entity = around.entity_id(facet.object)
     relation = around.find_relation(colour_relation)
     if relation is None and facet.colour is not None:
-        relations = [local_name(name) for name in around.relation_names]
+        relations = map(local_name, around.relation_names)
         unknown = unknown_name("colour relation", colour_relation, relations)
         raise UserError(
             f"{unknown} For an agent that does not describe colours pass ",
@@ -231,12 +207,12 @@ def _colour_row(
     """Return the row of the facet's colour fact among the object's colour facts."""
     if facet.colour_number is not None and len(rows):
         return int(rows[facet.colour_number % len(rows)])
-    for row in rows:
-        tail = around.names[around.tails[row]]
+    tails = around.names.at(around.tails[rows])
+    for row, tail in zip(rows, tails, strict=True):
         label = label_of(tail, around.labels)
         if wanted in (tail, local_name(tail)) or label_of(wanted, {}) == label:
             return int(row)
-    if not len(rows):
+    if not tails:
         raise UserError(
             f"{facet.object!r} has no colour in the graph, or none that hops, direction and "
             "relations reach, so detail 'full' cannot describe it. Add its colours to the graph, "
@@ -244,10 +220,9 @@ def _colour_row(
             Argument("knows.detail", "partial"),
             ".",
         )
-    colours = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
-        f"Its colours there: {', '.join(colours)}. "
+        f"Its colours there: {', '.join(sorted(map(local_name, tails)))}. "
         "Add that fact to the graph, or use ",
         Argument("knows.detail", "partial"),
         "; if the colours are randomized and the graph has the fixed ones, ",
@@ -270,9 +245,7 @@ def _around(
     )
 
 
-def sentence_parts(
-    graph: KnowledgeGraph, config: KnowledgeConfig = FULL
-) -> list[SentencePart]:
+def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> Sentence:
     """Return the labels of a subgraph in the order of its triples: head, relation, tail names."""
     if not len(graph):
         asked = ", ".join(graph.entities[:8]) or "no entity"
@@ -282,7 +255,7 @@ def sentence_parts(
             Argument("knows.direction", "both"),
             ".",
         )
-    parts: list[SentencePart] = []
+    parts = Sentence()
     for head, relation, tail in graph:
         parts.append(entity_part(graph, head))
         parts += relation_parts(graph, relation, config)
@@ -292,11 +265,10 @@ def sentence_parts(
 
 def relation_parts(
     graph: KnowledgeGraph, relation: str, config: KnowledgeConfig
-) -> list[SentencePart]:
+) -> Sentence:
     """Return the label of an edge, or nothing where the sentence leaves it out."""
-    label = config.templates.get(relation, config.templates.get(local_name(relation)))
-    if label is None:
-        label = label_of(relation, graph.labels)
+    words = {local_name(relation): label_of(relation, graph.labels)} | config.templates
+    label = words.get(relation, words[local_name(relation)])
     if not config.relation_words or not label:
         return []
     return [SentencePart(relation, label.lower(), is_relation=True)]
@@ -309,19 +281,21 @@ def entity_part(graph: KnowledgeGraph, name: str) -> SentencePart:
 
 def sentence(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> str:
     """Return the sentence of a subgraph, e.g. "mug has color red mug has shape cylindrical"."""
-    return " ".join(part.label for part in sentence_parts(graph, config))
+    return words_of(sentence_parts(graph, config))
 
 
-def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[SentencePart]:
+def words_of(parts: Sentence) -> str:
+    """Return a sentence as text."""
+    return " ".join(part.label for part in parts)
+
+
+def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> Sentence:
     """Return every label of a graph: its entities and, if they are included, its relations."""
-    labels = graph.labels
     parts = [entity_part(graph, name) for name in graph.entities]
     if relation_words:
-        names = graph.relations_used
-        parts += [
-            SentencePart(name, label_of(name, labels), is_relation=True)
-            for name in names
-        ]
+        for name in graph.relations_used:
+            label = label_of(name, graph.labels)
+            parts.append(SentencePart(name, label, is_relation=True))
     return parts
 
 
@@ -334,7 +308,7 @@ def _subgraphs(
     if not slots:
         return graph, {}
     seed = config.source.draw_seed(config.seed, run_seed)
-    graph, subgraphs = FacetSlots(slots).subgraphs(graph, config, seed)
+    graph, subgraphs = facet_subgraphs(slots, graph, config, seed)
     by_name = dict[str, KnowledgeGraph]()
     for slot, (subgraph, _) in zip(slots, subgraphs, strict=True):
         by_name[slot.name] = subgraph
@@ -346,13 +320,16 @@ def scene_subgraph(
 ) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
     graph, by_name = _subgraphs(config, facets, run_seed)
-    empty = graph.rows(np.empty(0, np.int64))
-    subgraphs = [empty, *by_name.values()]
+    triples = [np.empty((0, 3), np.int64)]
+    nodes = [np.empty(0, np.int32)]
+    for subgraph in by_name.values():
+        triples.append(subgraph.triples)
+        nodes.append(subgraph.nodes)
     return KnowledgeGraph(
         graph.names,
         graph.relation_names,
-        np.concatenate([subgraph.triples for subgraph in subgraphs]),
-        nodes=np.concatenate([subgraph.nodes for subgraph in subgraphs]),
+        np.concatenate(triples),
+        nodes=np.concatenate(nodes),
         labels=graph.labels,
     )
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from functools import cache, partial
-from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +35,15 @@ def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "") -> Format:
     return Format(partial(read_rdf, syntax=syntax), suffixes, begins)
 
 
+def _owl(syntax: str, begins: str) -> Format:
+    return Format(partial(read_owl, syntax=syntax), (f".{syntax}",), begins)
+
+
+def _network(kind: str) -> Format:
+    begins = rf"{_PROLOG}<{kind}\b"
+    return Format(partial(read_with_networkx, kind=kind), (f".{kind}",), begins)
+
+
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
 """What may stand before the first element of XML."""
 _JSON = r'(?:\{\s*["}]|\[\s*[\[{"\]])'
@@ -47,22 +56,12 @@ FORMATS: dict[str, Format] = {
         ".xml",
         begins=_PROLOG + r"<(\w+:)?RDF\b",
     ),
-    "graphml": Format(
-        partial(read_with_networkx, kind="graphml"),
-        (".graphml",),
-        _PROLOG + r"<graphml\b",
-    ),
-    "gexf": Format(
-        partial(read_with_networkx, kind="gexf"),
-        (".gexf",),
-        _PROLOG + r"<gexf\b",
-    ),
-    "ofn": Format(partial(read_owl, syntax="ofn"), (".ofn",), r"(Prefix|Ontology)\("),
-    "omn": Format(partial(read_owl, syntax="omn"), (".omn",), "(Prefix|Ontology):"),
-    "owx": Format(
-        partial(read_owl, syntax="owx"), (".owx",), _PROLOG + r"<(\w+:)?Ontology\b"
-    ),
-    "obo": Format(partial(read_owl, syntax="obo"), (".obo",), "format-version:"),
+    "graphml": _network("graphml"),
+    "gexf": _network("gexf"),
+    "ofn": _owl("ofn", r"(Prefix|Ontology)\("),
+    "omn": _owl("omn", "(Prefix|Ontology):"),
+    "owx": _owl("owx", _PROLOG + r"<(\w+:)?Ontology\b"),
+    "obo": _owl("obo", "format-version:"),
     "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=rf'(?={_JSON}).*"@[a-z]+"'),
     "json": Format(read_json_graph, (".json",), _JSON),
     "turtle": _rdf(
@@ -195,27 +194,24 @@ def _format_of(path: Path) -> str:
     with reading(path, "Copy or compress it again."), open_bytes(path) as file:
         beginning = file.read(_BEGINNING).decode(errors="replace")
     content = re.sub(r"\A(\s|#.*\n)*", "", beginning)
-    by_suffix = next(
-        (name for name, format in FORMATS.items() if suffix in format.suffixes), None
-    )
+    with_suffix = (name for name in FORMATS if suffix in FORMATS[name].suffixes)
+    by_suffix = next(with_suffix, None)
     tried = list(FORMATS)
     if suffix in (".csv", ".tsv"):
         tried = ["conceptnet", "json"]  # the first cell may look like any other format
-    by_content = next(
-        (name for name in tried if _begins(FORMATS[name].begins, content)), None
-    )
+    alike = (name for name in tried if _begins(FORMATS[name].begins, content))
+    by_content = next(alike, None)
     if by_suffix in _TEXT_RDF and by_content in _TEXT_RDF:
         return by_suffix
     if by_content is None and _begins(_WEB_PAGE, content):
         raise UserError(f"{path}: this is an HTML page. Download the file itself.")
     recognized = by_content or by_suffix
     if recognized is None:
-        suffixes = sorted(
-            chain.from_iterable(format.suffixes for format in FORMATS.values())
-        )
+        suffixes = set[str]().union(*map(attrgetter("suffixes"), FORMATS.values()))
         raise UserError(
             f"{path}: the suffix {suffix!r} and the content belong to no graph format. Known "
-            f"suffixes: {', '.join(suffixes)}. Or give the format: {', '.join(FORMATS)}."
+            f"suffixes: {', '.join(sorted(suffixes))}. Or give the format: "
+            f"{', '.join(FORMATS)}."
         )
     return recognized
 

@@ -28,8 +28,8 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     nodes: Any = []
     if isinstance(links, dict):
         nodes = links.get("nodes", [])
-        lists = [links[key] for key in _LISTS if isinstance(links.get(key), list)]
-        links = lists[0] if lists else None
+        lists = (links[key] for key in _LISTS if isinstance(links.get(key), list))
+        links = next(lists, None)
     if not isinstance(links, list) or not isinstance(nodes, list):
         raise UserError(
             f"{path}: this JSON is neither JSON-LD nor a graph. A graph is a list of "
@@ -42,9 +42,8 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
             graph.add_node(node.get("id", number), node)
         else:
             graph.add_node(node, {})
-    if not any(
-        isinstance(key, int) for key in graph.nodes
-    ):  # links may count the nodes
+    # Links may count the nodes.
+    if not any(isinstance(key, int) for key in graph.nodes):
         graph.nodes.update(enumerate(list(graph.nodes.values())))
     for link in links:
         if isinstance(link, list):
@@ -104,13 +103,11 @@ class _Records:
     def add_link(self, values: Any) -> None:
         """Add a triple."""
         keys = list(values) if isinstance(values, dict) else []
-        columns = columns_of(keys, self.path)
-        triple = [""]
-        if columns is not None:
-            named = [keys[column] for column in columns]
-            triple = [self._name(values[key]) for key in named]
-            self.left_out.update(set(keys) - set(named))
-        if not all(triple):
+        columns = columns_of(keys, self.path) or ()
+        named = [keys[column] for column in columns]
+        triple = [self._name(values[key]) for key in named]
+        self.left_out.update(set(keys).difference(named))
+        if not triple or not all(triple):
             raise UserError(
                 f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a "
                 "relation and a tail. Name them so, or write lists of three."

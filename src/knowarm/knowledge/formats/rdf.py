@@ -175,8 +175,7 @@ def _read(
             return unnamed[name]
         return name_of_iri(name)
 
-    builder.rename(graph_name)
-    return builder.build()
+    return builder.build(new_name=graph_name)
 
 
 def _sound(

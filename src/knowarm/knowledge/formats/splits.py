@@ -10,11 +10,11 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import read_table
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")
-Parts = dict[str, np.ndarray]
+Parts = dict[str, Ids]
 """Ids of head, relation and tail of the triples of each part, (n, 3) int64."""
 
 
@@ -37,76 +37,66 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
             f"{folder} is no folder of triples: it must hold train.txt (and may hold valid.txt and "
             "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
         )
-    files = {part: folder / f"{part}.txt" for part in PARTS}
-    graphs = {part: read_table(f, "\t") for part, f in files.items() if f.is_file()}
-    labels = {
-        name: label for each in graphs.values() for name, label in each.labels.items()
-    }
+    labels = dict[str, str]()
+    graphs = dict[str, KnowledgeGraph]()
+    for part in PARTS:
+        file = folder / f"{part}.txt"
+        if file.is_file():
+            graphs[part] = read_table(file, "\t")
+            labels.update(graphs[part].labels)
     whole = graph_of(chain.from_iterable(graphs.values()), labels=labels)
     parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
     for part, graph in graphs.items():
-        entities = np.array([whole.names.find(name) for name in graph.names])
-        relations = np.array(
-            [whole.relation_names.find(name) for name in graph.relation_names]
-        )
+        entities = np.array(list(map(whole.names.find, graph.names)))
+        relations = np.array(list(map(whole.relation_names.find, graph.relation_names)))
         ids = [entities[graph.heads], relations[graph.relations], entities[graph.tails]]
         parts[part] = np.stack(ids, axis=1)
     return whole, parts
 
 
 def _is_openke(folder: Path) -> bool:
-    return all(
-        (folder / f"{name}2id.txt").is_file()
-        for name in ("entity", "relation", "train")
-    )
+    names = ("entity2id.txt", "relation2id.txt", "train2id.txt")
+    return all((folder / name).is_file() for name in names)
 
 
 def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
-    names, entity_rank = _read_names(folder / "entity2id.txt")
-    relation_names, relation_rank = _read_names(folder / "relation2id.txt")
-    parts = {}
+    names, entities = _read_names(folder / "entity2id.txt")
+    relation_names, relations = _read_names(folder / "relation2id.txt")
+    parts = Parts()
     for part in PARTS:
-        ids = _read_triples(
-            folder / f"{part}2id.txt", len(entity_rank), len(relation_rank)
-        )
-        parts[part] = np.stack(
-            [entity_rank[ids[:, 0]], relation_rank[ids[:, 2]], entity_rank[ids[:, 1]]],
-            axis=1,
-        )
-    triples, nodes = (
-        np.concatenate(list(parts.values())),
-        np.arange(len(names), dtype=np.int32),
-    )
+        path = folder / f"{part}2id.txt"
+        head, tail, relation = _read_triples(path, len(entities), len(relations)).T
+        ids = [entities[head], relations[relation], entities[tail]]
+        parts[part] = np.stack(ids, axis=1)
+    triples = np.concatenate(list(parts.values()))
+    nodes = np.arange(len(names), dtype=np.int32)
     return KnowledgeGraph(names, relation_names, triples, nodes=nodes), parts
 
 
-def _read_names(path: Path) -> tuple[Names, np.ndarray]:
+def _read_names(path: Path) -> tuple[Names, Ids]:
     """Return the names sorted, and the new id of each id of the file, (n,) int64."""
     by_id: dict[int, str] = {}
     lines = _counted_lines(path)
     for number, line in lines:
-        name, _, text = line.rpartition("\t") if "\t" in line else line.rpartition(" ")
+        name, _, text = line.rpartition("\t" if "\t" in line else " ")
         if not name or not _NUMBER.fullmatch(text.strip()):
             raise UserError(
                 f"{path}, line {number}: expected `name<tab>id`, got {line!r}. Correct the line."
             )
         by_id[int(text)] = name
-    if sorted(by_id) != list(range(len(lines))) or len(set(by_id.values())) < len(
-        lines
-    ):
+    count = len(lines)
+    if sorted(by_id) != list(range(count)) or len(set(by_id.values())) < count:
         raise UserError(
-            f"{path}: holds {len(lines)} lines, but not as many different names with the ids 0 to "
-            f"{len(lines) - 1}. Give every name one id, and every id one name."
+            f"{path}: holds {count} lines, but not as many different names with the ids 0 to "
+            f"{count - 1}. Give every name one id, and every id one name."
         )
-    order = sorted(by_id, key=lambda i: by_id[i])
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return Names(by_id[i] for i in order), rank
+    order = sorted(by_id, key=by_id.__getitem__)
+    return Names(sorted(by_id.values())), np.argsort(order)
 
 
-def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
+def _read_triples(path: Path, entities: int, relations: int) -> Ids:
     """Return (n, 3) int64: head, tail, relation, in OpenKE's order."""
-    rows: list[tuple[int, ...]] = []
+    rows: list[list[int]] = []
     for number, line in _counted_lines(path) if path.exists() else ():
         cells = line.replace(",", " ").split()
         if len(cells) != 3 or not all(map(_NUMBER.fullmatch, cells)):
@@ -114,8 +104,9 @@ def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
                 f"{path}, line {number}: expected three ids `head tail relation`, got {line!r}. "
                 f"Correct the line."
             )
-        rows.append(tuple(map(int, cells)))
-        if max(rows[-1][:2]) >= entities or rows[-1][2] >= relations:
+        head, tail, relation = map(int, cells)
+        rows.append([head, tail, relation])
+        if max(head, tail) >= entities or relation >= relations:
             raise UserError(
                 f"{path}, line {number}: {line!r} holds an id that is not among the {entities} "
                 f"entities and {relations} relations. OpenKE's order is `head tail relation`."
@@ -125,15 +116,12 @@ def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
 
 def _counted_lines(path: Path) -> list[tuple[int, str]]:
     """Return the numbered lines after the first one, which is their count, without blank ones."""
-    lines = [
-        (number, line)
-        for number, line in text_lines(path)
-        if line and not line.isspace()
-    ]
+    lines = [(number, line) for number, line in text_lines(path) if line.strip()]
     first = lines[0][1].strip() if lines else "0"
-    if not _NUMBER.fullmatch(first) or int(first) != len(lines[1:]):
+    rest = lines[1:]
+    if not _NUMBER.fullmatch(first) or int(first) != len(rest):
         raise UserError(
             f"{path}, line 1: the first line must be the number of lines that follow, "
-            f"{len(lines[1:])}, got {first!r}. Correct the count or the lines."
+            f"{len(rest)}, got {first!r}. Correct the count or the lines."
         )
-    return lines[1:]
+    return rest

@@ -4,26 +4,28 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from itertools import count
+from operator import itemgetter
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Names, Triple
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, blank_names, parse_literal
+
+_Labels = Mapping[str, str]
+"""Labels by name."""
 
 
 class GraphBuilder:
     """Collects triples while a file is read: one dict lookup per term, four bytes per id."""
 
     def __init__(self) -> None:
-        self.entities: dict[str, int] = defaultdict(
-            count().__next__
-        )  # provisional id by name
+        # Provisional ids by name
+        self.entities: dict[str, int] = defaultdict(count().__next__)
         self.relations: dict[str, int] = defaultdict(count().__next__)
         self.ids = array("i")  # head, relation and tail of every triple, flat
-        self._labels: dict[
-            str, tuple[int, str]
-        ] = {}  # (rank of the language, text) by name
+        # (rank of the language, text) by name
+        self._labels: dict[str, tuple[int, str]] = {}
         self.confidence: dict[Triple, float] = {}  # of some triples
 
     def add(self, head: str, relation: str, tail: str) -> None:
@@ -55,30 +57,26 @@ class GraphBuilder:
         """Add an entity that may have no triple."""
         self.entities[name]  # the lookup numbers a new name
 
-    def rename(self, new_name: Callable[[str], str]) -> None:
-        """Replace every name, after all triples were added; equal new names are one name."""
-        ids = np.frombuffer(self.ids, np.int32).reshape(-1, 3)
-        self.entities, new_ids = _renamed(self.entities, new_name)
-        ids[:, ::2] = new_ids[ids[:, ::2]]
-        self.relations, new_ids = _renamed(self.relations, new_name)
-        ids[:, 1] = new_ids[ids[:, 1]]
-        # Of names that become equal, the label of the lowest rank comes last and stays.
-        labels = sorted(self._labels.items(), key=lambda item: item[1], reverse=True)
-        self._labels = {new_name(name): label for name, label in labels}
-
-    def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
+    def build(
+        self, labels: _Labels | None = None, new_name: Callable[[str], str] = str
+    ) -> KnowledgeGraph:
         """Sort and number the names and make the graph.
 
         Labels are those of the statements and the given ones, of names that are in the graph.
+        ``new_name`` replaces every name of the statements; equal new names are one name.
         """
-        entities, entity_ids = _sorted(self.entities)
-        relations, relation_ids = _sorted(self.relations)
+        entities, entity_ids = _sorted(map(new_name, self.entities))
+        relations, relation_ids = _sorted(map(new_name, self.relations))
         triples = np.frombuffer(self.ids, np.int32).reshape(-1, 3).copy()
         triples[:, ::2] = entity_ids[triples[:, ::2]]
         triples[:, 1] = relation_ids[triples[:, 1]]
-        texts = {name: text for name, (_, text) in self._labels.items()}
+        texts = dict[str, str]()
+        # Of names that become equal, the label of the lowest rank comes last and stays.
+        ranked = sorted(self._labels.items(), key=itemgetter(1), reverse=True)
+        for name, (_, text) in ranked:
+            texts[new_name(name)] = text
         texts.update(labels or {})
-        inside = texts.keys() & (self.entities.keys() | self.relations.keys())
+        inside = texts.keys() & {*entities, *relations}
         return KnowledgeGraph(
             entities,
             relations,
@@ -89,30 +87,22 @@ class GraphBuilder:
         )
 
 
-def _renamed(
-    ids: dict[str, int], new_name: Callable[[str], str]
-) -> tuple[dict[str, int], np.ndarray]:
-    """Rename names; return the new ids by name, and the new id of each old id, (n,) int32."""
-    renamed: dict[str, int] = defaultdict(count().__next__)
-    new_ids = [renamed[new_name(name)] for name in ids]
-    return renamed, np.array(new_ids, np.int32)
-
-
-def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
-    """Sort names; return them and the new id of each provisional id, (n,) int64."""
-    names = Names(sorted(ids))
-    for name in names:
+def _sorted(names: Iterable[str]) -> tuple[Names, Ids]:
+    """Sort names by provisional id; return them and the new id of each, (n,) int64."""
+    provisional = list(names)
+    different = Names(sorted(set(provisional)))
+    for name in different:
         if "\0" in name:
             raise UserError(f"The name {name!r} contains a zero byte. Rename it.")
-    order = [ids[name] for name in names]
-    return names, np.argsort(order)
+    ids = dict(zip(different, range(len(different)), strict=True))
+    return different, np.array([ids[name] for name in provisional], np.int64)
 
 
 def graph_of(
     triples: Iterable[Triple],
     *,
     nodes: Iterable[str] = (),
-    labels: Mapping[str, str] | None = None,
+    labels: _Labels | None = None,
     confidence: Mapping[Triple, float] | None = None,
 ) -> KnowledgeGraph:
     """Make a graph of triples of names, of entities that may have no triple, and of labels by name.
@@ -154,25 +144,25 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     """
     taken = set(first.entities)
     free = blank_names(taken.union(second.entities))
-    new_names = dict[str, str]()
+    new_names = dict(zip(second.entities, second.entities, strict=True))
     for name in second.entities:
         if name.startswith("_:") and name in taken:
             new_names[name] = next(free)
 
     def renamed(triple: Triple) -> Triple:
         head, relation, tail = triple
-        return new_names.get(head, head), relation, new_names.get(tail, tail)
+        return new_names[head], relation, new_names[tail]
 
     confidence = dict[Triple, float]()
     for triple, probability in second.own_confidence().items():
         if renamed(triple) not in first:
             confidence[renamed(triple)] = probability
-    labels = {
-        new_names.get(name, name): text for name, text in second.own_labels().items()
-    }
+    labels = dict[str, str]()
+    for name, text in second.own_labels().items():
+        labels[new_names.get(name, name)] = text
     return graph_of(
         (*first, *map(renamed, second)),
-        nodes=(*taken, *(new_names.get(name, name) for name in second.entities)),
+        nodes=(*taken, *new_names.values()),
         labels=labels | first.own_labels(),
         confidence=confidence | dict(first.confidence),
     )

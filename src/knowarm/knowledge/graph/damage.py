@@ -4,9 +4,10 @@ from collections.abc import Collection
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.random import Generator
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
 from knowarm.seeding import seed_sequence
 
 Damage = Literal["missing", "wrong", "adversarial"]
@@ -35,16 +36,15 @@ def damaged(
     Raises:
         UserError: an unknown kind, or a share outside 0 to 1.
     """
-    if kind not in get_args(Damage):
-        raise unknown_name("kind of damage", kind, get_args(Damage))
+    kinds = get_args(Damage)
+    if kind not in kinds:
+        raise unknown_name("kind of damage", kind, kinds)
     if not 0 <= share <= 1:
         raise UserError(
             f"The share of damaged triples must lie between 0 and 1, got {share}."
         )
-    rng = np.random.default_rng(
-        seed_sequence(seed, "damage", get_args(Damage).index(kind))
-    )
-    ids = [graph.entity_id(name) for name in objects]
+    rng = np.random.default_rng(seed_sequence(seed, "damage", kinds.index(kind)))
+    ids = list(map(graph.entity_id, objects))
     about = np.flatnonzero(np.isin(graph.heads, ids))
     order = rng.permutation(about)
     count = round(share * len(about))
@@ -57,12 +57,8 @@ def damaged(
 
 
 def _wrong(
-    graph: KnowledgeGraph,
-    rng: np.random.Generator,
-    about: np.ndarray,
-    order: np.ndarray,
-    count: int,
-) -> np.ndarray:
+    graph: KnowledgeGraph, rng: Generator, about: Ids, order: Ids, count: int
+) -> Ids:
     """Return the triples, of which up to ``count`` get another tail, in an order of rows."""
     triples = graph.triples
     stated = set(map(tuple, triples.tolist()))
@@ -78,9 +74,7 @@ def _wrong(
     return triples
 
 
-def _swapped(
-    graph: KnowledgeGraph, rng: np.random.Generator, about: np.ndarray, count: int
-) -> np.ndarray:
+def _swapped(graph: KnowledgeGraph, rng: Generator, about: Ids, count: int) -> Ids:
     """Return the triples with swapped pairs of values, until ``count`` have another tail."""
     triples = graph.triples
     relations = graph.relations[about]

@@ -1,7 +1,7 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal, get_args
@@ -12,6 +12,8 @@ from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.graph.names import AmbiguousNameError, Names, Spellings
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal, local_name
 
+Ids = np.ndarray
+"""Ids of entities or relations, or numbers of triples."""
 Triple = tuple[str, str, str]
 """(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
 Direction = Literal["out", "in", "both"]
@@ -41,9 +43,9 @@ class KnowledgeGraph:
         self,
         names: Names,
         relation_names: Names,
-        triples: np.ndarray,
+        triples: Ids,
         *,
-        nodes: np.ndarray | None = None,
+        nodes: Ids = _NO_NODES,
         labels: Mapping[str, str] | None = None,
         confidence: Mapping[Triple, float] | None = None,
     ) -> None:
@@ -54,39 +56,37 @@ class KnowledgeGraph:
         order = np.lexsort((triples[:, 2], triples[:, 1], triples[:, 0]))
         triples = triples[order].astype(np.int32, copy=False)
         if len(triples):
-            new = np.ones(len(triples), bool)
-            np.any(triples[1:] != triples[:-1], axis=1, out=new[1:])
-            triples = triples[new]
+            is_new = np.ones(len(triples), bool)
+            np.any(triples[1:] != triples[:-1], axis=1, out=is_new[1:])
+            triples = triples[is_new]
         self.names = names
         self.relation_names = relation_names
         self.heads, self.relations, self.tails = np.ascontiguousarray(triples.T)
-        self._alone = _NO_NODES if nodes is None else nodes
+        self._alone = nodes
         self.labels: Mapping[str, str] = labels or {}
         self.confidence: Mapping[Triple, float] = confidence or {}
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
     @property
-    def triples(self) -> np.ndarray:
+    def triples(self) -> Ids:
         """Ids of head, relation and tail of each triple, (n, 3) int64, sorted."""
-        return np.stack(
-            [self.heads, self.relations, self.tails], axis=1, dtype=np.int64
-        )
+        columns = [self.heads, self.relations, self.tails]
+        return np.stack(columns, axis=1, dtype=np.int64)
 
     @cached_property
-    def nodes(self) -> np.ndarray:
+    def nodes(self) -> Ids:
         """The ids of the entities in this graph, (m,) int32, sorted."""
-        return np.unique(np.concatenate([self.heads, self.tails, self._alone])).astype(
-            np.int32
-        )
+        named = np.concatenate([self.heads, self.tails, self._alone])
+        return np.unique(named).astype(np.int32)
 
     @cached_property
-    def by_tail(self) -> np.ndarray:
+    def by_tail(self) -> Ids:
         """Rows in the order of their tails, (n,) int32."""
         return np.argsort(self.tails, kind="stable").astype(np.int32)
 
     @cached_property
-    def tails_sorted(self) -> np.ndarray:
+    def tails_sorted(self) -> Ids:
         """Tails in the order of `by_tail`, (n,) int32."""
         return self.tails[self.by_tail]
 
@@ -107,16 +107,13 @@ class KnowledgeGraph:
         if head is None or tail is None or relation is None:
             return False
         rows = self.out_rows(head)
-        return bool(
-            ((self.relations[rows] == relation) & (self.tails[rows] == tail)).any()
-        )
+        is_it = (self.relations[rows] == relation) & (self.tails[rows] == tail)
+        return bool(is_it.any())
 
     def __eq__(self, other: object) -> bool:
         """Return whether both graphs hold the same by name: triples, confidence, nodes, labels."""
         if not isinstance(other, KnowledgeGraph):
             return NotImplemented
-        if len(self) != len(other) or len(self.nodes) != len(other.nodes):
-            return False
         return (
             set(self) == set(other)
             and set(self.entities) == set(other.entities)
@@ -135,19 +132,15 @@ class KnowledgeGraph:
     @property
     def entities(self) -> list[str]:
         """The names of the entities in this graph, sorted."""
-        if len(self.nodes) == len(self.names):
-            return list(self.names)
-        return [self.names[i] for i in self.nodes]
+        return self.names.at(self.nodes)
 
     @property
     def relations_used(self) -> list[str]:
         """The names of the relations in this graph, sorted."""
-        return [self.relation_names[i] for i in np.unique(self.relations)]
+        return self.relation_names.at(np.unique(self.relations))
 
     def own_labels(self) -> dict[str, str]:
         """Return the labels of the entities and relations of this graph."""
-        if not self.labels:
-            return {}
         inside = {*self.entities, *self.relations_used}
         return {name: label for name, label in self.labels.items() if name in inside}
 
@@ -162,21 +155,16 @@ class KnowledgeGraph:
             triple: share for triple, share in self.confidence.items() if triple in self
         }
 
-    def out_rows(self, entity: int) -> np.ndarray:
+    def out_rows(self, entity: int) -> Ids:
         """Return the rows whose head is the entity id, (k,) int64."""
-        low = np.searchsorted(self.heads, np.int32(entity))
-        high = np.searchsorted(self.heads, np.int32(entity), side="right")
-        return np.arange(low, high)
+        return np.arange(*_range(self.heads, entity))
 
-    def in_rows(self, entity: int) -> np.ndarray:
+    def in_rows(self, entity: int) -> Ids:
         """Return the rows whose tail is the entity id, (k,) int32."""
-        low = np.searchsorted(self.tails_sorted, np.int32(entity))
-        high = np.searchsorted(self.tails_sorted, np.int32(entity), side="right")
+        low, high = _range(self.tails_sorted, entity)
         return self.by_tail[low:high]
 
-    def rows(
-        self, rows: np.ndarray, nodes: np.ndarray | None = None
-    ) -> "KnowledgeGraph":
+    def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         subgraph = copy.copy(self)
         for cached in ("nodes", "by_tail", "tails_sorted"):
@@ -184,10 +172,10 @@ class KnowledgeGraph:
         subgraph.heads = self.heads[rows]
         subgraph.relations = self.relations[rows]
         subgraph.tails = self.tails[rows]
-        subgraph._alone = _NO_NODES if nodes is None else nodes
+        subgraph._alone = nodes
         return subgraph
 
-    def with_triples(self, triples: np.ndarray) -> "KnowledgeGraph":
+    def with_triples(self, triples: Ids) -> "KnowledgeGraph":
         """Return a graph with the entities, names and labels of this one and other triples."""
         return KnowledgeGraph(
             self.names,
@@ -252,8 +240,14 @@ class KnowledgeGraph:
         raise unknown_name("relation", name, map(local_name, self.relation_names))
 
     def _has_node(self, entity: int) -> bool:
-        index = int(np.searchsorted(self.nodes, np.int32(entity)))
-        return index < len(self.nodes) and self.nodes[index] == entity
+        low, high = _range(self.nodes, entity)
+        return low < high
+
+
+def _range(ids: Ids, wanted: int) -> tuple[int, int]:
+    """Return where an id begins and ends in ids that are sorted, (n,) int32."""
+    low, high = np.searchsorted(ids, np.array([wanted, wanted + 1], np.int32))
+    return low, high
 
 
 def gamma(
@@ -280,42 +274,34 @@ def gamma(
             raise UserError(f"{option} is {number}; it must be 0 or more.")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
-    start = np.unique(np.array([graph.entity_id(name) for name in entities], np.int32))
+    start = np.unique(np.array(list(map(graph.entity_id, entities)), np.int32))
     allowed = None
     if relations is not None:
-        allowed = [graph.relation_id(name) for name in relations]
-    ways: Iterable[Direction] = ("out", "in") if direction == "both" else (direction,)
-    rows = [np.empty(0, np.int64)]
-    for way in ways:
-        rows += _rows_around(graph, start, way, hops, allowed, max_degree)
+        allowed = list(map(graph.relation_id, relations))
+
+    def around(edges_of: Callable[[int], Ids], ends: Ids) -> list[Ids]:
+        """Return the rows of the edges in one direction that are at most `hops` away."""
+        rows = [np.empty(0, np.int64)]
+        seen = frontier = start
+        for hop in range(hops):
+            if not len(frontier):
+                break
+            reached = [_NO_NODES]
+            for entity in frontier:
+                edges = edges_of(entity)
+                if hop and max_degree is not None and len(edges) > max_degree:
+                    continue
+                if allowed is not None:
+                    edges = edges[np.isin(graph.relations[edges], allowed)]
+                rows.append(edges)
+                reached.append(ends[edges])
+            frontier = np.setdiff1d(np.concatenate(reached), seen)
+            seen = np.union1d(seen, frontier)
+        return rows
+
+    rows = list[Ids]()
+    if direction != "in":
+        rows += around(graph.out_rows, graph.tails)
+    if direction != "out":
+        rows += around(graph.in_rows, graph.heads)
     return graph.rows(np.unique(np.concatenate(rows)), nodes=start)
-
-
-def _rows_around(
-    graph: KnowledgeGraph,
-    start: np.ndarray,
-    direction: Direction,
-    hops: int,
-    allowed: list[int] | None,
-    max_degree: int | None,
-) -> list[np.ndarray]:
-    """Return the rows of the edges in one direction that are at most `hops` from the start."""
-    rows = list[np.ndarray]()
-    seen = frontier = start
-    for hop in range(hops):
-        if not len(frontier):
-            break
-        reached = [_NO_NODES]
-        for entity in frontier:
-            edges = (
-                graph.out_rows(entity) if direction == "out" else graph.in_rows(entity)
-            )
-            if hop and max_degree is not None and len(edges) > max_degree:
-                continue
-            if allowed is not None:
-                edges = edges[np.isin(graph.relations[edges], allowed)]
-            rows.append(edges)
-            reached.append((graph.tails if direction == "out" else graph.heads)[edges])
-        frontier = np.setdiff1d(np.concatenate(reached), seen)
-        seen = np.union1d(seen, frontier)
-    return rows

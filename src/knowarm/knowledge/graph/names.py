@@ -2,11 +2,15 @@
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
+from typing import SupportsIndex
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import local_name, name_key
+
+_Index = defaultdict[str, list[int]]
+"""Ids by what the names are found by."""
 
 
 class Names(tuple[str, ...]):
@@ -19,6 +23,10 @@ class Names(tuple[str, ...]):
             return index
         return None
 
+    def at(self, ids: Iterable[SupportsIndex]) -> list[str]:
+        """Return the names of ids."""
+        return list(map(self.__getitem__, ids))
+
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
         return self._by_local.get(local, [])
@@ -29,22 +37,21 @@ class Names(tuple[str, ...]):
 
     def short(self, index: int) -> str:
         """Return the last part of a name, or the whole where several have the same."""
-        local = local_name(self[index])
-        if len(self.find_local(local)) > 1:
-            return self[index]
-        return local
+        name = self[index]
+        local = local_name(name)
+        return name if len(self.find_local(local)) > 1 else local
 
     @cached_property
-    def _by_local(self) -> Mapping[str, list[int]]:
-        ids = defaultdict[str, list[int]](list)
+    def _by_local(self) -> _Index:
+        ids = _Index(list)
         for index, name in enumerate(self):
             if not name.startswith('"'):
                 ids[local_name(name)].append(index)
         return ids
 
     @cached_property
-    def _literals(self) -> Mapping[str, list[int]]:
-        ids = defaultdict[str, list[int]](list)
+    def _literals(self) -> _Index:
+        ids = _Index(list)
         for index, name in enumerate(self):
             if name.startswith('"'):
                 ids[local_name(name).casefold()].append(index)
@@ -74,7 +81,7 @@ class Spellings:
         for candidates in self.alike(name):
             ids = list(filter(counts, candidates))
             if len(ids) > 1:
-                full = ", ".join(map(self.names.__getitem__, ids[:5]))
+                full = ", ".join(self.names.at(ids[:5]))
                 raise AmbiguousNameError(
                     f"{name!r} names {len(ids)} {kind} of the graph: {full}. "
                     f"Give the full name of one of them."
@@ -90,7 +97,8 @@ class Spellings:
         for key, with_key in self._by_key.items():
             if key.endswith(wanted):
                 ids.update(with_key)
-        return sorted(sorted(map(self.names.short, ids)), key=len)
+        nearby = sorted(map(self.names.short, ids))
+        return sorted(nearby, key=len)
 
     def alike(self, name: str) -> Iterator[list[int]]:
         """Yield the ids of last part, of label and of spelling."""
@@ -99,8 +107,8 @@ class Spellings:
         yield self._by_key.get(name_key(name), [])
 
     @cached_property
-    def _by_label(self) -> Mapping[str, list[int]]:
-        ids = defaultdict[str, list[int]](list)
+    def _by_label(self) -> _Index:
+        ids = _Index(list)
         for name, label in self.labels.items():
             index = self.names.find(name)
             if index is not None:
@@ -108,8 +116,8 @@ class Spellings:
         return ids
 
     @cached_property
-    def _by_key(self) -> Mapping[str, list[int]]:
-        ids = defaultdict[str, list[int]](list)
+    def _by_key(self) -> _Index:
+        ids = _Index(list)
         for index, name in enumerate(self.names):
             if name.startswith(('"', "_:")):
                 continue

@@ -2,7 +2,7 @@
 Drinking, also of what is a subclass or an instance of mug."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
@@ -12,9 +12,19 @@ OWL = "http://www.w3.org/2002/07/owl#"
 _SUBCLASS = RDFS + "subClassOf"
 _ON_CLASS = OWL + "onClass"
 _ON_PROPERTY = OWL + "onProperty"
+_INTERSECTION = OWL + "intersectionOf"
+_RESTRICTIONS = (
+    OWL + "someValuesFrom",
+    OWL + "hasValue",
+    OWL + "qualifiedCardinality",
+    OWL + "minQualifiedCardinality",
+    _ON_CLASS,
+)
 _DEEPEST = 50
 """Most classes inside each other."""
 _AXIOMS = (_SUBCLASS, OWL + "equivalentClass", RDF_TYPE)
+_About = defaultdict[str, list[str]]
+"""What is said about an anonymous class: values by relation."""
 
 
 def with_class_axioms(
@@ -53,9 +63,7 @@ class _Axioms:
 
     def __init__(self, graph: KnowledgeGraph) -> None:
         self.others = Counter[str]()
-        self._classes: dict[str, dict[str, list[str]]] = defaultdict(
-            lambda: defaultdict(list)
-        )
+        self._classes: dict[str, _About] = defaultdict(lambda: _About(list))
         for head, relation, tail in graph:
             if head.startswith("_:"):
                 self._classes[head][relation].append(tail)
@@ -75,8 +83,8 @@ class _Axioms:
             self.others["circle"] += 1
             return
         inside += (name,)
-        if OWL + "intersectionOf" in about:
-            for member in self._items(about[OWL + "intersectionOf"][0]):
+        if _INTERSECTION in about:
+            for member in self._items(about[_INTERSECTION][0]):
                 yield from self.facts(member, inside)
             return
         relation = about.get(_ON_PROPERTY, ["_:"])[0]
@@ -92,16 +100,16 @@ class _Axioms:
         for value in values:
             yield relation, value
 
-    def _fillers(self, about: Mapping[str, list[str]]) -> list[str]:
+    def _fillers(self, about: _About) -> list[str]:
         """Return the classes and individuals of which a restriction demands one or more."""
-        fillers = [
-            *about.get(OWL + "someValuesFrom", ()),
-            *about.get(OWL + "hasValue", ()),
-        ]
-        for bound in (OWL + "qualifiedCardinality", OWL + "minQualifiedCardinality"):
-            numbers = filter(None, map(parse_literal, about.get(bound, ())))
-            if any(number.value not in ("", "0") for number in numbers):
-                return fillers + about.get(_ON_CLASS, [])
+        some, value, exactly, at_least, on_class = (
+            about.get(relation, []) for relation in _RESTRICTIONS
+        )
+        fillers = some + value
+        for bound in exactly + at_least:
+            number = parse_literal(bound)
+            if number is not None and number.value not in ("", "0"):
+                return fillers + on_class
         return fillers
 
     def _items(self, rest: str) -> Iterator[str]:

@@ -1,17 +1,21 @@
 """Graph statistics: sizes, hubs, cycles and ambiguous labels."""
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name
 
 MOST = 10
 """Most hubs, cycles and shared labels that are listed."""
+
+
+_Cycle = tuple[str, tuple[str, ...]]
+"""A relation, and entities that reach each other along it."""
 
 
 class GraphStatistics(NamedTuple):
@@ -30,7 +34,7 @@ class GraphStatistics(NamedTuple):
     """The entities with the most edges, and their degrees."""
     by_relation: dict[str, int]
     """Triples per relation, most frequent first."""
-    cycles: tuple[tuple[str, tuple[str, ...]], ...]
+    cycles: tuple[_Cycle, ...]
     """(relation, entities) that reach each other along one relation: a mistake in a hierarchy."""
     same_labels: dict[str, tuple[str, ...]]
     """Entities that share a label, by label."""
@@ -38,14 +42,13 @@ class GraphStatistics(NamedTuple):
 
 def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     """Compute the statistics of a graph."""
-    size = len(graph.names)
-    degree = np.bincount(graph.heads, minlength=size) + np.bincount(
-        graph.tails, minlength=size
-    )
-    node_degree = degree[graph.nodes]
-    hubs = graph.nodes[np.argsort(-node_degree, kind="stable")][:MOST]
-    component = _components(graph.heads, graph.tails, size, "weak")
-    relations = Counter(np.sort(graph.relations).tolist())  # of equal counts by number
+    nodes = graph.nodes
+    ends = np.concatenate([graph.heads, graph.tails])
+    degree = np.bincount(ends, minlength=len(graph.names))[nodes]
+    hubs = np.argsort(-degree, kind="stable")[:MOST]
+    component = _components(graph, graph.heads, graph.tails, "weak")
+    relations, counts = np.unique(graph.relations, return_counts=True)
+    by_count = np.argsort(-counts, kind="stable")
     names_by_label: dict[str, list[str]] = defaultdict(list)
     if graph.labels:
         for name in graph.entities:
@@ -54,50 +57,48 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     for label, names in sorted(names_by_label.items()):
         if len(names) > 1 and len(shared) < MOST:
             shared[label] = tuple(names)
-    by_relation = dict[str, int]()
-    for relation, count in relations.most_common():
-        by_relation[graph.relation_names[relation]] = count
+    names_by_count = graph.relation_names.at(relations[by_count])
     return GraphStatistics(
         triples=len(graph),
-        entities=len(graph.nodes),
+        entities=len(nodes),
         relations=len(relations),
         labelled=len(graph.own_labels().keys() & graph.names),
-        alone=int((node_degree == 0).sum()),
-        components=len(np.unique(component[graph.nodes])),
-        max_degree=int(node_degree.max(initial=0)),
-        hubs=tuple((graph.names[node], int(degree[node])) for node in hubs),
-        by_relation=by_relation,
+        alone=int((degree == 0).sum()),
+        components=len(np.unique(component[nodes])),
+        max_degree=int(degree.max(initial=0)),
+        hubs=tuple(
+            zip(graph.names.at(nodes[hubs]), degree[hubs].tolist(), strict=True)
+        ),
+        by_relation=dict(zip(names_by_count, counts[by_count].tolist(), strict=True)),
         cycles=_cycles(graph),
         same_labels=shared,
     )
 
 
-def _components(
-    heads: np.ndarray, tails: np.ndarray, size: int, kind: str
-) -> np.ndarray:
-    """Return the number of each entity's component, (size,); `kind` is "weak" or "strong"."""
+def _components(graph: KnowledgeGraph, heads: Ids, tails: Ids, kind: str) -> Ids:
+    """Return the number of each entity's component, (E,); `kind` is "weak" or "strong"."""
+    size = len(graph.names)
     edges = csr_matrix((np.ones(len(heads), bool), (heads, tails)), (size, size))
     return np.asarray(connected_components(edges, connection=kind)[1])
 
 
-def _cycles(graph: KnowledgeGraph) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _cycles(graph: KnowledgeGraph) -> tuple[_Cycle, ...]:
     """Find entities that reach each other along a relation that is not mostly symmetric."""
     size = len(graph.names)
-    cycles = list[tuple[str, tuple[str, ...]]]()
+    triples = graph.triples
+    cycles = list[_Cycle]()
     for relation in np.unique(graph.relations):
-        rows = graph.relations == relation
-        heads = graph.heads[rows].astype(np.int64)
-        tails = graph.tails[rows].astype(np.int64)
+        edges = triples[graph.relations == relation]
+        heads, _, tails = edges.T
         reverse = np.isin(tails * size + heads, heads * size + tails)
-        if reverse.mean() > 0.5 and len(heads) > 2:
+        if reverse.mean() > 0.5 and len(edges) > 2:
             continue
-        component = _components(heads, tails, size, "strong")
+        component = _components(graph, heads, tails, "strong")
         several = np.flatnonzero(np.bincount(component) > 1)[:MOST]
         groups = [np.flatnonzero(component == number) for number in several]
-        groups.extend(
-            np.unique(heads[heads == tails])[:MOST, None]
-        )  # entities that reach themselves
+        to_itself = np.unique(heads[heads == tails])
+        groups.extend(to_itself[:MOST, None])
         for group in groups:
-            names = tuple(graph.names[node] for node in group[:8])
-            cycles.append((graph.relation_names[relation], names))
+            names = graph.names.at(group[:8])
+            cycles.append((graph.relation_names[relation], tuple(names)))
     return tuple(cycles[:MOST])

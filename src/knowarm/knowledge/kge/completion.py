@@ -39,23 +39,23 @@ def completed(
         trained = train(
             config, kept, len(graph.names), num_relations, valid=held_out
         ).model
-    ids = sorted(graph.entity_id(name) for name in objects)
+    ids = sorted(map(graph.entity_id, objects))
     about = np.isin(graph.heads, ids)
     pairs = np.unique(graph.triples[about, 1:], axis=0)
     trained_on = set(map(tuple, kept.tolist()))
-    candidates = []
-    for head, (relation, tail) in product(ids, pairs.tolist()):
-        if (head, relation, tail) not in trained_on:
-            candidates.append((head, relation, tail))
+    candidates = list[tuple[int, ...]]()
+    for head, pair in product(ids, pairs.tolist()):
+        if (head, *pair) not in trained_on:
+            candidates.append((head, *pair))
     if not candidates:
         return graph
     heads, relations, tails = torch.tensor(candidates).T
     with torch.no_grad():
-        score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
-        score += trained(tails, relations + num_relations).gather(1, heads[:, None])[
-            :, 0
-        ]
-    order = (-score).argsort(stable=True).numpy()
+        all_tails = trained(heads, relations)
+        all_heads = trained(tails, relations + num_relations)
+    as_tails = all_tails.gather(1, tails[:, None])
+    as_heads = all_heads.gather(1, heads[:, None])
+    order = (-(as_tails + as_heads)[:, 0]).argsort(stable=True).numpy()
     held = set(map(tuple, held_out.tolist()))
     hits = np.cumsum([candidates[index] in held for index in order])
     if hits[-1] == 0:

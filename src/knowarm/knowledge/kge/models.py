@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Generator, Tensor, nn
 
 
 class KgeModel(nn.Module, ABC):
@@ -22,7 +22,7 @@ class KgeModel(nn.Module, ABC):
     """Number that `dim` must be divisible by."""
 
     def __init__(
-        self, entities: int, relations: int, dim: int, generator: torch.Generator
+        self, entities: int, relations: int, dim: int, generator: Generator
     ) -> None:
         super().__init__()
         self.relations = relations
@@ -67,9 +67,8 @@ class Analogy(KgeModel):
     scalars, then real parts, then imaginary parts.
     """
 
-    def pairs(self, dim: int) -> int:
-        """Return how many complex pairs the D numbers of a vector contain."""
-        return dim // 4
+    numbers_per_pair: ClassVar[int] = 4
+    """Numbers of a vector for each complex pair."""
 
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
         """Return h r, whose dot product with (t_s, Re t_c, Im t_c) is the score."""
@@ -89,7 +88,7 @@ class Analogy(KgeModel):
     def _split(self, vectors: Tensor) -> tuple[Tensor, ...]:
         """Split (..., D) into scalars, real parts and imaginary parts."""
         dim = vectors.shape[-1]
-        pairs = self.pairs(dim)
+        pairs = dim // self.numbers_per_pair
         return vectors.split([dim - 2 * pairs, pairs, pairs], dim=-1)
 
 
@@ -100,10 +99,7 @@ class ComplEx(Analogy):
     """
 
     divisor = 2
-
-    def pairs(self, dim: int) -> int:
-        """As `Analogy.pairs`."""
-        return dim // 2
+    numbers_per_pair = 2
 
 
 MODELS: dict[str, type[KgeModel]] = {

@@ -1,6 +1,7 @@
 """Training of graph embeddings, stopped early by filtered ranks of held-out triples; their file."""
 
 import json
+from collections import defaultdict
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
@@ -11,11 +12,12 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import save
+from torch import Generator, Tensor
 
 from knowarm.config import from_dict
 from knowarm.cores import torch_threads
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.reading import reading, replacing
@@ -41,9 +43,7 @@ class Trained(NamedTuple):
 
 
 @torch.no_grad()
-def filtered_ranks(
-    model: KgeModel, triples: np.ndarray, known: np.ndarray
-) -> np.ndarray:
+def filtered_ranks(model: KgeModel, triples: Ids, known: Ids) -> Ids:
     """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
 
     Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
@@ -53,27 +53,23 @@ def filtered_ranks(
         The ranks of the tails of all triples, then of the heads, (2 n,) float64.
     """
     model.eval()
-    inverse = reciprocal(triples, model.relations)
-    known_inverse = reciprocal(known, model.relations)
     tails = _tail_ranks(model, triples, known)
-    heads = _tail_ranks(model, inverse, known_inverse)
+    inverse = reciprocal(triples, model.relations)
+    heads = _tail_ranks(model, inverse, reciprocal(known, model.relations))
     return np.concatenate([tails, heads])
 
 
-def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
+def reciprocal(triples: Ids, relations: int) -> Ids:
     """Return (t, r + R, h) for each (h, r, t), (n, 3) int64."""
     head, relation, tail = triples.T
     return np.stack([tail, relation + relations, head], axis=1)
 
 
-def _tail_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.ndarray:
-    answers: dict[tuple[int, int], list[int]] = {
-        (h, r): [] for h, r, _ in triples.tolist()
-    }
+def _tail_ranks(model: KgeModel, triples: Ids, known: Ids) -> Ids:
+    answers: dict[tuple[int, int], list[int]] = defaultdict(list)
     for h, r, t in known.tolist():
-        if (h, r) in answers:
-            answers[h, r].append(t)
-    ranks = []
+        answers[h, r].append(t)
+    ranks = [np.empty(0)]
     for batch in torch.from_numpy(triples).split(RANKED_AT_ONCE):
         head, relation, tail = batch.T
         scores = model(head, relation)
@@ -85,7 +81,7 @@ def _tail_ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray) -> np.n
         higher = (scores > true).sum(dim=1)
         equal = (scores == true).sum(dim=1)  # the true one itself was filtered too
         ranks.append((1.0 + higher + equal / 2.0).double().numpy())
-    return np.concatenate([np.empty(0), *ranks])
+    return np.concatenate(ranks)
 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
@@ -98,18 +94,18 @@ def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
         raise UserError(
             f"{config.model} got dim={config.dim}; it must be at least 4{even}."
         )
-    generator = torch.Generator().manual_seed(config.seed)
+    generator = Generator().manual_seed(config.seed)
     return kind(entities, relations, config.dim, generator)
 
 
 def train(
     config: KgeConfig,
-    triples: np.ndarray,
+    triples: Ids,
     entities: int,
     relations: int,
     *,
-    valid: np.ndarray | None = None,
-    known: np.ndarray | None = None,
+    valid: Ids | None = None,
+    known: Ids | None = None,
     on_epoch: Callable[[int, float, float | None], None] | None = None,
 ) -> Trained:
     """Train a model with cross-entropy of (h, r, ?) over all entities, in both directions.
@@ -126,20 +122,16 @@ def train(
         raise UserError(
             "There is no triple to train on. Give a graph with at least a few facts."
         )
-    if valid is not None and not len(valid):
-        valid = None
+    if valid is None:
+        valid = np.empty((0, 3), np.int64)
     if known is None:
-        known = triples if valid is None else np.concatenate([triples, valid])
+        known = np.concatenate([triples, valid])
     with torch_threads(config.threads):
         model = new_model(config, entities, relations)
-        rate = (
-            model.learning_rate
-            if config.learning_rate is None
-            else config.learning_rate
-        )
+        rate = config.learning_rate or model.learning_rate
         optimizer = torch.optim.Adam(model.parameters(), lr=rate)
-        order = torch.Generator().manual_seed(config.seed + 1)
-        negatives = torch.Generator().manual_seed(config.seed + 2)
+        order = Generator().manual_seed(config.seed + 1)
+        negatives = Generator().manual_seed(config.seed + 2)
         queries = _Queries.of(np.concatenate([triples, reciprocal(triples, relations)]))
         losses: list[float] = []
         evaluations: list[tuple[int, float]] = []
@@ -149,25 +141,21 @@ def train(
         for epoch in range(1, config.epochs + 1):
             model.train()
             total = 0.0
-            batches = torch.randperm(len(queries.pairs), generator=order).split(
-                config.batch_size
-            )
-            for rows in batches:
+            shuffled = torch.randperm(len(queries.pairs), generator=order)
+            for rows in shuffled.split(config.batch_size):
                 loss, count = _loss(config, model, queries, rows, negatives)
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
                 total += loss.item() * count
             losses.append(total / len(queries.answers))
-            values = [torch.tensor(total), *model.parameters()]
-            if not all(torch.isfinite(value).all() for value in values):
-                raise UserError(
-                    _DIVERGED.format(f"its loss in epoch {epoch} is not finite")
-                )
+            if not _is_finite(torch.tensor(total), *model.parameters()):
+                reason = f"its loss in epoch {epoch} is not finite"
+                raise UserError(_DIVERGED.format(reason))
             mrr = None
-            if valid is not None and (
-                epoch % config.evaluate_every == 0 or epoch == config.epochs
-            ):
+            if not len(valid):
+                best_epoch = epoch
+            elif epoch % config.evaluate_every == 0 or epoch == config.epochs:
                 mrr = float((1.0 / filtered_ranks(model, valid, known)).mean())
                 evaluations.append((epoch, mrr))
                 if mrr > best_mrr:
@@ -176,43 +164,41 @@ def train(
                     best_state = deepcopy(model.state_dict())
             if on_epoch is not None:
                 on_epoch(epoch, losses[-1], mrr)
-            if (
-                valid is not None
-                and epoch - best_epoch >= config.patience * config.evaluate_every
-            ):
+            if epoch - best_epoch >= config.patience * config.evaluate_every:
                 break
-        if valid is None:
-            best_epoch = len(losses)
-        else:
+        if len(valid):
             model.load_state_dict(best_state)
         return Trained(
             model, len(losses), best_epoch, tuple(losses), tuple(evaluations)
         )
 
 
+def _is_finite(*values: Tensor) -> bool:
+    return all(value.isfinite().all() for value in values)
+
+
 class _Queries(NamedTuple):
     """Queries (h, r, ?), and all their answers one after another."""
 
-    pairs: torch.Tensor  # (Q, 2) int64, h and r
-    counts: torch.Tensor  # (Q,) int64, answers of each query
-    answers: torch.Tensor  # (sum of counts,) int64
+    pairs: Tensor  # (Q, 2) int64, h and r
+    counts: Tensor  # (Q,) int64, answers of each query
+    answers: Tensor  # (sum of counts,) int64
 
     @classmethod
-    def of(cls, triples: np.ndarray) -> "_Queries":
+    def of(cls, triples: Ids) -> "_Queries":
         pairs, group = np.unique(triples[:, :2], axis=0, return_inverse=True)
         group = group.ravel()
         answers = triples[np.argsort(group, kind="stable"), 2]
-        arrays = (pairs, np.bincount(group), answers)
-        return cls(*map(torch.from_numpy, arrays))
+        return cls(*map(torch.from_numpy, (pairs, np.bincount(group), answers)))
 
 
 def _loss(
     config: KgeConfig,
     model: KgeModel,
     queries: _Queries,
-    rows: torch.Tensor,
-    negatives: torch.Generator,
-) -> tuple[torch.Tensor, int]:
+    rows: Tensor,
+    negatives: Generator,
+) -> tuple[Tensor, int]:
     """Return the loss of some rows of the queries, and the number of their answers."""
     counts = queries.counts[rows]
     ends = queries.counts.cumsum(0)[rows]
@@ -224,9 +210,8 @@ def _loss(
     compared = None
     column = tail
     if config.negatives is not None:
-        drawn = torch.randint(
-            len(model.entity), (config.negatives,), generator=negatives
-        )
+        size = (config.negatives,)
+        drawn = torch.randint(len(model.entity), size, generator=negatives)
         compared = torch.cat([tail, drawn]).unique()  # sorted
         column = torch.searchsorted(compared, tail)
     scores = model(head, relation, compared)
@@ -237,9 +222,7 @@ def _loss(
     return loss, len(row)
 
 
-def hold_out(
-    graph: KnowledgeGraph, share: float, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
+def hold_out(graph: KnowledgeGraph, share: float, seed: int) -> tuple[Ids, Ids]:
     """Split the triples of a graph at random into those to train on and a share of the others.
 
     Every entity and relation occurs in training.
@@ -248,8 +231,9 @@ def hold_out(
         raise UserError(
             f"The share of triples to hold out must lie between 0 and 1, got {share}."
         )
-    rows = held_out_rows(graph, round(share * len(graph.triples)), seed)
-    return np.delete(graph.triples, rows, axis=0), graph.triples[rows]
+    triples = graph.triples
+    rows = held_out_rows(graph, round(share * len(triples)), seed)
+    return np.delete(triples, rows, axis=0), triples[rows]
 
 
 def held_out_rows(graph: KnowledgeGraph, count: int, seed: int) -> list[int]:
@@ -274,13 +258,12 @@ def held_out_rows(graph: KnowledgeGraph, count: int, seed: int) -> list[int]:
             ends[tail] -= 1
             uses[relation] -= 1
             held.append(int(row))
-    if held:
-        return held
-    if count:
-        why = "so that every entity stays in training: give a larger graph"
-    else:
+    if not held:
         why = "by a share below one triple: give a larger share"
-    raise UserError(f"No triple of {len(triples)} can be held out {why}.")
+        if count:
+            why = "so that every entity stays in training: give a larger graph"
+        raise UserError(f"No triple of {len(triples)} can be held out {why}.")
+    return held
 
 
 FORMAT = "knowarm-graph-embedding-1"
@@ -301,14 +284,10 @@ def save_model(
     model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path
 ) -> None:
     """Write a model."""
-    tensors = {
-        name: value.detach().contiguous() for name, value in model.state_dict().items()
-    }
+    tensors = {name: value.contiguous() for name, value in model.state_dict().items()}
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
-        data = "".join(f"{text}\0" for text in names).encode()
-        tensors[f"names.{name}"] = torch.from_numpy(
-            np.frombuffer(data, np.uint8).copy()
-        )
+        data = bytearray("\0".join([*names, ""]).encode())
+        tensors[f"names.{name}"] = torch.frombuffer(data, dtype=torch.uint8)
     content = save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))})
     with replacing(path, "Give another path.") as temporary:
         # `save_file` raises another type of error than `OSError` when a disk is full.
@@ -335,7 +314,7 @@ def load_model(path: Path) -> StoredModel:
             data = tensors.pop(f"names.{kind}").numpy().tobytes()
             names.append(tuple(data.decode().split("\0")[:-1]))
         entities, relations = names
-        if not all(torch.isfinite(value).all() for value in tensors.values()):
+        if not _is_finite(*tensors.values()):
             raise ValueError("it contains non-finite values")
         model = new_model(config, len(entities), len(relations))
         model.load_state_dict(tensors)

@@ -11,10 +11,10 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from numpy.random import Generator
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import with_triples
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import OBJECT_RELATION, Condition, Query, kind_of
@@ -23,6 +23,8 @@ SHARES = {"S2": 0.2, "S3": 0.23, "S3a": 0.25, "S3b": 0.25, "S4": 0.15, "S5": 0.2
 """Share that a split holds out or changes: of the objects of each condition (S2), of the objects
 (S3), of the instances of each kind (S3a), of the kinds (S3b), of the values (S4), of the conditions
 that are not colours (S5)."""
+_ObjectNames = set[str]
+"""Names of objects, or of kinds of these."""
 
 
 @dataclass
@@ -32,11 +34,10 @@ class HeldOutQuestions:
     asked: QueryGraph
     holders: Mapping[Condition, list[str]]  # Objects that satisfy each condition
     # Objects that training never shows, by the split that tests them (S3, S3a, S3b)
-    new: dict[str, set[str]] = field(default_factory=dict)
-    objects: set[str] = field(default_factory=set)  # All of these
-    values: set[str] = field(
-        default_factory=set
-    )  # Values that training never asks (S4)
+    new: dict[str, _ObjectNames] = field(default_factory=dict)
+    objects: _ObjectNames = field(default_factory=set)  # All of these
+    # Values that training never asks (S4)
+    values: set[str] = field(default_factory=set)
     # Conditions and objects that training never asks together (S2)
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
 
@@ -45,29 +46,28 @@ class HeldOutQuestions:
         """The conditions that the graph answers."""
         return [condition for condition in self.holders if not condition.is_seen]
 
-    def hold_objects(self, rng: np.random.Generator, per_episode: int) -> None:
+    def hold_objects(self, rng: Generator, per_episode: int) -> None:
         """Hold out objects; each condition keeps half of its objects or more (S3)."""
         names = sorted(self.asked.objects)
         wanted = max(per_episode + 1, round(SHARES["S3"] * len(names)))
         self._hold("S3", self._some(rng, names, wanted, per_episode))
 
-    def hold_kinds(self, rng: np.random.Generator, per_episode: int) -> None:
+    def hold_kinds(self, rng: Generator, per_episode: int) -> None:
         """Hold out all instances of some kinds; each condition keeps half of its kinds (S3b)."""
-        kinds = {kind_of(name) for name in self.asked.objects if kind_of(name) != name}
+        kinds = set(map(kind_of, self._instances()))
         wanted = max(2, round(SHARES["S3b"] * len(kinds)))
         held = self._some(rng, sorted(kinds), wanted, per_episode)
         self._hold(
             "S3b", {name for name in self.asked.objects if kind_of(name) in held}
         )
 
-    def hold_instances(self, rng: np.random.Generator, per_episode: int) -> None:
+    def hold_instances(self, rng: Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
-        instances: dict[str, list[str]] = defaultdict(list)
-        for name in sorted(set(self.asked.objects) - self.objects):
-            if kind_of(name) != name:
-                instances[kind_of(name)].append(name)
-        held: set[str] = set()
-        for _, names in sorted(instances.items()):
+        by_kind: dict[str, list[str]] = defaultdict(list)
+        for name in sorted(self._instances() - self.objects):
+            by_kind[kind_of(name)].append(name)
+        held: _ObjectNames = set()
+        for _, names in sorted(by_kind.items()):
             count = round(SHARES["S3a"] * len(names))
             held.update(rng.permutation(names)[:count].tolist())
         if len(set(map(kind_of, held))) <= per_episode:
@@ -77,16 +77,16 @@ class HeldOutQuestions:
             )
         self._hold("S3a", held)
 
-    def _hold(self, split: str, names: set[str]) -> None:
+    def _instances(self) -> _ObjectNames:
+        """Return the objects that are instances of a kind."""
+        return {name for name in self.asked.objects if kind_of(name) != name}
+
+    def _hold(self, split: str, names: _ObjectNames) -> None:
         self.new[split] = names
         self.objects |= names
 
     def _some(
-        self,
-        rng: np.random.Generator,
-        names: list[str],
-        wanted: int,
-        per_episode: int,
+        self, rng: Generator, names: list[str], wanted: int, per_episode: int
     ) -> set[str]:
         """Draw objects or kinds such that each condition keeps half of them or more."""
         shared = list[set[str]]()  # objects or kinds of each condition
@@ -110,26 +110,24 @@ class HeldOutQuestions:
             )
         return held
 
-    def hold_values(self, rng: np.random.Generator, per_episode: int) -> None:
+    def hold_values(self, rng: Generator, per_episode: int) -> None:
         """Hold out values that a triple links to a value that stays (S4).
 
         They belong to enough objects for an episode of which each can be asked for.
         """
-        values = sorted({condition.value for condition in self.facts})
+        values = {condition.value for condition in self.facts}
+        order = sorted(values)
         links = self._links(values)
-        answering = self._holders_of(values)
+        answering = self._with_values(values)
         wanted = max(1, round(SHARES["S4"] * len(values)))
         held: set[str] = set()
         beside = 0
-        for index in rng.permutation(len(values)):
-            larger = held | {values[index]}
-            is_small = len(larger) <= wanted or beside < per_episode - 1
+        for index in rng.permutation(len(order)):
+            larger = held | {order[index]}
+            if len(larger) > wanted and beside >= per_episode - 1:
+                continue
             is_linked = all(links[value] - larger for value in larger)
-            if (
-                is_small
-                and is_linked
-                and self._holders_of(set(values) - larger) == answering
-            ):
+            if is_linked and self._with_values(values - larger) == answering:
                 held = larger
                 beside = self._most_beside(held)
         if beside < per_episode - 1:
@@ -141,7 +139,7 @@ class HeldOutQuestions:
             )
         self.values = held
 
-    def hold_pairs(self, rng: np.random.Generator, per_episode: int) -> None:
+    def hold_pairs(self, rng: Generator, per_episode: int) -> None:
         """Hold out objects of each condition, at most a third of an object's conditions (S2).
 
         Each object keeps a fact to be asked by.
@@ -157,9 +155,7 @@ class HeldOutQuestions:
         conditions = list(self.holders)
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
-            members = [
-                name for name in self.holders[condition] if name not in self.objects
-            ]
+            members = set(self.holders[condition]) - self.objects
             member_kinds = sorted(set(map(kind_of, members)))
             is_object = condition.relation == OBJECT_RELATION
             if condition.value in self.values or is_object or len(member_kinds) < 2:
@@ -171,13 +167,13 @@ class HeldOutQuestions:
                     free.append(kind)
             drawn = rng.permutation(free).tolist()
             drawn.sort(key=lambda kind: held_of[kind] / conditions_of[kind])
-            for kind in drawn[: max(1, round(SHARES["S2"] * len(member_kinds)))]:
-                self.pairs.update(
-                    (condition, name) for name in members if kind_of(name) == kind
-                )
-                held_of[kind] += 1
-                if not condition.is_seen:
-                    facts_of[kind] -= 1
+            held = drawn[: max(1, round(SHARES["S2"] * len(member_kinds)))]
+            held_of.update(held)
+            if not condition.is_seen:
+                facts_of.subtract(held)
+            for name in members:
+                if kind_of(name) in held:
+                    self.pairs.add((condition, name))
         if len({kind_of(name) for _, name in self.pairs}) < per_episode:
             self.pairs = set()
             raise UserError(
@@ -185,31 +181,28 @@ class HeldOutQuestions:
                 "with an object that stays. Add facts that several objects share."
             )
 
+    def _holders_of(self, values: Collection[str]) -> list[_ObjectNames]:
+        """Return the objects of each fact with one of the values."""
+        facts = (fact for fact in self.facts if fact.value in values)
+        return [set(self.holders[fact]) for fact in facts]
+
+    def _with_values(self, values: Collection[str]) -> _ObjectNames:
+        """Return the objects that some of the values belong to."""
+        return set[str]().union(*self._holders_of(values))
+
     def _most_beside(self, values: set[str]) -> int:
         """Return how many objects that some of the values belong to lack one of them, at most."""
-        holders = list[set[str]]()
-        for condition in self.facts:
-            if condition.value in values:
-                holders.append(set(self.holders[condition]) - self.objects)
-        every = set[str]().union(*holders)
-        return max((len(every - names) for names in holders), default=0)
+        every = self._with_values(values) - self.objects
+        return max(len(every - names) for names in self._holders_of(values))
 
-    def _holders_of(self, values: Collection[str]) -> set[str]:
-        """Return the objects that some of the values belong to."""
-        conditions = [
-            condition for condition in self.facts if condition.value in values
-        ]
-        return set[str]().union(*map(self.holders.__getitem__, conditions))
-
-    def _links(self, values: list[str]) -> dict[str, set[str]]:
+    def _links(self, values: set[str]) -> dict[str, set[str]]:
         """Return the values that a triple links to each value, in either direction."""
-        links: dict[str, set[str]] = {value: set() for value in values}
-        for triple in self.asked.graph:
-            head = local_name(triple[0])
-            tail = local_name(triple[2])
-            if head != tail and head in links and tail in links:
-                links[head].add(tail)
-                links[tail].add(head)
+        links: dict[str, set[str]] = defaultdict(set)
+        for head, _, tail in self.asked.graph:
+            ends = {local_name(head), local_name(tail)}
+            if len(ends) == 2 and ends <= values:
+                for end in ends:
+                    links[end] |= ends - {end}
         return links
 
     @cached_property
@@ -222,41 +215,37 @@ class HeldOutQuestions:
                 asked.add(condition)
         return asked
 
+    def _held(self, query: Query, name: str) -> set[str]:
+        """Return what training leaves out of a query for an object: its object, values, pairs."""
+        held = set[str]()
+        if name in self.objects:
+            held.add("object")
+        for condition in query.conditions:
+            if condition.value in self.values:
+                held.add("value")
+            if (condition, name) in self.pairs:
+                held.add("pair")
+        return held
+
     def in_training(self, query: Query, name: str) -> bool:
         """Return whether training may ask a query for an object."""
-        is_held = (
-            name in self.objects
-            or self._asks_value(query)
-            or self._asks_pair(query, name)
-        )
-        return not is_held
+        return not self._held(query, name)
 
     def is_new_pair(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S2."""
-        is_pair = self._asks_pair(query, name) and not self._asks_value(query)
-        return is_pair and name not in self.objects
+        return self._held(query, name) == {"pair"}
 
     def is_new_object(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S3, S3a or S3b."""
-        return name in self.objects and self.asked_in_training.issuperset(
-            query.conditions
-        )
+        is_asked = self.asked_in_training.issuperset(query.conditions)
+        return is_asked and name in self.objects
 
     def is_new_value(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S4."""
-        is_value = self._asks_value(query) and not self._asks_pair(query, name)
-        return is_value and name not in self.objects
-
-    def _asks_value(self, query: Query) -> bool:
-        """Return whether a query has a condition whose value is held out."""
-        return any(condition.value in self.values for condition in query.conditions)
-
-    def _asks_pair(self, query: Query, name: str) -> bool:
-        """Return whether a query has a condition that is held out together with an object."""
-        return any((condition, name) in self.pairs for condition in query.conditions)
+        return self._held(query, name) == {"value"}
 
 
-def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGraph:
+def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
     """Swap values of one relation: what was for drinking is for lighting, and the reverse (S5).
 
     Conditions that training asks are swapped in pairs that no object satisfies both of, so that
@@ -265,17 +254,15 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
     graph = held.asked.graph
     free = list[Condition]()
     for condition in held.facts:
-        if (
-            condition.value not in held.values
-            and set(held.holders[condition]) - held.objects
-        ):
+        is_shown = not held.objects.issuperset(held.holders[condition])
+        if is_shown and condition.value not in held.values:
             free.append(condition)
     order = [free[index] for index in rng.permutation(len(free))]
     wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))
     swapped = dict[Condition, Condition]()  # both of each pair, by the other one
     for first, second in combinations(order, 2):
         is_disjoint = set(held.holders[first]).isdisjoint(held.holders[second])
-        is_free = first not in swapped and second not in swapped
+        is_free = swapped.keys().isdisjoint((first, second))
         fits = first.relation == second.relation and is_disjoint and is_free
         if fits and len(swapped) < 2 * wanted:
             swapped[first] = second
@@ -285,12 +272,11 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
             "no two values of one relation belong to different objects, so none can be swapped. "
             "Add facts, or give an edited graph of your own."
         )
-    moved = dict[Triple, Triple]()
+    triples = graph.triples
     for old, new in swapped.items():
-        relation = graph.relation_names[graph.relation_id(old.relation)]
-        old_value = graph.names[graph.entity_id(old.value)]
-        new_value = graph.names[graph.entity_id(new.value)]
-        for name in held.holders[old]:
-            head = graph.names[graph.entity_id(name)]
-            moved[head, relation, old_value] = (head, relation, new_value)
-    return with_triples(graph, [moved.get(triple, triple) for triple in graph])
+        holders = list(map(graph.entity_id, held.holders[old]))
+        is_stated = np.isin(graph.heads, holders)
+        is_stated &= graph.relations == graph.relation_id(old.relation)
+        is_stated &= graph.tails == graph.entity_id(old.value)
+        triples[is_stated, 2] = graph.entity_id(new.value)
+    return graph.with_triples(triples)

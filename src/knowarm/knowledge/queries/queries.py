@@ -2,12 +2,13 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from functools import cached_property
-from itertools import combinations, compress
+from functools import cache, cached_property
+from itertools import chain, combinations, compress
 from typing import Literal, get_args
 
 import numpy as np
 
+from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
@@ -23,6 +24,8 @@ from knowarm.questions import (
     object_of,
 )
 
+Degrees = np.ndarray
+"""Probabilities that facets satisfy conditions or answer queries, 0 to 1."""
 Pairs = Literal["none", "colour", "all"]
 """Queries of two conditions: none, a fact and a colour (or the object of a part), or any two."""
 
@@ -61,7 +64,7 @@ class QueryGraph:
             raise UserError(
                 "There are no facets to ask about: give at least one object."
             )
-        self._ids = np.array([self._object(name) for name in self.objects])
+        self._ids = np.array(list(map(self._object, self.objects)))
         self.owner = number_objects(self.facets)
 
     @cached_property
@@ -82,15 +85,11 @@ class QueryGraph:
                 condition = Condition(relation, graph.names.short(tail))
                 if not condition._replace(relation=local_name(relation)).is_seen:
                     stated.add(condition)
-        colours = {colour for _, colour in self.facets}
         whole = set(map(object_of, self.objects)).difference(self.objects)
-        conditions = [
-            *sorted(stated),
-            *(Condition(COLOUR_RELATION, colour) for colour in sorted(colours)),
-            *(Condition(OBJECT_RELATION, name) for name in sorted(whole)),
-        ]
-        answers = self.answers([Query((condition,)) for condition in conditions])
-        return tuple(compress(conditions, np.any(answers, axis=1)))
+        colours = {Condition(COLOUR_RELATION, colour) for _, colour in self.facets}
+        objects = {Condition(OBJECT_RELATION, name) for name in whole}
+        conditions = chain(sorted(stated), sorted(colours), sorted(objects))
+        return tuple(c for c in conditions if self._holders(c).any())
 
     def queries(self, pairs: Pairs = "colour") -> tuple[Query, ...]:
         """Return the queries that some facets answer and others do not.
@@ -99,9 +98,9 @@ class QueryGraph:
         """
         if pairs not in get_args(Pairs):
             raise unknown_name("value of pairs", pairs, get_args(Pairs))
-        answers = self.answers([Query((condition,)) for condition in self.conditions])
-        rows = dict[Condition, np.ndarray]()
-        for condition, row in zip(self.conditions, answers, strict=True):
+        rows = dict[Condition, Mask]()
+        for condition in self.conditions:
+            row = self._holders(condition) > 0
             if not row.all():
                 rows[condition] = row
         if not rows:
@@ -109,7 +108,7 @@ class QueryGraph:
                 f"The graph has no fact that tells {', '.join(self.objects[:8])} apart, so there "
                 "is nothing to ask. Add facts that some of the objects share and others do not."
             )
-        queries = [Query((condition,)) for condition in rows]
+        queries = list(map(Query.of, rows))
         if pairs == "none":
             return tuple(queries)
         for first, second in combinations(rows, 2):
@@ -117,15 +116,11 @@ class QueryGraph:
             if not is_mixed and (pairs == "colour" or first.is_seen):
                 continue
             both = rows[first] & rows[second]
-            if (
-                both.any()
-                and (both != rows[first]).any()
-                and (both != rows[second]).any()
-            ):
+            if 0 < both.sum() < min(rows[first].sum(), rows[second].sum()):
                 queries.append(Query((first, second)))
         return tuple(queries)
 
-    def answers(self, queries: Sequence[Query]) -> np.ndarray:
+    def answers(self, queries: Sequence[Query]) -> Mask:
         """Return whether each facet answers each query, (Q, F) bool.
 
         A condition on the colour, or on the object of a part, is answered by the facet itself, any
@@ -133,21 +128,19 @@ class QueryGraph:
         """
         return self.degrees(queries) > 0
 
-    def degrees(self, queries: Sequence[Query]) -> np.ndarray:
+    def degrees(self, queries: Sequence[Query]) -> Degrees:
         """Return the probability that each facet answers each query, (Q, F) float32.
 
         It is 0 or 1, but for triples with a confidence, which are taken as independent.
         """
-        holders = dict[Condition, np.ndarray]()
+        holders = cache(self._holders)
         table = np.ones((len(queries), len(self.facets)), np.float32)
         for row, query in zip(table, queries, strict=True):
             for condition in query.conditions:
-                if condition not in holders:
-                    holders[condition] = self._holders(condition)
-                row *= holders[condition]
+                row *= holders(condition)
         return table
 
-    def possible(self) -> np.ndarray:
+    def possible(self) -> Mask:
         """Return whether the graph lets each object have its facet's colour, (F,) bool.
 
         An object of which the graph states colours has these only, any other has all.
@@ -156,19 +149,16 @@ class QueryGraph:
         for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
             if colour:
                 stated[name].add(colour)
-        allowed = np.array(
-            [colour in stated.get(name, {colour}) for name, colour in self.facets]
-        )
-        for number, name in enumerate(self.objects):
-            if not allowed[self.owner == number].any():
-                colours = ", ".join(
-                    colour for other, colour in self.facets if other == name
-                )
+        allowed = [c in stated.get(name, {c}) for name, c in self.facets]
+        shown = dict(compress(self.facets, allowed))
+        for name in self.objects:
+            if name not in shown:
+                colours = ", ".join(c for other, c in self.facets if other == name)
                 raise UserError(
                     f"The graph gives {name!r} the colours {', '.join(sorted(stated[name]))}, but "
                     f"the task can show it in {colours} only. State one of these, or none."
                 )
-        return allowed
+        return np.array(allowed)
 
     def _object(self, name: str) -> int:
         try:
@@ -179,26 +169,24 @@ class QueryGraph:
                 "it, or leave the object out of the task."
             ) from error
 
-    def _holders(self, condition: Condition) -> np.ndarray:
+    def _holders(self, condition: Condition) -> Degrees:
         """Return the probability that each facet satisfies a condition, (F,)."""
-        if condition.is_seen:
-            if condition.relation == OBJECT_RELATION:
-                seen = [object_of(name) for name, _ in self.facets]
-            else:
-                seen = [colour for _, colour in self.facets]
-            return np.array(seen) == condition.value
+        names, colours = zip(*self.facets, strict=True)
+        if condition.relation == COLOUR_RELATION:
+            return np.array(colours) == condition.value
+        if condition.relation == OBJECT_RELATION:
+            return np.array(list(map(object_of, names))) == condition.value
         graph = self.graph
         relation = graph.find_relation(condition.relation)
         if relation is None:  # an edited graph may lack what another one knows
-            return np.zeros(len(self.facets), bool)
+            return np.zeros(len(names), bool)
         values = graph.values(condition.value)
-        rows = (graph.relations == relation) & np.isin(graph.tails, values)
-        held = np.isin(self._ids, graph.heads[rows]).astype(float)
+        is_stated = (graph.relations == relation) & np.isin(graph.tails, values)
+        triples = graph.rows(np.flatnonzero(is_stated))
+        held = np.isin(self._ids, triples.heads).astype(float)
         if graph.confidence:
-            wrong = np.ones(
-                len(self._ids)
-            )  # probability that no triple about an object holds
-            triples = graph.rows(np.flatnonzero(rows))
+            # Probability that no triple about an object holds
+            wrong = np.ones(len(held))
             for head, triple in zip(triples.heads, triples, strict=True):
                 wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
             held = 1 - wrong

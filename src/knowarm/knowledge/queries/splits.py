@@ -4,7 +4,7 @@ One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from itertools import chain, compress, product, starmap
+from itertools import compress, filterfalse, product, starmap
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from knowarm.questions import (
     ObjectColour,
     Query,
     QuestionTable,
+    conditions_of,
     with_distractors,
 )
 from knowarm.seeding import seed_sequence
@@ -52,6 +53,8 @@ HELD_OUT = ("S3", "S4", "S2")
 """Those of objects that belong to no family."""
 
 NOT_NAMED = "hold_out does not name it."
+_Rule = Callable[[Query, str], bool]
+"""Whether a query may be asked for an object."""
 
 
 class QuerySplits(NamedTuple):
@@ -125,23 +128,18 @@ def query_splits(
         tables["S5"] = maker.edited_table(edited)
     except UserError as error:
         reasons["S5"] = str(error)
-    tests = {name: table for name, table in tables.items() if table is not None}
-    no_distractors = (
-        f"no question of it has {objects - 1} distractors that share something with the "
-        "target. Give more objects or facts, or fewer objects per episode."
-    )
-    reasons |= dict.fromkeys(tables, no_distractors)
-    return QuerySplits(
-        train=train,
-        tests=tests,
-        reasons={
-            name: reasons[name]
-            for name in SPLITS
-            if name in reasons.keys() - tests.keys()
-        },
-        held_out=held,
-        edited=edited,
-    )
+    tests = dict[str, QuestionTable]()
+    for name, table in tables.items():
+        if table is not None:
+            tests[name] = table
+            reasons.pop(name, None)
+            continue
+        reasons[name] = (
+            f"no question of it has {objects - 1} distractors that share something with the "
+            "target. Give more objects or facts, or fewer objects per episode."
+        )
+    reasons = {name: reasons[name] for name in SPLITS if name in reasons}
+    return QuerySplits(train, tests, reasons, held, edited)
 
 
 class _Maker:
@@ -162,7 +160,7 @@ class _Maker:
         self.held = HeldOutQuestions(asked, holders)
 
     def table(
-        self, rule: Callable[[Query, str], bool], *, show: Collection[str] | None = None
+        self, rule: _Rule, *, show: Collection[str] | None = None
     ) -> QuestionTable | None:
         """Return the table of the questions that a rule about (query, object) allows, if any.
 
@@ -193,21 +191,17 @@ class _Maker:
         answer may stand beside the new one.
         """
         other = QueryGraph(edited, self.asked.facets)
-        conditions = set(
-            chain.from_iterable(query.conditions for query in self.queries)
+        conditions = set(conditions_of(self.queries))
+        queries = list(self.queries)
+        queries += filterfalse(
+            lambda query: conditions.issuperset(query.conditions),
+            other.queries(self.pairs),
         )
-        added = [
-            q
-            for q in other.queries(self.pairs)
-            if not conditions.issuperset(q.conditions)
-        ]
-        queries = [*self.queries, *added]
         satisfies = other.answers(queries)
         before = self.asked.answers(queries)
         shown = other.possible() & ~self._of(self.held.objects)
-        new = (
-            satisfies & ~before & self._allowed(queries, self.held.in_training) & shown
-        )
+        in_training = self._allowed(queries, self.held.in_training)
+        new = satisfies & ~before & in_training & shown
         if not new.any():
             raise UserError(
                 "the edited graph gives no query of training another answer. Change triples "
@@ -224,12 +218,10 @@ class _Maker:
 
     def _of(self, names: Collection[str]) -> Mask:
         """Return which facets are those of some objects, (F,) bool."""
-        numbers = [self.asked.objects.index(name) for name in names]
-        return np.isin(self.owner, numbers)
+        numbers = map(self.asked.objects.index, names)
+        return np.isin(self.owner, list(numbers))
 
-    def _allowed(
-        self, queries: Sequence[Query], rule: Callable[[Query, str], bool]
-    ) -> Mask:
+    def _allowed(self, queries: Sequence[Query], rule: _Rule) -> Mask:
         """Return a rule about (query, object) for each query and facet, (Q, F) bool."""
         pairs = product(queries, self.asked.objects)
         by_object = np.fromiter(starmap(rule, pairs), bool).reshape(len(queries), -1)

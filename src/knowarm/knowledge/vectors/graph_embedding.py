@@ -17,6 +17,7 @@ from knowarm.knowledge.vectors.source import (
     Found,
     Request,
     SentencePart,
+    Vectors,
     VectorSource,
 )
 
@@ -58,8 +59,8 @@ class EntityLookup:
         self,
         name: str,
         graph: KnowledgeGraph,
-        entities: np.ndarray,
-        relations: np.ndarray,
+        entities: Vectors,
+        relations: Vectors,
     ) -> None:
         """Take vectors (E, D) and (R, D) float32 in the order of the graph's names."""
         self.name = name

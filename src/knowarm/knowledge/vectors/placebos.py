@@ -16,6 +16,7 @@ from knowarm.knowledge.vectors.source import (
     Facet,
     Request,
     VectorLookup,
+    Vectors,
     VectorSource,
 )
 from knowarm.knowledge.vectors.words import WordVectors
@@ -45,7 +46,7 @@ class Learned(VectorSource):
     )
     encoder: ClassVar[Literal["identity", "learned"]] = "learned"
 
-    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: Vectors, seed: int) -> Vectors:
         """Return rows of the identity matrix."""
         return _one_hot(*vectors.shape)
 
@@ -99,7 +100,7 @@ class RandomVectors(DrawnPlacebo):
     content_free: ClassVar[bool] = True
     note: ClassVar[str] = "placebo: random numbers, each slot as long as the real one"
 
-    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: Vectors, seed: int) -> Vectors:
         """Return noise scaled to the length of each slot."""
         noise = np.random.default_rng(seed).standard_normal(vectors.shape)
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -118,7 +119,7 @@ class OneHot(Placebo):
         "placebo: one-hot slot numbers, as long as the real slots; identity without meaning"
     )
 
-    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: Vectors, seed: int) -> Vectors:
         """Return the length of each slot at the place of its number."""
         return _one_hot(*vectors.shape) * np.linalg.norm(vectors, axis=1)[:, None]
 
@@ -202,7 +203,7 @@ def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
     return numbered
 
 
-def _one_hot(slots: int, dim: int) -> np.ndarray:
+def _one_hot(slots: int, dim: int) -> Vectors:
     """Return rows of the identity matrix (S, D); refuse a code that is too short."""
     if slots > dim:
         raise UserError(

@@ -7,11 +7,14 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.questions import Condition
 
+Vectors = np.ndarray
+"""Numbers of labels, slots or other things: one vector, or one per row."""
 Pooling = Literal["mean", "sif"]
 SIF_A = 1e-3
 """The constant of SIF's weight a / (a + p)."""
@@ -84,9 +87,9 @@ class Found(NamedTuple):
     """The vectors of one label."""
 
     # One row per word (or one row for an entity), (k, dim) float32; k = 0 if none is known
-    vectors: np.ndarray
+    vectors: Vectors
     # Frequency of each in text or in the graph, 0 to 1, (k,) float64: for SIF weights
-    frequencies: np.ndarray
+    frequencies: Floats
 
 
 class VectorLookup(Protocol):
@@ -176,7 +179,7 @@ class VectorSource:
         """Return what the slots of queries describe."""
         return conditions
 
-    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: Vectors, seed: int) -> Vectors:
         """Return the slots (S, D) that the policy receives in place of the pooled ones."""
         return vectors
 
@@ -185,9 +188,7 @@ SOURCES: dict[str, type[VectorSource]] = {}
 """Config class of every source by its `kind`; filled by ``knowledge.vectors``."""
 
 
-def pool(
-    found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float
-) -> np.ndarray:
+def pool(found: Sequence[Found], pooling: Pooling, centre: Vectors | float) -> Vectors:
     """Pool the vectors of labels, less a centre (D,) or 0, into one, (D,) float64.
 
     mean: sum_w v_w / n;  sif: sum_w a / (a + p(w)) v_w / n  (Arora, Liang and Ma 2017, eq. 3).

@@ -4,7 +4,7 @@ import hashlib
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import chain, islice
@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from safetensors.numpy import load_file
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.formats.files import byte_lines, decode, open_bytes
 from knowarm.knowledge.vectors.source import (
@@ -23,6 +24,7 @@ from knowarm.knowledge.vectors.source import (
     Request,
     SentencePart,
     VectorLookup,
+    Vectors,
     VectorSource,
 )
 from knowarm.reading import reading
@@ -47,6 +49,15 @@ _AMERICAN = {
     "mould": "mold",
     "tyre": "tire",
 }
+_SINGULARS = (
+    (r"'s\Z", ""),
+    (r"ies\Z", "y"),
+    (r"([sxzo]|ch|sh)es\Z", r"\1"),
+    (r"ves\Z", "f"),
+    (r"ves\Z", "fe"),
+    (r"(?<!s)s\Z", ""),
+)
+"""Patterns of plurals, and what stands in place of them in the singular."""
 _SPELLINGS = _AMERICAN | {american: british for british, american in _AMERICAN.items()}
 """Other spelling of a word."""
 
@@ -56,12 +67,11 @@ class WordTable:
     """Words with their vectors and their frequency ranks."""
 
     name: str  # Name in reports: a shipped name or a file's name
-    words: tuple[
-        str, ...
-    ]  # The words held here; of a file, only those that were requested
-    vectors: np.ndarray = field(repr=False)  # One row per word, (n, dim) float32
+    # The words held here; of a file, only those that were requested
+    words: tuple[str, ...]
+    vectors: Vectors = field(repr=False)  # One row per word, (n, dim) float32
     # Place of each word in the file, 1 = most frequent, (n,) int64
-    ranks: np.ndarray = field(repr=False)
+    ranks: Integers = field(repr=False)
     size: int  # Number of words in the whole file
     length: float  # Median length of its vectors, of a file of its first hundred
 
@@ -76,7 +86,7 @@ class WordTable:
         return {word: row for row, word in enumerate(self.words)}
 
     @cached_property
-    def frequencies(self) -> np.ndarray:
+    def frequencies(self) -> Floats:
         """Estimated share of each word in running text, (n,) float64.
 
         Zipf's law, p(rank) = 1 / (rank * H(size)): a vector file gives the order of words only.
@@ -104,16 +114,14 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     kept = None
     first_words = None
     if wanted is not None:
-        kept = {word.encode() for word in wanted}
+        kept = set(map(str.encode, wanted))
         first_words = {word.split(b" ", 1)[0] for word in kept}
     lines = byte_lines(path)
     beginning = list(islice(lines, _FIRST_LINES))
-    header = 0
-    if beginning and _HEADER.fullmatch(beginning[0][1]):
-        header = 1
+    header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
     sample = [line for _, line in beginning[header:]]
     dim = _dimension(sample, path, header)
-    vectors: dict[str, np.ndarray] = {}
+    vectors: dict[str, Vectors] = {}
     ranks: list[int] = []
     count = 0
     for number, line in chain(beginning, lines):
@@ -171,7 +179,7 @@ def _dimension(lines: list[bytes], path: Path, header: int) -> int:
     return dim
 
 
-def _parse(numbers: list[bytes]) -> np.ndarray:
+def _parse(numbers: list[bytes]) -> Vectors:
     """Return numbers as float32, or one NaN if there is text among them."""
     try:
         return np.array(numbers, np.float32)
@@ -194,9 +202,7 @@ def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
     """Accept a line whose word contains spaces; refuse one of another dimension."""
     fields = line.split(b" ")
     extra = [field.decode(errors="replace") for field in fields[1:-dim]]
-    if len(fields) - 1 < dim or (
-        extra and all(_NUMBER.fullmatch(field) for field in extra)
-    ):
+    if len(fields) - 1 < dim or (extra and all(map(_NUMBER.fullmatch, extra))):
         raise UserError(
             f"{path}, line {number}: has {len(fields) - 1} numbers, the lines before {dim}. "
             f"All words of a file must have the same dimension; download the file again."
@@ -249,6 +255,10 @@ def shipped_vectors(name: str) -> WordTable:
     )
 
 
+_Rows = tuple[list[int], str, list[str]]
+"""Rows of word vectors, how they were found, and the words that were not."""
+
+
 class WordLookup:
     """Finds labels among word vectors.
 
@@ -272,14 +282,11 @@ class WordLookup:
     def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return the vectors of a label's words."""
         rows, kind, missing = self._rows(part.label)
-        if rows or self.on_missing != "hash":
-            coverage.missing |= set(missing)
-            coverage.how[part.label] = kind
-        if rows:
-            return Found(self.words.vectors[rows], self.words.frequencies[rows])
-        if self.on_missing == "hash":
+        if not rows and self.on_missing == "hash":
             return self._hashed(part.label, coverage)
-        if self.on_missing == "error":
+        coverage.missing.update(missing)
+        coverage.how[part.label] = kind
+        if not rows and self.on_missing == "error":
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
                 "Give it another word, ",
@@ -290,52 +297,50 @@ class WordLookup:
                 Argument("knows.on_missing", "hash"),
                 ".",
             )
-        return Found(np.empty((0, self.dim), np.float32), np.empty(0))
+        return Found(self.words.vectors[rows], self.words.frequencies[rows])
 
-    def _rows(self, label: str) -> tuple[list[int], str, list[str]]:
+    def _rows(self, label: str) -> _Rows:
         """Return rows of the vectors, how the label was found, and the words that were not."""
-        index = self.words.index
-        if label in index:
-            return [index[label]], "word", []
+        if label in self.words.index:
+            return self._known([label]), "word", []
         if label in self.aliases:
             rows, _, missing = self._word_by_word(self.aliases[label])
             return rows, "alias", missing
-        for form in joined_forms(label):
-            if form in index:
-                return [index[form]], "joined", []
+        joined = self._known(joined_forms(label))
+        if joined:
+            return joined[:1], "joined", []
         return self._word_by_word(label.split())
 
-    def _word_by_word(self, words: list[str]) -> tuple[list[int], str, list[str]]:
+    def _word_by_word(self, words: list[str]) -> _Rows:
         rows = list[int]()
         missing = list[str]()
         kind = "words"
         for word in words:
-            rows_of_word, how = self._rows_of_word(word)
-            rows += rows_of_word
-            if not rows_of_word:
+            if word in self.words.index:
+                rows += self._known([word])
+                continue
+            aliases = self._known(self.aliases.get(word, ()))
+            forms = self._known(word_forms(word))
+            if aliases:
+                kind = "alias"
+                rows += aliases
+            elif forms:
+                kind = "form"
+                rows.append(forms[0])
+            else:
                 missing.append(word)
-            kind = how or kind
         if missing:
             kind = "part" if rows else "missing"
         return rows, kind, missing
 
-    def _rows_of_word(self, word: str) -> tuple[list[int], str]:
-        """Return the rows of one word, and how it was found if that was not unchanged."""
+    def _known(self, words: Iterable[str]) -> list[int]:
+        """Return the rows of those words that are held."""
         index = self.words.index
-        if word in index:
-            return [index[word]], ""
-        known = filter(index.__contains__, self.aliases.get(word, ()))
-        rows = list(map(index.__getitem__, known))
-        if rows:
-            return rows, "alias"
-        for form in word_forms(word):
-            if form in index:
-                return [index[form]], "form"
-        return [], ""
+        return [index[word] for word in words if word in index]
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
-        vectors = list[np.ndarray]()
+        vectors = list[Vectors]()
         for word in label.split():
             seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
             vector = np.random.default_rng(seed).standard_normal(self.dim)
@@ -379,17 +384,10 @@ def _word_aliases(aliases: Mapping[str, str]) -> dict[str, list[str]]:
 
 def _stems(word: str) -> Iterator[str]:
     """Yield the singular of a word, then its lemmas."""
-    if word.endswith("'s"):
-        yield word[:-2]
-    if word.endswith("ies"):
-        yield word[:-3] + "y"
-    if word.endswith(("ses", "xes", "zes", "ches", "shes", "oes")):
-        yield word[:-2]
-    if word.endswith("ves"):
-        yield word[:-3] + "f"
-        yield word[:-3] + "fe"
-    if word.endswith("s") and not word.endswith("ss"):
-        yield word[:-1]
+    for plural, singular in _SINGULARS:
+        stem, found = re.subn(plural, singular, word)
+        if found:
+            yield stem
     for ending in ("ing", "ed", "er", "est", "ly"):
         stem = word.removesuffix(ending)
         if stem == word or len(stem) < 3:
