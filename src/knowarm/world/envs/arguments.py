@@ -3,12 +3,18 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.tasks.sampling import Words
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import Array, Indices, NamedArrays
+
+Seeds = int | list[int | None] | None
+"""Seed of the first environment, one per environment, or none."""
+
+Options = dict[str, Any]
+"""Options of an environment or of its reset, by name."""
 
 
 def checked_actions(
@@ -33,7 +39,7 @@ def _checked(
     lowest: int,
     highest: int,
     allowed: str,
-) -> NDArray[Any]:
+) -> Array:
     """Return actions as an array of a shape, a kind of dtype and a range."""
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in kinds:
@@ -49,18 +55,14 @@ def _checked(
 
 def check_state(mine: NamedArrays, state: NamedArrays) -> None:
     """Check that a state has arrays of the same names and shapes as the environment's own."""
-    expected = _shapes(mine)
-    got = _shapes(state)
+    expected = {name: array.shape for name, array in sorted(mine.items())}
+    got = {name: array.shape for name, array in sorted(state.items())}
     if got != expected:
         raise UserError(
             f"The state belongs to another environment: its arrays are {got}, those of "
             f"this environment are {expected}. Use the same robot, targets and number of "
             "environments."
         )
-
-
-def _shapes(arrays: NamedArrays) -> dict[str, tuple[int, ...]]:
-    return {name: array.shape for name, array in sorted(arrays.items())}
 
 
 def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
@@ -78,32 +80,24 @@ def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
     return np.flatnonzero(array)
 
 
-def spread_seeds(
-    seed: int | list[int | None] | None, num_envs: int
-) -> tuple[Mask, Words]:
+def spread_seeds(seed: Seeds, num_envs: int) -> tuple[Mask, Words]:
     """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
 
     Return which environments get a seed, (n,), and the seeds, 0 for the others, (n,).
     """
-    seeds: list[int | None]
+    seeds: Any = seed
     if seed is None:
-        seeds = [None] * num_envs
+        seeds = np.full(num_envs, None)
     elif isinstance(seed, int | np.integer):
-        seeds = list(range(int(seed), int(seed) + num_envs))
-    else:
-        seeds = list(seed)
+        seeds = range(int(seed), int(seed) + num_envs)
     if len(seeds) != num_envs:
         raise UserError(
             f"seed must be an integer or a list of {num_envs} (one per environment), got "
             f"{len(seeds)}."
         )
-    is_seeded = np.zeros(num_envs, dtype=np.bool_)
-    words = np.zeros(num_envs, dtype=np.uint64)
-    for i, value in enumerate(seeds):
-        if value is None:
-            continue
-        if value < 0:
-            raise UserError(f"seed must not be negative, got {seed}.")
-        is_seeded[i] = True
-        words[i] = value % 2**64
-    return is_seeded, words
+    values = np.array(seeds, object)
+    is_seeded = np.not_equal(values, None)
+    values[~is_seeded] = 0
+    if (values < 0).any():
+        raise UserError(f"seed must not be negative, got {seed}.")
+    return is_seeded, (values % 2**64).astype(np.uint64)

@@ -104,11 +104,11 @@ def _checked_table(
                 "knowledge is a table that observations do not show; name it in observe, such as "
                 "observe=('image', 'knowledge')."
             )
-        return np.zeros((0, 0), dtype=np.float32)
+        return np.zeros((0, 0), np.float32)
     rows = config.task.asked.knowledge_rows(facets_of(config))
     if knowledge is None:
         knowledge = []
-    table = np.asarray(knowledge, dtype=np.float32)
+    table = np.asarray(knowledge, np.float32)
     if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
         raise UserError(
             f"knowledge must be a table with one row for each of the {len(rows)} values of the "

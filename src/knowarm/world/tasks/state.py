@@ -22,7 +22,10 @@ def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
 Indices = NDArray[np.intp]
 """Numbers of some environments, (k,)."""
 
-NamedArrays = dict[str, NDArray[Any]]
+Array = NDArray[Any]
+"""An array of any type."""
+
+NamedArrays = dict[str, Array]
 """Arrays by name, with a first axis for environments or episodes."""
 
 SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
@@ -91,10 +94,13 @@ class EpisodeState(Generic[SimulatorT]):
 
     def measure_object(self, which: Integers) -> tuple[Floats, Floats]:
         """Measure distance (n,) [m] and angle (n,) [deg] to the goals of visible objects (n,)."""
-        rows = np.arange(len(which))
+        visible = (np.arange(len(which)), which)
+        places = self.positions[visible]
+        return self.measure_to(*self.goal_frames(self.objects[visible], places))
+
+    def measure_to(self, position: Floats, matrix: Floats) -> tuple[Floats, Floats]:
+        """Measure distance (n,) [m] and angle (n,) [deg] from the grippers to frames."""
         simulator = self.simulator
-        objects = self.objects[rows, which]
-        position, matrix = self.goal_frames(objects, self.positions[rows, which])
         return measure(
             simulator.tcp_position,
             simulator.tcp_matrix,
