@@ -109,7 +109,7 @@ class Task:
     def nearest(self, state: EpisodeState) -> Integers:
         """Return which visible object the gripper is at, (n,) int64; 0 is the one that is meant."""
         if self.asked.visible == 1:
-            return np.zeros(len(state.steps), dtype=np.int64)
+            return np.zeros(len(state.steps), np.int64)
         return self.asked.nearest(state, self.skill.grasp_positions(state))
 
     def failure(self, state: EpisodeState) -> Mask | None:

@@ -69,7 +69,7 @@ class StraightApproach(ShortestWay):
             ).joints
             way.append(joints)
         self._way = np.stack(way[::-1])
-        self._next = np.zeros(len(back), dtype=np.int64)
+        self._next = np.zeros(len(back), np.int64)
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""

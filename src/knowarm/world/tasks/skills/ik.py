@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Self
 
-import mujoco
 import numpy as np
+from mujoco import mjtJoint
 
 from knowarm.arrays import Floats, Mask
 from knowarm.world.backend import MujocoSimulator
@@ -74,7 +74,7 @@ class InverseKinematics:
         self._joints = [
             model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints
         ]
-        self._is_hinge = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_HINGE
+        self._is_hinge = model.jnt_type[self._joints] == mjtJoint.mjJNT_HINGE
 
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:

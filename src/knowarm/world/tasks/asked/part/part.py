@@ -6,7 +6,7 @@ part of one of the visible objects answers.
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -47,12 +47,12 @@ class AskPart(AskObject):
     """Objects with two parts each, of which exactly one part answers the episode's question."""
 
     area = "purpose"
-    targets: ClassVar[tuple[str, ...]] = PURPOSE_TARGETS
+    targets = PURPOSE_TARGETS
     shares_places = True
     column_meanings = AskObject.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }
-    measures: ClassVar[tuple[Measure, ...]] = (
+    measures = (
         *AskObject.measures,
         Measure("right_object", "part of the right object", "object_correct"),
     )

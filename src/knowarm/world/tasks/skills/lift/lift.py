@@ -15,7 +15,6 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
-from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
@@ -57,16 +56,16 @@ class Lift(Skill):
     """
 
     area = "lift"
-    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
+    targets = ("mug", "bottle")
     max_steps = 100
     moves_fingers = True
-    dynamics: ClassVar[tuple[str, ...]] = ("dynamic",)  # Kinematics have no contacts.
+    dynamics = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
         "gripped": "whether both fingers touched it at the end",
     }
 
-    probes: ClassVar[tuple[type[BaseProbe], ...]] = (LiftProbe,)
+    probes = (LiftProbe,)
 
     kind: Literal["lift"] = "lift"
     """Tag of this skill in JSON."""
@@ -140,7 +139,7 @@ class Lift(Skill):
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember for how many steps the object has been held up."""
-        return {"held": np.zeros(num_envs, dtype=np.int64)}
+        return {"held": np.zeros(num_envs, np.int64)}
 
     def remember(self, state: State) -> NamedArrays:
         """Count the step, or start again."""

@@ -137,7 +137,7 @@ class LiftTrial:
         self.simulator = LiftSimulator(
             scene, num_trials, threads, free_substeps=substeps
         )
-        self._first = np.zeros(num_trials, dtype=np.int64)
+        self._first = np.zeros(num_trials, np.int64)
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
 
@@ -247,7 +247,7 @@ class LiftProbe(BaseProbe):
     about = (
         "Lift the object where an episode succeeds, in a simulation with solid objects."
     )
-    measures: ClassVar[tuple[Measure, ...]] = _MEASURES
+    measures = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
         "lift_rise_m": "rise of the object's centre of mass in the lift [m]",

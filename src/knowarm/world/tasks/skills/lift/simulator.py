@@ -1,7 +1,7 @@
 """Simulator of the lifting task: fingers that move, and solid objects that are free to move."""
 
-import mujoco
 import numpy as np
+from mujoco import MjData, mj_comPos, mj_kinematics, mjtStage
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
@@ -15,9 +15,7 @@ PARKED_M = (
 
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
-_CONTACTS = (
-    mujoco.mjtStage.mjSTAGE_ACC.value
-)  # The sensors of touch need the contacts' forces
+_CONTACTS = mjtStage.mjSTAGE_ACC.value  # The sensors of touch need the contacts' forces
 
 
 class LiftSimulator(MujocoSimulator):
@@ -48,11 +46,11 @@ class LiftSimulator(MujocoSimulator):
         self._centre = self.batch.bind("xipos")
         self._touch = self.batch.bind("sensordata").reshape(num_envs, -1, len(FINGERS))
         self._fingers = model.jnt_qposadr[[model.joint(name).id for name in FINGERS]]
-        data = mujoco.MjData(model)
+        data = MjData(model)
         for start, pose in zip(scene.object_qpos, scene.rest, strict=True):
             data.qpos[start : start + 7] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+        mj_kinematics(model, data)
+        mj_comPos(model, data)
         self._rest_height = data.xipos[scene.bodies, 2].copy()
 
     def centre(self, targets: Integers) -> Floats:
