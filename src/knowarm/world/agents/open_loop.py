@@ -30,9 +30,9 @@ SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored
 ANCHORS = (-0.6, 0.0, 0.6)
 """Places of the anchor targets along each side of the rectangle, in units of its half size."""
 
-BEAM_WIDTH = (
-    2  # Beginnings of tours kept for each number of steps and set of targets solved
-)
+# Beginnings of tours kept for each number of steps and set of targets solved
+
+BEAM_WIDTH = 2
 VISITED_SHARE = 0.08
 """Share of a target's episodes that must be solved for the target to count as visited."""
 
@@ -48,9 +48,9 @@ LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 REPLAYED_LISTS = 12  # Lists that are replayed where contacts matter
 REPLAYED_EPISODES = 48  # Episodes in which each of them is played
 
-REVISION = (
-    1  # Part of the cache's key; to be increased with every change of the results
-)
+# Part of the cache's key; to be increased with every change of the results
+
+REVISION = 1
 Actions = Integers  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 

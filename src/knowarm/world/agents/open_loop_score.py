@@ -23,9 +23,8 @@ class Chain(NamedTuple):
     upper: Floats  # Upper limit of each joint, (J,)
     links: Floats  # Transforms before each joint, at angle 0, and to the gripper, (J + 1, 3, 4)
     slides: Mask  # Which joints slide along z; the others turn about z, (J,)
-    varied: (
-        int  # Number of the first joint from which all episodes have the same angles
-    )
+    # Number of the first joint from which all episodes have the same angles
+    varied: int
 
 
 class OpenLoopScore:

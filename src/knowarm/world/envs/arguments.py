@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.world.tasks.sampling import Words
-from knowarm.world.tasks.state import Array, Indices, NamedArrays
+from knowarm.world.tasks.state import ACTION_LEVELS, Array, Indices, NamedArrays
 
 Seeds = int | list[int | None] | None
 """Seed of the first environment, one per environment, or none."""
@@ -18,29 +18,18 @@ Options = dict[str, Any]
 
 
 def checked_actions(
-    actions: ArrayLike, shape: tuple[int, int], levels: int
-) -> Integers:
-    """Return actions as int64 of a shape (n, J)."""
-    last = levels - 1
-    array = _checked(actions, shape, "iu", 0, last, f"integers from 0 to {last}")
-    return array.astype(np.int64, copy=False)
-
-
-def checked_steps(actions: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """Return continuous actions as float64 of a shape (n, J)."""
-    allowed = "floats from -1 to 1 (in units of the maximum position increment)"
-    return _checked(actions, shape, "f", -1, 1, allowed).astype(np.float64)
-
-
-def _checked(
-    actions: ArrayLike,
-    shape: tuple[int, int],
-    kinds: str,
-    lowest: int,
-    highest: int,
-    allowed: str,
+    actions: ArrayLike, shape: tuple[int, int], is_continuous: bool
 ) -> Array:
-    """Return actions as an array of a shape, a kind of dtype and a range."""
+    """Return actions of a shape (n, J): numbers of levels, or continuous ones."""
+    kinds = "iu"
+    lowest = 0
+    highest = len(ACTION_LEVELS) - 1
+    allowed = f"integers from 0 to {highest}"
+    if is_continuous:
+        kinds = "f"
+        lowest = -1
+        highest = 1
+        allowed = "floats from -1 to 1 (in units of the maximum position increment)"
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in kinds:
         got = f"{array.dtype} of shape {array.shape}"

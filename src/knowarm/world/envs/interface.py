@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.arguments import checked_actions, checked_steps
+from knowarm.world.envs.arguments import checked_actions
 from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays
 
 Action = Literal["levels", "continuous"]
@@ -83,9 +83,10 @@ class Interface:
             UserError: actions of the wrong shape or type, or out of range.
         """
         shape = (num_envs, *self.action_space.shape)  # type: ignore[misc]
+        checked = checked_actions(actions, shape, self._is_continuous)
         if self._is_continuous:
-            return checked_steps(actions, shape) * increments[1]
-        return increments[checked_actions(actions, shape, len(ACTION_LEVELS))]
+            return checked.astype(np.float64) * increments[1]
+        return increments[checked]
 
 
 def _check_name(what: str, name: str, allowed: tuple[str, ...]) -> None:

@@ -21,7 +21,13 @@ from knowarm.world.envs.episodes import EpisodeSource
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
 from knowarm.world.tasks.sampling import Episodes, Words
-from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState, Indices, NamedArrays
+from knowarm.world.tasks.state import (
+    ACTION_LEVELS,
+    EpisodeState,
+    Frames,
+    Indices,
+    NamedArrays,
+)
 
 _STATE = (
     "streams",
@@ -139,7 +145,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self.task.asked.knowledge_input(self)
 
-    def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
+    def goal_frames(self, objects: Integers, places: Floats) -> Frames:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         return self.task.skill.goal_frames(self.scene, objects, places)
 

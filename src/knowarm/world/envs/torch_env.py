@@ -135,9 +135,8 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         The way is in units of the largest joint step.
         """
         error = self.teacher.error()
-        return self._tensor(nearest_levels(error, COARSE_LEVELS)), self._tensor(
-            error
-        ).float()
+        levels = nearest_levels(error, COARSE_LEVELS)
+        return self._tensor(levels), self._tensor(error).float()
 
     @property
     def threshold_factor(self) -> float:

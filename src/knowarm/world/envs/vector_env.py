@@ -171,9 +171,9 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
     def _final_infos(self, ended: Mask) -> Infos:
         """Return last observations and metrics where episodes ended, as Gymnasium defines them."""
         ids = np.flatnonzero(ended)
-        observations = np.full(self.num_envs, None, dtype=object)
+        observations = np.full(self.num_envs, None)
         last = iterate(self.single_observation_space, self._observe(ids))
-        observations[ids] = np.fromiter(last, dtype=object, count=len(ids))
+        observations[ids] = np.fromiter(last, object, len(ids))
         final = {}
         for name, values in self._infos().items():
             final[name] = np.zeros_like(values)

@@ -16,7 +16,7 @@ from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.skills.guides import Guide, ShortestWay, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState, NamedArrays
+from knowarm.world.tasks.state import EpisodeState, Frames, NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,9 +113,7 @@ class Skill(BaseTaskPart):
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
         return {}
 
-    def goal_frames(
-        self, scene: Scene, objects: Integers, places: Floats
-    ) -> tuple[Floats, Floats]:
+    def goal_frames(self, scene: Scene, objects: Integers, places: Floats) -> Frames:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         position = target_places(scene, places) + scene.grasp_position[objects]
         matrix = scene.grasp_matrix[objects].reshape(-1, 9)
@@ -123,7 +121,7 @@ class Skill(BaseTaskPart):
 
     def goal(
         self, scene: Scene, objects: Integers, position: Floats, matrix: Floats
-    ) -> tuple[Floats, Floats]:
+    ) -> Frames:
         """Return the frame that the gripper has to reach in k episodes.
 
         Args:

@@ -157,7 +157,7 @@ class _Shape:
     def _add_body(self) -> None:
         shape = self.kind["shape"]
         half = self._height / 2
-        size = (self._radius, self._radius, half)
+        size: Lengths = (self._radius, self._radius, half)
         if shape == "cylindrical":
             size = (self._radius, half)
         self._add_upright("body", _GEOMS[shape], size, self._low + half)

@@ -21,23 +21,26 @@ from knowarm.world.tasks.state import EpisodeState, NamedArrays
 PARTS_PER_OBJECT = 2
 
 PURPOSE_TARGETS = (
-    *(
-        "bottle.stopper",
-        "bottle.neck",
-        "teapot.handle",
-        "teapot.lid",
-        "wine_glass.bowl",
-    ),
-    *("wine_glass.stem", "vase.flower", "vase.neck", "candle.flame", "candle.wax"),
-    *(
-        "brush.handle",
-        "brush.block",
-        "clock.rim",
-        "clock.bell",
-        "bell.knob",
-        "bell.handle",
-    ),
-    *("globe.pin", "globe.stem", "basket.handle", "basket.post"),
+    "bottle.stopper",
+    "bottle.neck",
+    "teapot.handle",
+    "teapot.lid",
+    "wine_glass.bowl",
+    "wine_glass.stem",
+    "vase.flower",
+    "vase.neck",
+    "candle.flame",
+    "candle.wax",
+    "brush.handle",
+    "brush.block",
+    "clock.rim",
+    "clock.bell",
+    "bell.knob",
+    "bell.handle",
+    "globe.pin",
+    "globe.stem",
+    "basket.handle",
+    "basket.post",
 )
 """Parts among which is chosen, two of each object."""
 

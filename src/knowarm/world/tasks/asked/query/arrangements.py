@@ -15,9 +15,9 @@ from knowarm.world.tasks.asked.query.object_sets import ObjectSets, draw_object_
 from knowarm.world.tasks.asked.query.query_source import QuerySource
 from knowarm.world.tasks.sampling import DrawnObjects, Facets, Setting, derive, uniforms
 
-_ROUNDS = (
-    6  # Layouts drawn for each set before it counts as too large for the rectangle
-)
+# Layouts drawn for each set before it counts as too large for the rectangle
+
+_ROUNDS = 6
 MIN_FITTING = 0.05  # Least share of the sets of objects that must fit the rectangle
 
 

@@ -46,7 +46,9 @@ class LayoutSource:
         self._centre = np.array(robot.rectangle_centre_m)
         self._half = np.array(robot.rectangle_half_size_m)
         angles = np.pi * np.arange(_AXES) / _AXES
-        axes = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(_AXES)])
+        x = np.cos(angles)
+        y = np.sin(angles)
+        axes = np.column_stack([x, y, np.zeros(_AXES)])
         directions = np.concatenate([axes, -axes])
         self._directions = directions[:, :2].T
         reach = support(scene, directions)
@@ -54,11 +56,11 @@ class LayoutSource:
         self.width: Floats = (reach + opposite).max(axis=1)
         self._reach = reach + GAP_M / 2
         self._opposite = opposite + GAP_M / 2
-        sides = scene.camera_matrix.T[:2].copy()  # right and up
+        sides = scene.camera_matrix.T[:2]  # right and up
         self._outline_low = support(scene, -sides)
         self._outline_high = support(scene, sides)
         # A point (x, y) of the support has the camera coordinates xy @ slope + offset.
-        self._slope = scene.camera_matrix[:2].copy()
+        self._slope = scene.camera_matrix[:2]
         height = np.array([0.0, 0.0, robot.support_height_m])
         self._offset = (height - scene.camera_position) @ scene.camera_matrix
 
@@ -94,8 +96,8 @@ class LayoutSource:
             of_new, of_old = self._hidden(*pairs)
             all_of_new = of_new.sum(axis=1, keepdims=True)
             shares = np.concatenate([hidden + of_old, all_of_new], axis=1)
-            is_visible = (shares <= MAX_HIDDEN).all(axis=1)
-            fits = is_visible & self._apart(*pairs).all(axis=1)
+            fits = (shares <= MAX_HIDDEN).all(axis=1)
+            fits &= self._apart(*pairs).all(axis=1)
             first = fits.argmax(axis=1)
             fitting &= fits[rows, first]
             hidden = shares[rows, :, first][..., None]
@@ -105,7 +107,8 @@ class LayoutSource:
     def _apart(self, a: Floats, of_a: Integers, b: Floats, of_b: Integers) -> Mask:
         """Return which objects at a and b, (..., 2) [m], do not overlap, (...) bool."""
         way = (b - a) @ self._directions
-        return np.any(way > self._reach[of_a] + self._opposite[of_b], axis=-1)
+        least = self._reach[of_a] + self._opposite[of_b]
+        return np.any(way > least, axis=-1)
 
     def _hidden(
         self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
@@ -113,16 +116,18 @@ class LayoutSource:
         """Return the share of a that b hides from the camera and the reverse, (...) each."""
         low_a, high_a, depth_a = self._in_image(a, of_a)
         low_b, high_b, depth_b = self._in_image(b, of_b)
-        sides = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
+        low = np.maximum(low_a, low_b)
+        high = np.minimum(high_a, high_b)
+        sides = high - low
         overlap = _area(sides.clip(min=0))
         share_a = overlap / _area(high_a - low_a)
         share_b = overlap / _area(high_b - low_b)
         is_nearer = depth_a < depth_b
-        return np.where(is_nearer, 0.0, share_a), np.where(is_nearer, share_b, 0.0)
+        share_a[is_nearer] = 0.0
+        share_b[~is_nearer] = 0.0
+        return share_a, share_b
 
-    def _in_image(
-        self, position: Floats, objects: Integers
-    ) -> tuple[Floats, Floats, Floats]:
+    def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, ...]:
         """Return corners (..., 2) of the rectangles around objects in the image, and depths."""
         camera = position @ self._slope + self._offset
         centre = camera[..., :2]
@@ -134,7 +139,8 @@ class LayoutSource:
 
 def _area(sides: Floats) -> Floats:
     """Return the areas of rectangles of sides (..., 2)."""
-    return sides[..., 0] * sides[..., 1]
+    width, height = np.moveaxis(sides, -1, 0)
+    return width * height
 
 
 def support(scene: Scene, directions: Floats) -> Floats:
@@ -145,28 +151,30 @@ def support(scene: Scene, directions: Floats) -> Floats:
     """
     model = scene.model
     data = scene.at(scene.home)
-    extent = np.full((len(scene.targets), len(directions)), -np.inf)
+    names = [object_of(target.name) for target in scene.targets]
+    _, number = np.unique(names, return_inverse=True)
+    extent = np.full((len(names), len(directions)), -np.inf)
     for geom in np.flatnonzero(scene.geom_target >= 0).tolist():
         body = model.body_rootid[model.geom_bodyid[geom]]
         centre = data.geom_xpos[geom] - data.xpos[body]
         local = directions @ data.geom_xmat[geom].reshape(3, 3)
         along = directions @ centre + _half_width(model, geom, local)
-        k = scene.geom_target[geom]
+        k = number[scene.geom_target[geom]]
         extent[k] = np.maximum(extent[k], along)
-    objects = np.array([object_of(target.name) for target in scene.targets])
-    return np.stack([extent[objects == name].max(axis=0) for name in objects])
+    return extent[number]
 
 
 def _half_width(model: MjModel, geom: int, local: Floats) -> Floats:
     """Return how far a geom extends from its centre along directions (D, 3) in its frame, (D,)."""
     size = model.geom_size[geom]
+    radius, half_length, _ = size
     axial = np.abs(local[:, 2])
     match model.geom_type[geom]:
         case mjtGeom.mjGEOM_SPHERE | mjtGeom.mjGEOM_CAPSULE:  # a sphere has no length
-            return size[0] + size[1] * axial
+            return radius + half_length * axial
         case mjtGeom.mjGEOM_CYLINDER:
             radial = np.sqrt(np.maximum(0.0, 1.0 - axial**2))
-            return size[0] * radial + size[1] * axial
+            return radius * radial + half_length * axial
         case mjtGeom.mjGEOM_ELLIPSOID:
             return np.linalg.norm(size * local, axis=1)
     middle, half = model.geom_aabb[geom].reshape(2, 3)

@@ -30,10 +30,8 @@ RISE_REWARD = 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
-SHARE = (
-    0.25,
-    0.75,
-)  # Size of a drafted area relative to the rectangle: that of shipped robots
+# Size of a drafted area relative to the rectangle: that of shipped robots
+SHARE = (0.25, 0.75)
 STEP_M = 0.018
 """Way of the gripper by the largest step of the first joint in a drafted area. A gripper of larger
 steps stops beside its grasp; one of smaller steps is slow, and objects turn in its grip."""

@@ -36,11 +36,8 @@ from knowarm.world.tasks.state import Indices
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
-PAD_FRICTION = (
-    1.0,
-    0.005,
-    0.0001,
-)  # Sliding, torsional [m] and rolling [m] friction of fingers
+# Sliding, torsional [m] and rolling [m] friction of fingers
+PAD_FRICTION = (1.0, 0.005, 0.0001)
 PAD_SOLREF = (0.004, 1.0)  # Stiff contacts of the fingers
 PAD_SOLIMP = (0.95, 0.99)
 GRIP_FORCE_N = 40.0  # Largest force of each finger
