@@ -85,7 +85,7 @@ def spread_seeds(seed: Seeds, num_envs: int) -> tuple[Mask, Words]:
             f"{len(seeds)}."
         )
     values = np.array(seeds, object)
-    is_seeded = np.not_equal(values, None)
+    is_seeded = np.not_equal(values, np.array(None))
     values[~is_seeded] = 0
     if (values < 0).any():
         raise UserError(f"seed must not be negative, got {seed}.")

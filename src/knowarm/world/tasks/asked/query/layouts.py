@@ -92,12 +92,17 @@ class LayoutSource:
         for j in range(m):
             # T candidates beside each of j placed objects: arrays (n, j, T, ...)
             new = slice(j, j + 1)
-            pairs = (drawn[:, new], indices[:, new], placed[:, :j], indices[:, :j])
+            pairs = (
+                drawn[:, new],
+                indices[:, new],
+                placed[:, :j],
+                indices[:, :j],
+            )
             of_new, of_old = self._hidden(*pairs)
             all_of_new = of_new.sum(axis=1, keepdims=True)
             shares = np.concatenate([hidden + of_old, all_of_new], axis=1)
-            fits = (shares <= MAX_HIDDEN).all(axis=1)
-            fits &= self._apart(*pairs).all(axis=1)
+            fits = np.all(shares <= MAX_HIDDEN, axis=1)
+            fits &= np.all(self._apart(*pairs), axis=1)
             first = fits.argmax(axis=1)
             fitting &= fits[rows, first]
             hidden = shares[rows, :, first][..., None]

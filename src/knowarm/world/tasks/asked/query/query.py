@@ -55,7 +55,7 @@ class AskObject(Asking):
     """Several objects in the rectangle, of which exactly one answers the episode's question."""
 
     area = "choose"
-    targets = CHOOSE_TARGETS
+    targets: ClassVar[tuple[str, ...]] = CHOOSE_TARGETS
     colours = "randomized"
     scopes = frozenset({"query"})
     holds_out = False
@@ -67,7 +67,7 @@ class AskObject(Asking):
         "chance": "share of right objects of an agent that picks one at random",
         "query_type": "relations that the query names",
     }
-    measures = (
+    measures: ClassVar[tuple[Measure, ...]] = (
         Measure("choice", "right choices", "choice_correct"),
         Measure(
             "success_if_chosen",

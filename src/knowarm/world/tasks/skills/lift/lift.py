@@ -54,7 +54,7 @@ class Lift(Skill):
     """
 
     area = "lift"
-    targets = ("mug", "bottle")
+    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps = 100
     moves_fingers = True
     dynamics = ("dynamic",)  # Kinematics have no contacts.
