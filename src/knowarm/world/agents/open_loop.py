@@ -30,9 +30,9 @@ SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored
 ANCHORS = (-0.6, 0.0, 0.6)
 """Places of the anchor targets along each side of the rectangle, in units of its half size."""
 
-BEAM_WIDTH = (
-    2  # Beginnings of tours kept for each number of steps and set of targets solved
-)
+# Beginnings of tours kept for each number of steps and set of targets solved
+
+BEAM_WIDTH = 2
 VISITED_SHARE = 0.08
 """Share of a target's episodes that must be solved for the target to count as visited."""
 
@@ -48,9 +48,9 @@ LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 REPLAYED_LISTS = 12  # Lists that are replayed where contacts matter
 REPLAYED_EPISODES = 48  # Episodes in which each of them is played
 
-REVISION = (
-    1  # Part of the cache's key; to be increased with every change of the results
-)
+# Part of the cache's key; to be increased with every change of the results
+
+REVISION = 1
 Actions = Integers  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
@@ -91,22 +91,20 @@ def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
     """Return the list of the oracle's actions in one episode that solves most of all of them."""
     env = ArmVectorEnv(config, len(episodes))
     steps = play(OracleAgent(env), env, episodes[:REPLAYED_LISTS]).steps
-    best = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64)
-    most = -1
-    not_drawn = np.zeros(len(episodes), dtype=np.bool_)
-    for i in range(REPLAYED_LISTS):
-        played = steps.actions[steps.episode == i]
+    not_drawn = np.zeros(len(episodes), bool)
+
+    def count_solved(actions: Actions) -> int:
         env.reset(options={"episodes": episodes})
         is_solved = np.zeros_like(not_drawn)
-        for action in played:
-            actions = np.tile(action, (len(episodes), 1))
-            _, _, terminated, _, infos = env.advance(actions, not_drawn)
+        for action in actions:
+            same = np.tile(action, (len(episodes), 1))
+            _, _, terminated, _, infos = env.advance(same, not_drawn)
             is_solved |= terminated & infos["is_success"]
-        if is_solved.sum() > most:
-            most = int(is_solved.sum())
-            best = np.zeros_like(best)
-            best[: len(played)] = played
-    return best
+        return int(is_solved.sum())
+
+    lists = [steps.actions[steps.episode == i] for i in range(REPLAYED_LISTS)]
+    best = max(lists, key=count_solved)
+    return np.pad(best, ((0, config.max_episode_steps - len(best)), (0, 0)))
 
 
 def _search(score: OpenLoopScore, waypoints: Floats, budget: int, seed: int) -> Actions:
@@ -129,9 +127,7 @@ def _anchor_goals(score: OpenLoopScore) -> Floats:
     """Grasp frames of one target per group at each anchor as transforms to world, (G A, 3, 4)."""
     robot = score.scene.robot
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
-    places = np.array(robot.rectangle_centre_m) + grid * np.array(
-        robot.rectangle_half_size_m
-    )
+    places = robot.rectangle_centre_m + grid * robot.rectangle_half_size_m
     _, first = np.unique(_group_of(score), return_index=True)
     return score.goals(np.repeat(first, len(places)), np.tile(places, (len(first), 1)))
 
@@ -149,9 +145,8 @@ def _waypoints(score: OpenLoopScore, goal: Floats, seed: int) -> Floats:
     """
     position = goal[..., 3].copy()
     matrix = goal[..., :3].reshape(-1, 9).copy()
-    arm = build_scene(
-        score.scene.robot, score.scene.targets[:1]
-    )  # each object takes time
+    scene = score.scene
+    arm = build_scene(scene.robot, scene.targets[:1])  # each object takes time
     solver = InverseKinematics(arm, seed=seed)
 
     def solve(start: Floats) -> IKSolution:
@@ -162,7 +157,7 @@ def _waypoints(score: OpenLoopScore, goal: Floats, seed: int) -> Floats:
     grasps = near_start.joints[anchors // 2 :: anchors]
     solutions = [near_start, *map(solve, grasps)]
     rows = np.concatenate([one.joints[one.within(0.03, 10.0)] for one in solutions])
-    _, first = np.unique(np.round(rows, 1), axis=0, return_index=True)
+    _, first = np.unique(rows.round(1), axis=0, return_index=True)
     return rows[np.sort(first)]
 
 
@@ -207,7 +202,7 @@ def _search_tours(
 
 def _stand_still(score: OpenLoopScore, steps: int) -> Actions:
     """Return actions without movement, (steps, J)."""
-    return np.zeros((steps, score.scene.num_joints), dtype=np.int64)
+    return np.zeros((steps, score.scene.num_joints), np.int64)
 
 
 def _extended(score: OpenLoopScore, tour: _Tour, actions: Actions, last: int) -> _Tour:
@@ -238,9 +233,8 @@ def _first_moves(score: OpenLoopScore) -> list[_Tour]:
     scene = score.scene
     start = score.start
     limit = score.config.max_episode_steps
-    no_moves = _Tour(
-        _stand_still(score, 0), start, np.zeros(len(start), dtype=np.bool_), -1
-    )
+    unsolved = np.zeros(len(start), bool)
+    no_moves = _Tour(_stand_still(score, 0), start, unsolved, -1)
     tours = [no_moves]
     # Level 0 stays, level 1 moves to the upper limit, level 2 to the lower one.
     ways = (
@@ -268,10 +262,8 @@ def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
     seen: set[bytes] = set()
     group = _group_of(score)[score.target]
     episodes = np.bincount(group)
-    for tour in sorted(tours, key=lambda tour: -int(tour.solved.sum())):
-        shares = np.bincount(group, tour.solved, len(episodes)) / np.maximum(
-            episodes, 1
-        )
+    for tour in sorted(tours, key=lambda tour: -tour.solved.sum()):
+        shares = np.bincount(group, tour.solved) / np.maximum(episodes, 1)
         key = (shares > VISITED_SHARE).tobytes()
         fingerprint = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
         if sizes[key] < count and fingerprint not in seen:
@@ -291,7 +283,7 @@ class _Climb:
         self._solved = int(score.is_solved(self._first).sum())
         self.best = actions
         self.best_solved = self._solved
-        self._memory = [self._solved] * MEMORY
+        self._memory = np.full(MEMORY, self._solved)
         self._trials = 0
 
     def run(self, budget: int, generator: np.random.Generator) -> None:
@@ -319,13 +311,11 @@ def _mutate(actions: Actions, generator: np.random.Generator) -> Actions:
     """Change one thing: one joint's actions in a window, or the time of an action."""
     actions = actions.copy()
     steps, joints = actions.shape
-    moved = (
-        np.arange(joints) if generator.random() < 0.3 else [generator.integers(joints)]
-    )
+    moved = [*range(joints)]
+    if generator.random() >= 0.3:
+        moved = [int(generator.integers(joints))]
     first, second = generator.integers(steps, size=2)
-    if (
-        generator.random() < 0.5
-    ):  # move an action in time; what lies between shifts by one
+    if generator.random() < 0.5:  # move an action; what lies between shifts by one step
         others = np.delete(actions[:, moved], first, axis=0)
         actions[:, moved] = np.insert(others, second, actions[first, moved], axis=0)
     else:

@@ -4,15 +4,15 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import mjtJoint
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.compiling import njit
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.sampling import Episodes
 
 
@@ -23,9 +23,8 @@ class Chain(NamedTuple):
     upper: Floats  # Upper limit of each joint, (J,)
     links: Floats  # Transforms before each joint, at angle 0, and to the gripper, (J + 1, 3, 4)
     slides: Mask  # Which joints slide along z; the others turn about z, (J,)
-    varied: (
-        int  # Number of the first joint from which all episodes have the same angles
-    )
+    # Number of the first joint from which all episodes have the same angles
+    varied: int
 
 
 class OpenLoopScore:
@@ -45,10 +44,8 @@ class OpenLoopScore:
 
     def goals(self, target: Integers, position: Floats) -> Floats:
         """Return the goal frames of targets at places (k, 2) [m] as transforms, (k, 3, 4)."""
-        scene = self.scene
-        points = target_places(scene, position) + scene.grasp_position[target]
-        rotation = scene.grasp_matrix[target].reshape(-1, 9)
-        points, rotation = self.config.task.skill.goal(scene, target, points, rotation)
+        skill = self.config.task.skill
+        points, rotation = skill.goal_frames(self.scene, target, position)
         return np.concatenate([rotation.reshape(-1, 3, 3), points[..., None]], axis=2)
 
     def depends_on(self) -> tuple[object, ...]:
@@ -224,7 +221,7 @@ def _joint_chain(scene: Scene, varied: int) -> Chain:
     axes = [_axis_frame(data.xanchor[joint], data.xaxis[joint]) for joint in joints]
     frames = [np.eye(4), *axes, tcp]
     links = [(np.linalg.inv(a) @ b)[:3] for a, b in pairwise(frames)]
-    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    slides = model.jnt_type[joints] == mjtJoint.mjJNT_SLIDE
     return Chain(scene.joint_lower, scene.joint_upper, np.stack(links), slides, varied)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
@@ -16,7 +15,7 @@ from knowarm.world.agents.protocol import AgentProtocol, Batch
 from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
-from knowarm.world.tasks.state import NamedArrays
+from knowarm.world.tasks.state import Array, NamedArrays
 
 REPORT_S = 5.0
 """Least time between two lines on the progress [s]."""
@@ -104,7 +103,7 @@ def play_steps(
     step = 0
     actions = None
     reward = np.zeros(n)
-    terminated = np.zeros(n, dtype=np.bool_)
+    terminated = np.zeros(n, bool)
     while True:
         yield PlayedStep(
             step=step,
@@ -148,8 +147,8 @@ def play(
     n = env.num_envs
     images: list[list[Images]] = [[] for _ in range(min(count, record_images))]
     ends: NamedArrays = {}
-    rows: dict[str, list[NDArray[Any]]] = defaultdict(list)
-    notes: dict[str, list[NDArray[Any]]] = defaultdict(list)
+    rows: dict[str, list[Array]] = defaultdict(list)
+    notes: dict[str, list[Array]] = defaultdict(list)
     for first in range(0, count, n):
         if time.monotonic() - reported >= REPORT_S:
             solved = ends["is_success"][:first].mean()
@@ -170,22 +169,25 @@ def play(
                 if name not in ends:
                     ends[name] = np.zeros((count, *values.shape[1:]), values.dtype)
                 ends[name][first + ended] = values[ended]
-            rows["episode"].append(first + ids)
-            rows["step"].append(np.full(len(ids), moment.step, dtype=np.int64))
-            rows["joint_positions"].append(env.joint_positions[ids])
-            rows["actions"].append(moment.actions[ids])
-            rows["distance"].append(infos["distance"][ids])
-            rows["angle"].append(infos["angle"][ids])
-            rows["reward"].append(moment.reward[ids])
+            recorded = {
+                "episode": first + ids,
+                "step": np.full(len(ids), moment.step, np.int64),
+                "joint_positions": env.joint_positions[ids],
+                "actions": moment.actions[ids],
+                "distance": infos["distance"][ids],
+                "angle": infos["angle"][ids],
+                "reward": moment.reward[ids],
+            }
+            for name, values in recorded.items():
+                rows[name].append(values)
         for name, values in getattr(agent, "notes", {}).items():
             notes[name].append(values[: len(chunk)])
     columns = _concatenated(rows)
     order = np.lexsort((columns["step"], columns["episode"]))
     steps = StepTable(**{name: column[order] for name, column in columns.items()})
+    returns = np.bincount(steps.episode, steps.reward, count)
     return EpisodeResults(
-        episode_return=np.bincount(steps.episode, steps.reward, count).astype(
-            np.float64
-        ),
+        episode_return=returns.astype(np.float64),
         length=np.bincount(steps.episode, minlength=count),
         infos=ends,
         steps=steps,
@@ -194,5 +196,5 @@ def play(
     )
 
 
-def _concatenated(columns: dict[str, list[NDArray[Any]]]) -> NamedArrays:
+def _concatenated(columns: dict[str, list[Array]]) -> NamedArrays:
     return {name: np.concatenate(pieces) for name, pieces in columns.items()}

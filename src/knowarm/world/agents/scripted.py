@@ -17,55 +17,51 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
 
-class ZeroAgent:
-    """Never moves."""
+class _UninformedAgent:
+    """Base of agents that use nothing but the shape of the actions."""
 
     inputs: ClassVar[tuple[str, ...]] = ()
 
     def reset(self, batch: Batch) -> None:
         """Read the shape of the actions."""
         self._shape = (batch.size, len(batch.joints))
+
+
+class ZeroAgent(_UninformedAgent):
+    """Never moves."""
 
     def act(self, observations: Observations) -> Integers:
         """Return the action without movement, (n, J)."""
-        return np.zeros(self._shape, dtype=np.int64)
+        return np.zeros(self._shape, np.int64)
 
 
-class RandomAgent:
+class RandomAgent(_UninformedAgent):
     """Draws every action uniformly; a trained agent has to be better than this."""
-
-    inputs: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, seed: int = 0) -> None:
         self._generator = np.random.default_rng(seed)
-
-    def reset(self, batch: Batch) -> None:
-        """Read the shape of the actions."""
-        self._shape = (batch.size, len(batch.joints))
 
     def act(self, observations: Observations) -> Integers:
         """Draw actions (n, J)."""
         return self._generator.integers(len(ACTION_LEVELS), size=self._shape)
 
 
-class OpenLoopAgent:
+class OpenLoopAgent(_UninformedAgent):
     """Plays a fixed list of actions (T, J) in every episode."""
-
-    inputs: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, actions: Integers) -> None:
         self._actions = actions
 
     def reset(self, batch: Batch) -> None:
         """Return to the beginning of the list."""
+        super().reset(batch)
         self._step = 0
-        self._size = batch.size
 
     def act(self, observations: Observations) -> Integers:
         """Return the next action for every environment, (n, J)."""
         action = self._actions[self._step]
         self._step += 1
-        return np.tile(action, (self._size, 1))
+        return np.tile(action, (self._shape[0], 1))
 
 
 class OracleAgent(PrivilegedAgent):
@@ -131,9 +127,8 @@ class BlindAgent(InformedAgent):
 
     def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J) for black images."""
-        return super().act(
-            {**observations, "image": np.zeros_like(observations["image"])}
-        )
+        black = np.zeros_like(observations["image"])
+        return super().act({**observations, "image": black})
 
 
 class FrozenAgent(InformedAgent):

@@ -3,38 +3,33 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.world.tasks.sampling import Words
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import ACTION_LEVELS, Array, Indices, NamedArrays
+
+Seeds = int | list[int | None] | None
+"""Seed of the first environment, one per environment, or none."""
+
+Options = dict[str, Any]
+"""Options of an environment or of its reset, by name."""
 
 
 def checked_actions(
-    actions: ArrayLike, shape: tuple[int, int], levels: int
-) -> Integers:
-    """Return actions as int64 of a shape (n, J)."""
-    last = levels - 1
-    array = _checked(actions, shape, "iu", 0, last, f"integers from 0 to {last}")
-    return array.astype(np.int64, copy=False)
-
-
-def checked_steps(actions: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """Return continuous actions as float64 of a shape (n, J)."""
-    allowed = "floats from -1 to 1 (in units of the maximum position increment)"
-    return _checked(actions, shape, "f", -1, 1, allowed).astype(np.float64)
-
-
-def _checked(
-    actions: ArrayLike,
-    shape: tuple[int, int],
-    kinds: str,
-    lowest: int,
-    highest: int,
-    allowed: str,
-) -> NDArray[Any]:
-    """Return actions as an array of a shape, a kind of dtype and a range."""
+    actions: ArrayLike, shape: tuple[int, int], is_continuous: bool
+) -> Array:
+    """Return actions of a shape (n, J): numbers of levels, or continuous ones."""
+    kinds = "iu"
+    lowest = 0
+    highest = len(ACTION_LEVELS) - 1
+    allowed = f"integers from 0 to {highest}"
+    if is_continuous:
+        kinds = "f"
+        lowest = -1
+        highest = 1
+        allowed = "floats from -1 to 1 (in units of the maximum position increment)"
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in kinds:
         got = f"{array.dtype} of shape {array.shape}"
@@ -49,18 +44,14 @@ def _checked(
 
 def check_state(mine: NamedArrays, state: NamedArrays) -> None:
     """Check that a state has arrays of the same names and shapes as the environment's own."""
-    expected = _shapes(mine)
-    got = _shapes(state)
+    expected = {name: array.shape for name, array in sorted(mine.items())}
+    got = {name: array.shape for name, array in sorted(state.items())}
     if got != expected:
         raise UserError(
             f"The state belongs to another environment: its arrays are {got}, those of "
             f"this environment are {expected}. Use the same robot, targets and number of "
             "environments."
         )
-
-
-def _shapes(arrays: NamedArrays) -> dict[str, tuple[int, ...]]:
-    return {name: array.shape for name, array in sorted(arrays.items())}
 
 
 def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
@@ -78,32 +69,24 @@ def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
     return np.flatnonzero(array)
 
 
-def spread_seeds(
-    seed: int | list[int | None] | None, num_envs: int
-) -> tuple[Mask, Words]:
+def spread_seeds(seed: Seeds, num_envs: int) -> tuple[Mask, Words]:
     """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
 
     Return which environments get a seed, (n,), and the seeds, 0 for the others, (n,).
     """
-    seeds: list[int | None]
+    seeds: Any = seed
     if seed is None:
-        seeds = [None] * num_envs
+        seeds = np.full(num_envs, None)
     elif isinstance(seed, int | np.integer):
-        seeds = list(range(int(seed), int(seed) + num_envs))
-    else:
-        seeds = list(seed)
+        seeds = range(int(seed), int(seed) + num_envs)
     if len(seeds) != num_envs:
         raise UserError(
             f"seed must be an integer or a list of {num_envs} (one per environment), got "
             f"{len(seeds)}."
         )
-    is_seeded = np.zeros(num_envs, dtype=np.bool_)
-    words = np.zeros(num_envs, dtype=np.uint64)
-    for i, value in enumerate(seeds):
-        if value is None:
-            continue
-        if value < 0:
-            raise UserError(f"seed must not be negative, got {seed}.")
-        is_seeded[i] = True
-        words[i] = value % 2**64
-    return is_seeded, words
+    values = np.array(seeds, object)
+    is_seeded = np.not_equal(values, np.array(None))
+    values[~is_seeded] = 0
+    if (values < 0).any():
+        raise UserError(f"seed must not be negative, got {seed}.")
+    return is_seeded, (values % 2**64).astype(np.uint64)

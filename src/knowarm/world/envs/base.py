@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.envs.arguments import Options, Seeds
 from knowarm.world.envs.interface import Interface
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import Array, Indices, NamedArrays
 
 Images = NDArray[np.uint8]
+
+Infos = dict[str, Any]
+"""Infos of Gymnasium by name."""
 
 ArrayT = TypeVar("ArrayT")
 """What an environment returns: NumPy arrays or tensors."""
@@ -48,7 +52,7 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self.running = RunningEpisodes(config, self.simulation)
         self.facets = self.running.facets
         # Which episodes have ended and wait for a reset; all before the first reset
-        self._ended = np.ones(num_envs, dtype=np.bool_)
+        self._ended = np.ones(num_envs, bool)
 
     @property
     def joint_positions(self) -> ArrayT:
@@ -68,9 +72,9 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
     def reset(
         self,
         *,
-        seed: int | list[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Any, dict[str, Any]]:
+        seed: Seeds = None,
+        options: Options | None = None,
+    ) -> tuple[Any, Infos]:
         """Start a new episode in every environment, or in those of a mask.
 
         Args:
@@ -98,7 +102,7 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         """
         self.running.set_state(state)
 
-    def _out(self, array: NDArray[Any]) -> Any:
+    def _out(self, array: Array) -> Any:
         """Return an array as the environment returns it."""
         raise NotImplementedError
 
@@ -106,13 +110,13 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         """Return the observations of all environments, new."""
         raise NotImplementedError
 
-    def _infos(self, where: Mask | None = None) -> dict[str, Any]:
+    def _infos(self, where: Mask | None = None) -> Infos:
         """Return the infos of the current state, each with its mask: ``where``, or everywhere."""
         if where is None:
-            where = np.ones(self.num_envs, dtype=np.bool_)
-        infos = {
-            name: self._out(values) for name, values in self.running.infos().items()
-        }
+            where = np.ones(self.num_envs, bool)
+        infos: Infos = {}
+        for name, values in self.running.infos().items():
+            infos[name] = self._out(values)
         masks = [f"_{name}" for name in infos]
         return infos | dict.fromkeys(masks, self._out(where))
 

@@ -57,5 +57,5 @@ def evaluation_episodes(
         seed: seed of the list; a shorter list is the beginning of a longer one.
         purpose: what it is played for; lists for others have other episodes.
     """
-    streams = np.full(count, derive(seed, purpose), dtype=np.uint64)
+    streams = np.full(count, derive(seed, purpose), np.uint64)
     return draw_episodes(config, streams, np.arange(count, dtype=np.uint64))

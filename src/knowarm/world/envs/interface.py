@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.arguments import checked_actions, checked_steps
+from knowarm.world.envs.arguments import checked_actions
 from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays
 
 Action = Literal["levels", "continuous"]
@@ -83,9 +83,10 @@ class Interface:
             UserError: actions of the wrong shape or type, or out of range.
         """
         shape = (num_envs, *self.action_space.shape)  # type: ignore[misc]
+        checked = checked_actions(actions, shape, self._is_continuous)
         if self._is_continuous:
-            return checked_steps(actions, shape) * increments[1]
-        return increments[checked_actions(actions, shape, len(ACTION_LEVELS))]
+            return checked.astype(np.float64) * increments[1]
+        return increments[checked]
 
 
 def _check_name(what: str, name: str, allowed: tuple[str, ...]) -> None:
@@ -104,11 +105,11 @@ def _checked_table(
                 "knowledge is a table that observations do not show; name it in observe, such as "
                 "observe=('image', 'knowledge')."
             )
-        return np.zeros((0, 0), dtype=np.float32)
+        return np.zeros((0, 0), np.float32)
     rows = config.task.asked.knowledge_rows(facets_of(config))
     if knowledge is None:
         knowledge = []
-    table = np.asarray(knowledge, dtype=np.float32)
+    table = np.asarray(knowledge, np.float32)
     if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
         raise UserError(
             f"knowledge must be a table with one row for each of the {len(rows)} values of the "

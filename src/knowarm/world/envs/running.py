@@ -4,21 +4,30 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
-from knowarm.questions import find_rows
+from knowarm.questions import find_rows, number_objects
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, setting_of
-from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
+from knowarm.world.envs.arguments import (
+    Options,
+    Seeds,
+    check_state,
+    masked_ids,
+    spread_seeds,
+)
 from knowarm.world.envs.episodes import EpisodeSource
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
-from knowarm.world.scene.scene import target_places
-from knowarm.world.tasks.reward import measure
 from knowarm.world.tasks.sampling import Episodes, Words
-from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState, Indices, NamedArrays
+from knowarm.world.tasks.state import (
+    ACTION_LEVELS,
+    EpisodeState,
+    Frames,
+    Indices,
+    NamedArrays,
+)
 
 _STATE = (
     "streams",
@@ -97,21 +106,20 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._appearance = AppearanceSource(
             scene, config.randomization, task.asked.paints_goal
         )
-        shown = [name for name, _ in self.facets]
-        first = [shown.index(target.name) for target in scene.targets]
-        self.first_facet = np.array(first, dtype=np.int64)
+        numbers = number_objects(self.facets)
+        _, self.first_facet = np.unique(numbers, return_index=True)
         self.increments = joint_increments(scene.robot, config)
         self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
         self.streams = (
             np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)
         )
-        self.next_episode = np.zeros(n, dtype=np.uint64)
-        self.steps = np.zeros(n, dtype=np.int64)
+        self.next_episode = np.zeros(n, np.uint64)
+        self.steps = np.zeros(n, np.int64)
         self.joint_targets = np.zeros((n, scene.num_joints))
-        self.objects = np.zeros((n, m), dtype=np.int64)
-        self.colours = np.zeros((n, m), dtype=np.int64)
+        self.objects = np.zeros((n, m), np.int64)
+        self.colours = np.zeros((n, m), np.int64)
         self.positions = np.zeros((n, m, 2))
-        self.question = np.zeros(n, dtype=np.int64)
+        self.question = np.zeros(n, np.int64)
         self.look = np.zeros((n, config.randomization.draws))
         self.goal_position = np.zeros((n, 3))
         self.goal_matrix = np.zeros((n, 9))
@@ -137,12 +145,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self.task.asked.knowledge_input(self)
 
-    def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
+    def goal_frames(self, objects: Integers, places: Floats) -> Frames:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
-        grasp = target_places(self.scene, places) + self.scene.grasp_position[objects]
-        return self.task.skill.goal(
-            self.scene, objects, grasp, self.grasp_rotation[objects]
-        )
+        return self.task.skill.goal_frames(self.scene, objects, places)
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
@@ -152,9 +157,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Describe the goal of an environment's episode, as "red mug"."""
         return self.task.asked.describe(self, self.setting, env_id)
 
-    def reset(
-        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
-    ) -> Indices:
+    def reset(self, seed: Seeds, options: Options | None) -> Indices:
         """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
         options = options or {}
         ids = masked_ids(options.get("reset_mask"), self.num_envs)
@@ -181,8 +184,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
 
     def move(self, steps: Floats) -> None:
         """Add steps (n, J) [rad] to the joint targets and simulate one control period."""
-        lower, upper = self.scene.joint_lower, self.scene.joint_upper
-        self.joint_targets = (self.joint_targets + steps).clip(lower, upper)
+        scene = self.scene
+        targets = self.joint_targets + steps
+        self.joint_targets = targets.clip(scene.joint_lower, scene.joint_upper)
         self.simulator.step(self.joint_targets)
         self.steps = self.steps + 1
         self._measure()
@@ -257,9 +261,8 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
     def _start(self, ids: Indices, episodes: Episodes) -> None:
         """Put environments (k,) at the start of k episodes."""
         scene = self.scene
-        joints = (scene.home + episodes.joint_offsets).clip(
-            scene.joint_lower, scene.joint_upper
-        )
+        joints = scene.home + episodes.joint_offsets
+        joints = joints.clip(scene.joint_lower, scene.joint_upper)
         question = find_rows(
             "query of this environment", episodes.question, self._query_rows
         )
@@ -273,16 +276,18 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
             look=episodes.look,
             steps=0,
         )
-        memory = {}
-        for name, array in self.memory.items():
-            memory[name] = _put(array, ids, self._fresh[name][ids])
-        self.memory = memory
+        self.memory = {
+            name: _put(array, ids, self._fresh[name][ids])
+            for name, array in self.memory.items()
+        }
         distractors = self._refresh(ids)
-        visible = (self.objects[ids, :, None] == np.arange(len(scene.targets))).any(
-            axis=1
-        )
-        places = self._object_positions(ids)
-        self.simulator.reset(ids, self.joint_targets[ids], places, distractors, visible)
+        objects = episodes.objects[..., None]
+        targets = np.arange(len(scene.targets))
+        visible = (objects == targets).any(axis=1)
+        # Hidden objects are where the first one is.
+        places = np.repeat(episodes.positions[:, :1], len(targets), axis=1)
+        np.put_along_axis(places, objects, episodes.positions, axis=1)
+        self.simulator.reset(ids, joints, places, distractors, visible)
         self._measure()
         self.success = self.task.skill.success(self)
 
@@ -296,22 +301,10 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         if len(ids) == self.num_envs:
             self.shown = shown
         else:
-            merged: list[Any] = []
-            pairs: Any = zip(self.shown, shown, strict=True)
-            for old, new in pairs:
-                merged.append(old if new is None else _put(old, ids, new))
+            pairs = zip(self.shown, shown, strict=True)
+            merged = [_put(old, ids, new) for old, new in pairs]
             self.shown = Shown(*merged)
         return shown.distractor_position
-
-    def _object_positions(self, ids: Indices) -> Floats:
-        """Return x and y of all K targets, hidden ones at that of the first, (k, K, 2) [m]."""
-        objects = self.objects[ids]
-        positions = self.positions[ids]
-        places = np.repeat(positions[:, :1], len(self.scene.targets), axis=1)
-        rows = np.arange(len(ids))
-        for j in range(1, objects.shape[1]):
-            places[rows, objects[:, j]] = positions[:, j]
-        return places
 
     def _write(self, ids: Indices, **rows: Any) -> None:
         """Replace arrays by copies with new values (k, ...) in the rows of environments (k,)."""
@@ -320,17 +313,18 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
 
     def _measure(self) -> None:
         """Measure distance and angle in the current state."""
-        self.distance, self.angle = measure(
-            self.simulator.tcp_position,
-            self.simulator.tcp_matrix,
-            self.goal_position,
-            self.goal_matrix,
-            self.ignore_roll,
+        self.distance, self.angle = self.measure_to(
+            self.goal_position, self.goal_matrix
         )
 
 
-def _put(array: NDArray[Any], ids: Indices, values: Any) -> NDArray[Any]:
-    """Return a copy of ``array`` (n, ...) with ``values`` (k, ...) in the rows ``ids``."""
+def _put(array: Any, ids: Indices, values: Any) -> Any:
+    """Return a copy of ``array`` (n, ...) with ``values`` (k, ...) in the rows ``ids``.
+
+    Where there are no values it is None, and so is the result.
+    """
+    if values is None:
+        return None
     result = array.copy()
     result[ids] = values
     return result

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.arguments import Options
+from knowarm.world.envs.base import Infos
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.state import Array
 
 INTERFACE = ("action", "observe", "knowledge")
 """Options of ``ArmVectorEnv`` besides the fields of ``EnvConfig``."""
 
 
-class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
+class ArmEnv(gymnasium.Env[Any, Array]):
     """An environment as ``gymnasium.make`` returns it: ``ArmVectorEnv`` with n = 1.
 
     Args:
@@ -63,16 +66,14 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._vector.joint_positions[0]
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+        self, *, seed: int | None = None, options: Options | None = None
+    ) -> tuple[Any, Infos]:
         """Start a new episode; ``options["episodes"]`` may be an ``Episodes`` of length 1."""
         super().reset(seed=seed)
         observations, infos = self._vector.reset(seed=seed, options=options)
         return self._only(observations), _first(infos)
 
-    def step(
-        self, action: NDArray[Any]
-    ) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Any, float, bool, bool, Infos]:
         """Play one step with an action of (J,) integers in 0..6, or floats in -1 to 1."""
         actions = np.asarray(action)[None]
         observations, rewards, terminated, truncated, infos = self._vector.step(actions)
@@ -94,7 +95,7 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._vector.render()[0]
 
 
-def env_config(**options: Any) -> tuple[EnvConfig, dict[str, Any]]:
+def env_config(**options: Any) -> tuple[EnvConfig, Options]:
     """Return the config of an environment, and its other options."""
     fields = [field.name for field in dataclasses.fields(EnvConfig)]
     known = [*fields, *INTERFACE]
@@ -150,7 +151,7 @@ def make_vector_env(
     return TorchArmVectorEnv(config, num_envs, device=device, num_threads=num_threads)
 
 
-def _first(infos: dict[str, Any]) -> dict[str, Any]:
+def _first(infos: Infos) -> Infos:
     """Return the infos of environment 0 as Python values or arrays, without the masks."""
     first = {}
     for name, values in infos.items():

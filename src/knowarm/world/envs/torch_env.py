@@ -14,10 +14,10 @@ from torch import Tensor
 from knowarm.arrays import Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import BaseVectorEnv, draw_images
+from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS, Teacher
-from knowarm.world.tasks.state import nearest_levels
+from knowarm.world.tasks.state import Array, nearest_levels
 
 
 class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
@@ -74,7 +74,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         super().__init__(config, num_envs, num_threads)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         side = config.image_size
-        self._final_images = np.zeros((num_envs, side, side, 3), dtype=np.uint8)
+        self._final_images = np.zeros((num_envs, side, side, 3), np.uint8)
         self._final_tensor = self._tensor(self._final_images)
         rows = len(config.task.asked.knowledge_rows(self.facets))
         if table is None:
@@ -135,9 +135,8 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         The way is in units of the largest joint step.
         """
         error = self.teacher.error()
-        return self._tensor(nearest_levels(error, COARSE_LEVELS)), self._tensor(
-            error
-        ).float()
+        levels = nearest_levels(error, COARSE_LEVELS)
+        return self._tensor(levels), self._tensor(error).float()
 
     @property
     def threshold_factor(self) -> float:
@@ -148,9 +147,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
     def threshold_factor(self, factor: float) -> None:
         self.running.threshold_factor = factor
 
-    def step(
-        self, actions: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Infos]:
         """Play one step in every environment.
 
         Args:
@@ -166,7 +163,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         self._move(self._checked(actions))
         outcome = self.running.outcome()
         reward, terminated, truncated = map(self._tensor, outcome)
-        extra: dict[str, Any] = {}
+        extra: Infos = {}
         if self.report_final_observations:
             self._draw_final(outcome.truncated)
             extra["final_obs"] = self._final_tensor
@@ -180,11 +177,11 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
             self.running.start_next(np.flatnonzero(ended))
         return self._observe(), reward, terminated, truncated, self._infos() | extra
 
-    def _tensor(self, array: NDArray[Any]) -> Tensor:
+    def _tensor(self, array: Array) -> Tensor:
         """Return an array as a tensor on the device; on the CPU of the same memory."""
         return torch.from_numpy(array).to(self.device)
 
-    def _out(self, array: NDArray[Any]) -> Any:
+    def _out(self, array: Array) -> Any:
         if array.dtype.kind == "U":
             return array
         return self._tensor(array)

@@ -6,22 +6,22 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import BaseVectorEnv, Images, draw_images
+from knowarm.world.envs.base import BaseVectorEnv, Images, Infos, draw_images
 from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import Array, Indices, NamedArrays
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
-Step = tuple[Any, Floats, Mask, Mask, dict[str, Any]]
+Step = tuple[Any, Floats, Mask, Mask, Infos]
 """Observations (n, ...), reward (n,), terminated (n,), truncated (n,) and infos."""
 
 
-class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
+class ArmVectorEnv(BaseVectorEnv[Array]):
     """n environments in which an arm plays the episodes of a task (paper, section 3).
 
     Observations are uint8 images (n, H, W, 3), actions int64 (n, J) that index
@@ -107,7 +107,7 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
             terminated[restart] = False
             truncated[restart] = False
         ended = terminated | truncated
-        final: dict[str, Any] = {}
+        final: Infos = {}
         if mode == AutoresetMode.SAME_STEP and ended.any():
             final = self._final_infos(ended)
             running.start_next(np.flatnonzero(ended))
@@ -128,7 +128,7 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
         reward, terminated, truncated = self._outcome()
         self._ended = terminated | truncated
         side = self.config.image_size
-        images = np.zeros((self.num_envs, side, side, 3), dtype=np.uint8)
+        images = np.zeros((self.num_envs, side, side, 3), np.uint8)
         ids = np.flatnonzero(active)
         if len(ids):
             images[ids] = draw_images(self.renderer, self.running, ids)
@@ -147,13 +147,13 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
     def set_state(self, state: NamedArrays) -> None:
         """Restore a state of ``get_state``; see `BaseVectorEnv.set_state`."""
         # A torch environment resets all that have ended, and its state says nothing of them.
-        ended = state.get("ended", np.zeros(self.num_envs, dtype=np.bool_))
+        ended = state.get("ended", np.zeros(self.num_envs, bool))
         arrays = dict(state)
         arrays.pop("ended", None)
         super().set_state(arrays)
         self._ended = np.array(ended)
 
-    def _out(self, array: NDArray[Any]) -> NDArray[Any]:
+    def _out(self, array: Array) -> Array:
         return array.copy()
 
     def _outcome(self) -> tuple[Floats, Mask, Mask]:
@@ -168,12 +168,12 @@ class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
         rows = self.running.knowledge_input[ids]
         return self._interface.observe(images, self.joint_positions[ids], rows)
 
-    def _final_infos(self, ended: Mask) -> dict[str, Any]:
+    def _final_infos(self, ended: Mask) -> Infos:
         """Return last observations and metrics where episodes ended, as Gymnasium defines them."""
         ids = np.flatnonzero(ended)
-        observations = np.full(self.num_envs, None, dtype=object)
+        observations = np.full(self.num_envs, None)
         last = iterate(self.single_observation_space, self._observe(ids))
-        observations[ids] = np.fromiter(last, dtype=object, count=len(ids))
+        observations[ids] = np.fromiter(last, object, len(ids))
         final = {}
         for name, values in self._infos().items():
             final[name] = np.zeros_like(values)

@@ -12,9 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.own import load, share
-from knowarm.world.tasks.asked import ASKED, DEFAULT_ASKED
-from knowarm.world.tasks.registry import VARIABLE
-from knowarm.world.tasks.skills import DEFAULT_SKILL, SKILLS
+from knowarm.world.tasks.asked import ASKED
+from knowarm.world.tasks.registry import (
+    DEFAULT_ASKED,
+    DEFAULT_SKILL,
+    VARIABLE,
+    task_name,
+)
+from knowarm.world.tasks.skills import SKILLS
 
 if TYPE_CHECKING:  # Importing this package imports no simulator.
     from knowarm.measures import Measure
@@ -40,15 +45,7 @@ def task_names() -> list[str]:
 def combinations() -> dict[str, tuple[str, str]]:
     """Return the kinds of what is asked and of the skill by the name of their combination."""
     pairs = product(ASKED.kinds(), SKILLS.kinds())
-    return {_name(asked, skill): (asked, skill) for asked, skill in pairs}
-
-
-def _name(asked: str, skill: str) -> str:
-    if asked == DEFAULT_ASKED:
-        return skill
-    if skill == DEFAULT_SKILL:
-        return asked
-    return f"{asked}-{skill}"
+    return {task_name(*kinds): kinds for kinds in pairs}
 
 
 def find_task(

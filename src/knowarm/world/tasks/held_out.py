@@ -81,11 +81,9 @@ def choose_places(held_out: HeldOut | None, signed: Floats) -> Floats:
     """Select each episode's first allowed position of candidates (n, T, 2) in -1..1, (n, 2)."""
     if held_out is None or held_out.places is None:
         return signed[:, 0]
-    x0, x1, y0, y1 = held_out.places
+    low = np.array(held_out.places[::2])
+    high = np.array(held_out.places[1::2])
     if held_out.play == "held_out":
-        low = np.array([x0, y0])
-        size = np.array([x1 - x0, y1 - y0])
-        return low + (signed[:, 0] + 1) / 2 * size
-    x, y = np.moveaxis(signed, -1, 0)
-    is_outside = (x < x0) | (x > x1) | (y < y0) | (y > y1)
+        return low + (signed[:, 0] + 1) / 2 * (high - low)
+    is_outside = ((signed < low) | (signed > high)).any(axis=-1)
     return signed[np.arange(len(signed)), is_outside.argmax(axis=1)]

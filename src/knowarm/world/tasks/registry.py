@@ -11,6 +11,21 @@ VARIABLE = "KNOWARM_TASKS"
 """Environment variable with tasks, skills and questions of other modules, as
 ``package.module:Name`` separated by commas."""
 
+DEFAULT_ASKED = "nothing"
+"""What is asked unless something else is given; names of tasks leave it out."""
+
+DEFAULT_SKILL = "reach"
+"""Skill unless another one is given; names of tasks with a question leave it out."""
+
+
+def task_name(asked: str, skill: str) -> str:
+    """Return the name of a task from the kinds of its parts."""
+    if asked == DEFAULT_ASKED:
+        return skill
+    if skill == DEFAULT_SKILL:
+        return asked
+    return f"{asked}-{skill}"
+
 
 class Registry(dict[str, str]):
     """Classes of configs by ``kind``, as ``package.module:Name``; imported when they are used.

@@ -39,17 +39,15 @@ def measure(
         a = tcp_matrix[i]
         b = grasp_matrix[i]
         if ignore_roll:
-            ax = a[2]
-            ay = a[5]
-            az = a[8]
-            bx = b[2]
-            by = b[5]
-            bz = b[8]
-            x = ay * bz - az * by
-            y = az * bx - ax * bz
-            z = ax * by - ay * bx
-            sine = math.sqrt(x * x + y * y + z * z)
-            cosine = ax * bx + ay * by + az * bz
+            a_z = a[2::3]
+            b_z = b[2::3]
+            cosine = 0.0
+            for k in range(3):
+                cosine += a_z[k] * b_z[k]
+            square = 0.0
+            for p, q in ((1, 2), (2, 0), (0, 1)):  # of the vector product
+                square += (a_z[p] * b_z[q] - a_z[q] * b_z[p]) ** 2
+            sine = math.sqrt(square)
         else:
             trace = 0.0
             for k in range(9):

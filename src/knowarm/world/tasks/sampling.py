@@ -157,7 +157,7 @@ def _allowed_colours(setting: Setting) -> tuple[Integers, Integers]:
     last = None if setting.colours == "randomized" else 1
     shades = [names[:last] for names in scene.colour_names]
     check_names(setting.held_out, list(chain.from_iterable(shades)))
-    count = np.zeros(len(shades), dtype=np.int64)
+    count = np.zeros(len(shades), np.int64)
     table = np.zeros((len(shades), max(map(len, shades))), dtype=np.int64)
     for k, target in enumerate(scene.targets):
         indices = allowed_colours(setting.held_out, shades[k], target.name)
@@ -183,7 +183,7 @@ def uniforms(streams: Words, episodes: Words, count: int) -> Floats:
 
 def derive(seed: int, label: str) -> int:
     """Derive a 64-bit seed that is unrelated to the streams seed, seed + 1, ... for a purpose."""
-    digest = np.array([seed % 2**64], dtype=np.uint64)
+    digest = np.array([seed % 2**64], np.uint64)
     for byte in label.encode():
         digest = _mix(digest ^ np.uint64(byte))
     return int(digest[0])

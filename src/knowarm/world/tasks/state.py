@@ -22,8 +22,14 @@ def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
 Indices = NDArray[np.intp]
 """Numbers of some environments, (k,)."""
 
-NamedArrays = dict[str, NDArray[Any]]
+Array = NDArray[Any]
+"""An array of any type."""
+
+NamedArrays = dict[str, Array]
 """Arrays by name, with a first axis for environments or episodes."""
+
+Frames = tuple[Floats, Floats]
+"""Positions, (k, 3) [m], and rotations from frame to world, row-major, (k, 9)."""
 
 SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
 """Class of a task's simulator."""
@@ -41,22 +47,18 @@ class EpisodeState(Generic[SimulatorT]):
     #: (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
     facet_names: Names  #: The same in words, as "mug/red", (F,)
-    query_names: (
-        Names  #: The queries of the task, (Q,); one empty name without questions
-    )
+    #: The queries of the task, (Q,); one empty name without questions
+    query_names: Names
     ignore_roll: bool  #: Whether angles ignore the rotation about the approach axis
     limits: Floats  #: Thresholds of distance and angle in the config, (2,) [m, deg]
     thresholds: Floats  #: The same times the curriculum's factor, (2,) [m, deg]
-    increments: (
-        Floats  #: Joint increment of each action level [rad] (slides: [m]), (7,)
-    )
+    #: Joint increment of each action level [rad] (slides: [m]), (7,)
+    increments: Floats
     steps: Integers  #: Steps played in the current episode, (n,)
-    joint_targets: (
-        Floats  #: Joint angles that the servos track, (n, J) [rad]; actions add to them
-    )
-    objects: (
-        Integers  #: Indices of the visible objects into the config's targets, (n, m)
-    )
+    #: Joint angles that the servos track, (n, J) [rad]; actions add to them
+    joint_targets: Floats
+    #: Indices of the visible objects into the config's targets, (n, m)
+    objects: Integers
     colours: Integers  #: Indices into the colours of these, (n, m)
     positions: Floats  #: Their x and y, (n, m, 2) [m]
     question: Integers  #: Number of each episode's query in ``query_names``, (n,)
@@ -65,15 +67,12 @@ class EpisodeState(Generic[SimulatorT]):
     distance: Floats  #: From gripper to goal, (n,) [m]
     angle: Floats  #: Between gripper and goal frame, (n,) [deg]
     success: Mask  #: Whether the task is solved, (n,)
-    memory: (
-        NamedArrays  #: Further arrays of the task, (n, ...) each; see `Skill.memory`
-    )
-    grasp_rotation: (
-        Floats  #: Rotation from each target's grasp frame to world, row-major, (K, 9)
-    )
-    first_facet: (
-        Integers  #: Number in ``facets`` of each target in its first colour, (K,)
-    )
+    #: Further arrays of the task, (n, ...) each; see `Skill.memory`
+    memory: NamedArrays
+    #: Rotation from each target's grasp frame to world, row-major, (K, 9)
+    grasp_rotation: Floats
+    #: Number in ``facets`` of each target in its first colour, (K,)
+    first_facet: Integers
 
     @property
     def target(self) -> Integers:
@@ -85,16 +84,19 @@ class EpisodeState(Generic[SimulatorT]):
         """Index of that object and its colour in ``facets``, (n,) int64."""
         return self.first_facet[self.target] + self.colours[:, 0]
 
-    def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
+    def goal_frames(self, objects: Integers, places: Floats) -> Frames:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
         raise NotImplementedError
 
     def measure_object(self, which: Integers) -> tuple[Floats, Floats]:
         """Measure distance (n,) [m] and angle (n,) [deg] to the goals of visible objects (n,)."""
-        rows = np.arange(len(which))
+        visible = (np.arange(len(which)), which)
+        places = self.positions[visible]
+        return self.measure_to(*self.goal_frames(self.objects[visible], places))
+
+    def measure_to(self, position: Floats, matrix: Floats) -> tuple[Floats, Floats]:
+        """Measure distance (n,) [m] and angle (n,) [deg] from the grippers to frames."""
         simulator = self.simulator
-        objects = self.objects[rows, which]
-        position, matrix = self.goal_frames(objects, self.positions[rows, which])
         return measure(
             simulator.tcp_position,
             simulator.tcp_matrix,

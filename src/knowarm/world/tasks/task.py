@@ -10,12 +10,12 @@ from knowarm.arrays import Integers, Mask
 from knowarm.config import registered, to_dict
 from knowarm.measures import Measure
 from knowarm.world.robots.robot import Robot
-from knowarm.world.tasks.asked import ASKED, DEFAULT_ASKED
+from knowarm.world.tasks.asked import ASKED
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.asked.nothing import AskNothing
-from knowarm.world.tasks.registry import kind_of
+from knowarm.world.tasks.registry import kind_of, task_name
 from knowarm.world.tasks.sampling import Setting
-from knowarm.world.tasks.skills import DEFAULT_SKILL, SKILLS
+from knowarm.world.tasks.skills import SKILLS
 from knowarm.world.tasks.skills.reach import Reach
 from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.state import EpisodeState, NamedArrays
@@ -49,13 +49,7 @@ class Task:
     @property
     def name(self) -> str:
         """Name in experiments and Gymnasium ids, without what is the default."""
-        asked = kind_of(type(self.asked))
-        skill = kind_of(type(self.skill))
-        if asked == DEFAULT_ASKED:
-            return skill
-        if skill == DEFAULT_SKILL:
-            return asked
-        return f"{asked}-{skill}"
+        return task_name(kind_of(type(self.asked)), kind_of(type(self.skill)))
 
     @property
     def title(self) -> str:
@@ -98,9 +92,8 @@ class Task:
 
         Mappings for `knowarm.config.override`, of which a later one counts more.
         """
-        return self.asked.training(algorithm), self.skill.training(
-            algorithm, self.asked
-        )
+        asked = self.asked
+        return asked.training(algorithm), self.skill.training(algorithm, asked)
 
     def area_of(self, robot: Robot) -> str:
         """Return the name of the robot's area in which episodes take place."""
@@ -109,7 +102,7 @@ class Task:
     def nearest(self, state: EpisodeState) -> Integers:
         """Return which visible object the gripper is at, (n,) int64; 0 is the one that is meant."""
         if self.asked.visible == 1:
-            return np.zeros(len(state.steps), dtype=np.int64)
+            return np.zeros(len(state.steps), np.int64)
         return self.asked.nearest(state, self.skill.grasp_positions(state))
 
     def failure(self, state: EpisodeState) -> Mask | None:

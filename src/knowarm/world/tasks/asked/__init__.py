@@ -3,9 +3,6 @@
 from knowarm.world.description import MAKERS
 from knowarm.world.tasks.registry import Registry
 
-DEFAULT_ASKED = "nothing"
-"""What is asked unless something else is given; names of tasks leave it out."""
-
 ASKED = Registry(
     "asked",
     "knowarm.world.tasks.asked.asked:Asking",

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.measures import Measure
 from knowarm.questions import QuestionTable
-from knowarm.world.tasks.probe import BaseProbe, ReportTable
-from knowarm.world.tasks.registry import kind_of
+from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.sampling import (
     Colours,
     Facets,
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asking:
+class Asking(BaseTaskPart):
     """Base of what is asked: nothing, so that the one visible object is meant.
 
     A frozen config; all methods are batched over n episodes. To write your own, derive from this
@@ -46,21 +44,6 @@ class Asking:
     """Info that names the row of the knowledge table for an episode."""
     shares_places: ClassVar[bool] = False
     """Whether several targets are one object, at one place."""
-    column_meanings: ClassVar[dict[str, str]] = {}
-    """What each of the ``columns`` holds."""
-    measures: ClassVar[tuple[Measure, ...]] = ()
-    """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
-    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
-    """What it brings to measure in evaluations of any task, as options of theirs."""
-    tables: ClassVar[tuple[ReportTable, ...]] = ()
-    """Tables of the report of its ``measures``."""
-    kind: str = ""
-    """Tag in JSON and in the names of experiments, a literal of each class."""
-
-    @property
-    def title(self) -> str:
-        """Words in the titles of a report; none where nothing is asked."""
-        return kind_of(type(self))
 
     @property
     def visible(self) -> int:
@@ -128,15 +111,6 @@ class Asking:
 
     def infos(self, state: EpisodeState, nearest: Integers) -> NamedArrays:
         """Return further infos of the current state, (n, ...) each; ``nearest`` as above."""
-        return {}
-
-    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
-        """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
-
-        Args:
-            setting: what the episodes were drawn from.
-            infos: the infos at the end of N episodes.
-        """
         return {}
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:

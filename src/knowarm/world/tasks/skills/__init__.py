@@ -2,9 +2,6 @@
 
 from knowarm.world.tasks.registry import Registry
 
-DEFAULT_SKILL = "reach"
-"""Skill unless another one is given; names of tasks with a question leave it out."""
-
 SKILLS = Registry(
     "skills",
     "knowarm.world.tasks.skills.skill:Skill",

@@ -60,16 +60,13 @@ class StraightApproach(ShortestWay):
         state = self._state
         back = -state.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
         solver = InverseKinematics.of_task(state.scene, state, starts=1)
-        joints = self._goal
-        way = [joints]
-        for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
-            position = state.goal_position + distance * back
-            joints = solver.solve(
-                position, state.goal_matrix, joints, attempts=1
-            ).joints
-            way.append(joints)
-        self._way = np.stack(way[::-1])
-        self._next = np.zeros(len(back), dtype=np.int64)
+        distances = np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]
+        shifts = distances[:, None, None] * back
+        way = solver.solve_way(
+            state.goal_position, state.goal_matrix, self._goal, shifts
+        )
+        self._way = np.concatenate([way[::-1], self._goal[None]])
+        self._next = np.zeros(len(back), np.int64)
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import Any, Self
 
-import mujoco
 import numpy as np
+from mujoco import mjtJoint
 
 from knowarm.arrays import Floats, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG, measure
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, Frames
 
 ITERATIONS = 80
 DAMPING = 0.05
@@ -24,12 +24,11 @@ ROTATION_WEIGHT = 0.05
 REACHED_M = 0.01
 REACHED_DEG = 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
-MARGIN_DEG = (
-    REACHED_DEG + 2.0
-)  # Distance of an easier orientation from its threshold [deg]
+# Distance of an easier orientation from its threshold [deg]
+MARGIN_DEG = REACHED_DEG + 2.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class IKSolution:
     """The best joint angles found for n gripper poses."""
 
@@ -74,7 +73,7 @@ class InverseKinematics:
         self._joints = [
             model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints
         ]
-        self._is_hinge = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_HINGE
+        self._is_hinge = model.jnt_type[self._joints] == mjtJoint.mjJNT_HINGE
 
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
@@ -115,7 +114,17 @@ class InverseKinematics:
                 values[missed[is_better]] = getattr(again, name)[is_better]
         return solution
 
-    def pose(self, joints: Floats) -> tuple[Floats, Floats]:
+    def solve_way(
+        self, position: Floats, matrix: Floats, start: Floats, shifts: Floats
+    ) -> Floats:
+        """Solve for poses moved by each of W shifts, from the solution before, (W, n, J) [rad]."""
+        way = []
+        for shift in shifts:
+            start = self.solve(position + shift, matrix, start, attempts=1).joints
+            way.append(start)
+        return np.stack(way)
+
+    def pose(self, joints: Floats) -> Frames:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""
         simulation = MujocoSimulator(self.scene, len(joints))
         simulation.set_joints(joints)
@@ -157,12 +166,7 @@ class InverseKinematics:
         # Smallest change first, then solutions in contact, then poses that are not reached.
         cost = change + 100.0 * touches + 1000.0 * missed
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
-        return IKSolution(
-            joints=q[best],
-            distance=distance[best],
-            angle=angle[best],
-            contact=touches[best],
-        )
+        return IKSolution(q[best], distance[best], angle[best], touches[best])
 
     def _improve(
         self, simulation: MujocoSimulator, q: Floats, position: Floats, matrix: Floats

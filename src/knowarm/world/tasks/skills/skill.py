@@ -7,23 +7,20 @@ from typing import Any, ClassVar
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.measures import Measure
 from knowarm.world.backend import Dynamics, MujocoSimulator
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.scene.scene import Scene, build_scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
-from knowarm.world.tasks.probe import BaseProbe, ReportTable
-from knowarm.world.tasks.registry import kind_of
+from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
-from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.skills.guides import Guide, ShortestWay, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState, NamedArrays
+from knowarm.world.tasks.state import EpisodeState, Frames, NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
-class Skill:
+class Skill(BaseTaskPart):
     """Base of skills: the arm has to reach the grasp frame of the object that is meant.
 
     A frozen config; all methods are batched over n episodes. To write your own, derive from this
@@ -42,21 +39,6 @@ class Skill:
     """Values of ``EnvConfig.dynamics`` with which it can be simulated."""
     moves_fingers: ClassVar[bool] = False
     """Whether it needs a robot whose fingers move."""
-    column_meanings: ClassVar[dict[str, str]] = {}
-    """What each of the ``columns`` holds."""
-    measures: ClassVar[tuple[Measure, ...]] = ()
-    """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
-    probes: ClassVar[tuple[type[BaseProbe], ...]] = ()
-    """What it brings to measure in evaluations of any task, as options of theirs."""
-    tables: ClassVar[tuple[ReportTable, ...]] = ()
-    """Tables of the report of its ``measures``."""
-    kind: str = ""
-    """Tag in JSON and in the names of experiments, a literal of each class."""
-
-    @property
-    def title(self) -> str:
-        """Words in the titles of a report; none for the paper's."""
-        return kind_of(type(self))
 
     def check(self, asked: Asking) -> None:
         """Check that it can be done with what is asked.
@@ -116,8 +98,9 @@ class Skill:
             seed: of the solver of the inverse kinematics.
             straight: whether the way ends straight along the approach direction.
         """
-        make = StraightApproach if straight else ShortestWay
-        return make(state, seed)
+        if straight:
+            return StraightApproach(state, seed)
+        return ShortestWay(state, seed)
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Return the arrays (n, ...) that are remembered between steps, as an episode starts.
@@ -130,9 +113,15 @@ class Skill:
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
         return {}
 
+    def goal_frames(self, scene: Scene, objects: Integers, places: Floats) -> Frames:
+        """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
+        position = target_places(scene, places) + scene.grasp_position[objects]
+        matrix = scene.grasp_matrix[objects].reshape(-1, 9)
+        return self.goal(scene, objects, position, matrix)
+
     def goal(
         self, scene: Scene, objects: Integers, position: Floats, matrix: Floats
-    ) -> tuple[Floats, Floats]:
+    ) -> Frames:
         """Return the frame that the gripper has to reach in k episodes.
 
         Args:
@@ -154,13 +143,11 @@ class Skill:
         whatever the curriculum's.
         """
         distance, angle = state.measure_object(which)
-        return is_success(distance, angle, state.limits[0], state.limits[1])
+        return is_success(distance, angle, *state.limits)
 
     def success(self, state: EpisodeState) -> Mask:
         """Return which episodes are solved, (n,) bool; a solved one ends."""
-        return is_success(
-            state.distance, state.angle, state.thresholds[0], state.thresholds[1]
-        )
+        return is_success(state.distance, state.angle, *state.thresholds)
 
     def failure(self, state: EpisodeState) -> Mask | None:
         """Return which episodes are lost before the time limit, (n,) bool, or None."""
@@ -172,13 +159,4 @@ class Skill:
 
     def infos(self, state: EpisodeState) -> NamedArrays:
         """Return further infos of the current state, (n, ...) each."""
-        return {}
-
-    def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
-        """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
-
-        Args:
-            setting: what the episodes were drawn from.
-            infos: the infos at the end of N episodes.
-        """
         return {}

@@ -86,12 +86,10 @@ class GoalTable:
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
         i, j = corner.T
         x, y = (scaled - corner).T[..., None]
-        low = self._joints[objects, i]
-        high = self._joints[objects, i + 1]
-        rows = np.arange(len(objects))
-        at_low_x = interpolate(low[rows, j], low[rows, j + 1], y)
-        at_high_x = interpolate(high[rows, j], high[rows, j + 1], y)
-        return interpolate(at_low_x, at_high_x, x)
+        table = self._joints
+        low = interpolate(table[objects, i, j], table[objects, i, j + 1], y)
+        high = interpolate(table[objects, i + 1, j], table[objects, i + 1, j + 1], y)
+        return interpolate(low, high, x)
 
     def _solve(self, position: Floats, start: Floats) -> IKSolution:
         """Solve for all nodes from joint angles ``start``, without tries from elsewhere."""

@@ -37,6 +37,8 @@ _GEOMS = {"cylindrical": "cylinder", "round": "ellipsoid", "square": "box"}
 
 FAMILY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "purple")
 
+Lengths = tuple[float, ...]
+
 _DARK = ".15 .15 .16 1"
 _LIGHT = ".93 .93 .9 1"
 _INCLINED = "0 -.92387953 0 .38268343"
@@ -116,9 +118,8 @@ class _Shape:
         self._low = 0.0  # Height of the lower end of the body
         if "foot" in self.parts:
             self._add_foot(**self._sizes("foot"))
-        self._top = (
-            self._low + self._height
-        )  # Upper end of what is assembled, and its radius
+        # Upper end of what is assembled, and its radius
+        self._top = self._low + self._height
         self._wide = 0.6 * self._radius if is_round else self._radius
         self._add_body()
         self._handle = ""
@@ -132,8 +133,11 @@ class _Shape:
         for part, add in upwards.items():
             if part in self.parts:
                 add(**self._sizes(part))
-        grasp = self._handle or _metres(0, 0, self._top - 0.01)
-        turn = _INCLINED if self._handle else _FROM_ABOVE
+        grasp = _metres(0, 0, self._top - 0.01)
+        turn = _FROM_ABOVE
+        if self._handle:
+            grasp = self._handle
+            turn = _INCLINED
         self._lines.append(f'<site name="grasp" pos="{grasp}" quat="{turn}"/>')
 
     def xml(self) -> str:
@@ -143,36 +147,25 @@ class _Shape:
 
     def _add_foot(self, radius: float, height: float, thickness: float) -> None:
         """Add disc and stem, on which the body stands."""
-        half = height / 2 + 0.002
         self._add(
             name="foot", type="cylinder", size=f"{_metres(radius)} .005", pos="0 0 .005"
         )
-        self._add(
-            name="stem",
-            type="cylinder",
-            size=_metres(thickness, half),
-            pos=_metres(0, 0, half),
-        )
+        half = height / 2 + 0.002
+        self._add_upright("stem", "cylinder", (thickness, half), half)
         self._low = height
 
     def _add_body(self) -> None:
         shape = self.kind["shape"]
         half = self._height / 2
-        size = _metres(self._radius, self._radius, half)
+        size: Lengths = (self._radius, self._radius, half)
         if shape == "cylindrical":
-            size = _metres(self._radius, half)
-        pos = _metres(0, 0, self._low + half)
-        self._add(name="body", type=_GEOMS[shape], size=size, pos=pos)
+            size = (self._radius, half)
+        self._add_upright("body", _GEOMS[shape], size, self._low + half)
 
     def _add_spout(self, length: float, thickness: float) -> None:
         start = (-0.85 * self._radius, 0, self._low + 0.4 * self._height)
         end = (-(self._radius + length), 0, self._low + 0.95 * self._height)
-        self._add(
-            name="spout",
-            type="capsule",
-            size=_metres(thickness),
-            fromto=_metres(*start, *end),
-        )
+        self._add_rod("spout", thickness, start, end)
 
     def _add_handle(self, reach: float, thickness: float, size: float) -> None:
         """Add a loop on the +x side of the body, at which it is grasped."""
@@ -184,24 +177,14 @@ class _Shape:
         high = middle + half
         corners = [(inner, 0, high), (outer, 0, high), (outer, 0, low), (inner, 0, low)]
         for number, (start, end) in enumerate(pairwise(corners)):
-            self._add(
-                name=f"handle_{number}",
-                type="capsule",
-                size=_metres(thickness),
-                fromto=_metres(*start, *end),
-            )
+            self._add_rod(f"handle_{number}", thickness, start, end)
         self._handle = _metres(outer + thickness, 0, middle)
 
     def _add_neck(self, radius: float, height: float) -> None:
         self._wide = radius
         self._top += height
         half = height / 2 + 0.004  # reaches into the body
-        self._add(
-            name="neck",
-            type="cylinder",
-            size=_metres(radius, half),
-            pos=_metres(0, 0, self._top - half),
-        )
+        self._add_upright("neck", "cylinder", (radius, half), self._top - half)
 
     def _add_rim(self, overhang: float, height: float) -> None:
         self._wide += overhang
@@ -214,17 +197,27 @@ class _Shape:
         self._top += height
         self._add_disc("lid", self._wide, height, self._top, _DARK)
         self._top += 1.4 * knob
-        pos = _metres(0, 0, self._top - knob)
-        self._add(name="knob", type="sphere", size=_metres(knob), pos=pos, rgba=_DARK)
+        self._add_upright("knob", "sphere", (knob,), self._top - knob, rgba=_DARK)
 
     def _add_disc(
         self, name: str, radius: float, height: float, top: float, rgba: str
     ) -> None:
         half = height / 2
-        pos = _metres(0, 0, top - half)
-        self._add(
-            name=name, type="cylinder", size=_metres(radius, half), pos=pos, rgba=rgba
-        )
+        self._add_upright(name, "cylinder", (radius, half), top - half, rgba=rgba)
+
+    def _add_upright(
+        self, name: str, shape: str, size: Lengths, middle: float, **colour: str
+    ) -> None:
+        """Add a geom around the axis of the object, with its middle at a height."""
+        pos = _metres(0, 0, middle)
+        self._add(name=name, type=shape, size=_metres(*size), pos=pos, **colour)
+
+    def _add_rod(
+        self, name: str, thickness: float, start: Lengths, end: Lengths
+    ) -> None:
+        """Add a capsule between two points."""
+        fromto = _metres(*start, *end)
+        self._add(name=name, type="capsule", size=_metres(thickness), fromto=fromto)
 
     def _add(self, **attributes: str) -> None:
         """Add a geom, in the object's colour unless it has one of its own."""

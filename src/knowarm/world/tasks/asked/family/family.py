@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 from knowarm.world.tasks.asked.family.families import FAMILIES
 from knowarm.world.tasks.asked.query.query import AskObject
@@ -13,7 +13,7 @@ from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueri
 class AskInstance(AskObject):
     """Instances of families, of which exactly one answers the episode's question."""
 
-    targets: ClassVar[tuple[str, ...]] = FAMILIES
+    targets = FAMILIES
 
     kind: Literal["families"] = "families"  # type: ignore[assignment]
     """Tag in JSON."""

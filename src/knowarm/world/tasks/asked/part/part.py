@@ -6,7 +6,7 @@ part of one of the visible objects answers.
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -21,23 +21,26 @@ from knowarm.world.tasks.state import EpisodeState, NamedArrays
 PARTS_PER_OBJECT = 2
 
 PURPOSE_TARGETS = (
-    *(
-        "bottle.stopper",
-        "bottle.neck",
-        "teapot.handle",
-        "teapot.lid",
-        "wine_glass.bowl",
-    ),
-    *("wine_glass.stem", "vase.flower", "vase.neck", "candle.flame", "candle.wax"),
-    *(
-        "brush.handle",
-        "brush.block",
-        "clock.rim",
-        "clock.bell",
-        "bell.knob",
-        "bell.handle",
-    ),
-    *("globe.pin", "globe.stem", "basket.handle", "basket.post"),
+    "bottle.stopper",
+    "bottle.neck",
+    "teapot.handle",
+    "teapot.lid",
+    "wine_glass.bowl",
+    "wine_glass.stem",
+    "vase.flower",
+    "vase.neck",
+    "candle.flame",
+    "candle.wax",
+    "brush.handle",
+    "brush.block",
+    "clock.rim",
+    "clock.bell",
+    "bell.knob",
+    "bell.handle",
+    "globe.pin",
+    "globe.stem",
+    "basket.handle",
+    "basket.post",
 )
 """Parts among which is chosen, two of each object."""
 
@@ -47,12 +50,12 @@ class AskPart(AskObject):
     """Objects with two parts each, of which exactly one part answers the episode's question."""
 
     area = "purpose"
-    targets: ClassVar[tuple[str, ...]] = PURPOSE_TARGETS
+    targets = PURPOSE_TARGETS
     shares_places = True
     column_meanings = AskObject.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }
-    measures: ClassVar[tuple[Measure, ...]] = (
+    measures = (
         *AskObject.measures,
         Measure("right_object", "part of the right object", "object_correct"),
     )

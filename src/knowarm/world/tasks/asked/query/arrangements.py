@@ -15,9 +15,9 @@ from knowarm.world.tasks.asked.query.object_sets import ObjectSets, draw_object_
 from knowarm.world.tasks.asked.query.query_source import QuerySource
 from knowarm.world.tasks.sampling import DrawnObjects, Facets, Setting, derive, uniforms
 
-_ROUNDS = (
-    6  # Layouts drawn for each set before it counts as too large for the rectangle
-)
+# Layouts drawn for each set before it counts as too large for the rectangle
+
+_ROUNDS = 6
 MIN_FITTING = 0.05  # Least share of the sets of objects that must fit the rectangle
 
 
@@ -67,7 +67,7 @@ class SeveralObjects:
 def facet_indices(scene: Scene, table: QuestionTable) -> tuple[Integers, Integers]:
     """Return the target and colour index of each facet, (F,) each; 0 where it is not shown."""
     names = [target.name for target in scene.targets]
-    target = np.zeros(len(table.facets), dtype=np.int64)
+    target = np.zeros(len(table.facets), np.int64)
     colour = np.zeros_like(target)
     for f in np.flatnonzero(table.shown):
         name, shade = table.facets[f]
@@ -136,12 +136,12 @@ def arrange(
     different, number = np.unique(target[sets.facets], axis=0, return_inverse=True)
     number = number.reshape(-1)
     spare = np.zeros((len(different), m, 2))
-    fits = np.zeros(len(different), dtype=np.bool_)
+    fits = np.zeros(len(different), bool)
     for round_number in range(_ROUNDS):
         left = np.flatnonzero(~fits)
         if not len(left):
             break
-        stream = np.full(len(left), derive(round_number, "layouts"), dtype=np.uint64)
+        stream = np.full(len(left), derive(round_number, "layouts"), np.uint64)
         u = uniforms(stream, left.astype(np.uint64), draws(m // parts))
         spare[left], fits[left] = layouts(u, different[left])
     is_kept = fits[number]

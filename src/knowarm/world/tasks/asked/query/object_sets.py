@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.questions import QuestionTable
@@ -61,16 +62,14 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     return _ask_first(table, objects, generator)
 
 
-def _draw_sets(
-    table: QuestionTable, objects: int, generator: np.random.Generator
-) -> Integers:
+def _draw_sets(table: QuestionTable, objects: int, generator: Generator) -> Integers:
     """Draw sets of facets of different objects that are shown, askable and related, (n, m)."""
     number = table.objects
     usable = table.shown & table.askable.any(axis=0)
     together = table.related & (number[:, None] != number) & usable
     weights = _object_weights(table, usable)
     candidates = np.repeat(usable[None], SETS, axis=0)
-    chosen = np.zeros((SETS, 0), dtype=np.int64)
+    chosen = np.zeros((SETS, 0), np.int64)
     for _ in range(objects):
         facet = _pick(candidates, weights, generator)
         is_possible = candidates.any(axis=1)
@@ -90,9 +89,7 @@ def _object_weights(table: QuestionTable, usable: Mask) -> Floats:
     return 1.0 / np.maximum(1, np.bincount(number, weights=usable))[number]
 
 
-def _pick(
-    candidates: Mask, weights: Floats, generator: np.random.Generator
-) -> Integers:
+def _pick(candidates: Mask, weights: Floats, generator: Generator) -> Integers:
     """Draw one candidate per row (n, F), with probabilities proportional to weights (F,)."""
     # The largest of log(weight) + Gumbel noise is such a draw.
     scores = np.log(weights) + generator.gumbel(size=candidates.shape)
@@ -106,9 +103,7 @@ def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
     return table.askable.T[sets] & alone
 
 
-def _ask_each(
-    table: QuestionTable, sets: Integers, generator: np.random.Generator
-) -> ObjectSets:
+def _ask_each(table: QuestionTable, sets: Integers, generator: Generator) -> ObjectSets:
     """Give every object of every set a query, with rare queries preferred."""
     n, m = sets.shape
     own = _own_queries(table, sets).reshape(n * m, -1)
@@ -117,9 +112,7 @@ def _ask_each(
     return ObjectSets(query, np.repeat(sets, m, axis=0), goal, balanced=True)
 
 
-def _ask_first(
-    table: QuestionTable, objects: int, generator: np.random.Generator
-) -> ObjectSets:
+def _ask_first(table: QuestionTable, objects: int, generator: Generator) -> ObjectSets:
     """Draw query and target, and then distractors, with every query and object equally likely."""
     count = SETS * objects
     asked = np.flatnonzero(table.askable.any(axis=1))
@@ -133,9 +126,8 @@ def _ask_first(
         facet = _pick(candidates, weights, generator)
         candidates = candidates & (number[facet][:, None] != number)
         chosen.append(facet)
-    order = generator.permuted(np.tile(np.arange(objects), (count, 1)), axis=1)
-    facets = np.take_along_axis(np.stack(chosen, axis=1), order, axis=1)
-    facets = _all_parts(table, facets)
+    sets = generator.permuted(np.stack(chosen, axis=1), axis=1)
+    facets = _all_parts(table, sets)
     answers = np.take_along_axis(table.satisfies[query], facets, axis=1)
     alone = answers.sum(axis=1) == 1
     goal = (facets == target[:, None]).argmax(axis=1)

@@ -65,15 +65,15 @@ class NameQueries(QuerySource):
             relation, values = parts[kind]
             for value in dict.fromkeys(values):
                 rows[Query.of((relation, value))] = [value == other for other in values]
-        satisfies = np.array(list(rows.values()), dtype=np.bool_)
+        satisfies = np.array(list(rows.values()), bool)
         count = len(facets)
         return QuestionTable(
             queries=tuple(rows),
             facets=facets,
             satisfies=satisfies,
             askable=satisfies,
-            related=np.ones((count, count), dtype=np.bool_),
-            shown=np.ones(count, dtype=np.bool_),
+            related=np.ones((count, count), bool),
+            shown=np.ones(count, bool),
         )
 
 

@@ -15,7 +15,6 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
-from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
@@ -31,10 +30,8 @@ RISE_REWARD = 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
-SHARE = (
-    0.25,
-    0.75,
-)  # Size of a drafted area relative to the rectangle: that of shipped robots
+# Size of a drafted area relative to the rectangle: that of shipped robots
+SHARE = (0.25, 0.75)
 STEP_M = 0.018
 """Way of the gripper by the largest step of the first joint in a drafted area. A gripper of larger
 steps stops beside its grasp; one of smaller steps is slow, and objects turn in its grip."""
@@ -60,13 +57,13 @@ class Lift(Skill):
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps = 100
     moves_fingers = True
-    dynamics: ClassVar[tuple[str, ...]] = ("dynamic",)  # Kinematics have no contacts.
+    dynamics = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
         "gripped": "whether both fingers touched it at the end",
     }
 
-    probes: ClassVar[tuple[type[BaseProbe], ...]] = (LiftProbe,)
+    probes = (LiftProbe,)
 
     kind: Literal["lift"] = "lift"
     """Tag of this skill in JSON."""
@@ -140,7 +137,7 @@ class Lift(Skill):
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember for how many steps the object has been held up."""
-        return {"held": np.zeros(num_envs, dtype=np.int64)}
+        return {"held": np.zeros(num_envs, np.int64)}
 
     def remember(self, state: State) -> NamedArrays:
         """Count the step, or start again."""

@@ -6,8 +6,24 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-import mujoco
 import numpy as np
+from mujoco import (
+    MjData,
+    MjModel,
+    MjsBody,
+    MjSpec,
+    mj_geomDistance,
+    mj_kinematics,
+    mjtCone,
+    mjtEq,
+    mjtGeom,
+    mjtJoint,
+    mjtLimited,
+    mjtObj,
+    mjtSensor,
+    mjtTrn,
+    mju_mat2Quat,
+)
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
@@ -20,11 +36,8 @@ from knowarm.world.tasks.state import Indices
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
-PAD_FRICTION = (
-    1.0,
-    0.005,
-    0.0001,
-)  # Sliding, torsional [m] and rolling [m] friction of fingers
+# Sliding, torsional [m] and rolling [m] friction of fingers
+PAD_FRICTION = (1.0, 0.005, 0.0001)
 PAD_SOLREF = (0.004, 1.0)  # Stiff contacts of the fingers
 PAD_SOLIMP = (0.95, 0.99)
 GRIP_FORCE_N = 40.0  # Largest force of each finger
@@ -68,7 +81,7 @@ def build_lift_scene(
     with compiling(robot, targets):
         spec = compose(robot, targets, distractors)
         spec.option.timestep = timestep_s
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.cone = mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = IMPRATIO
         _add_pads(spec, _drawn(spec), robot)
         data = _drawn(spec)
@@ -93,21 +106,21 @@ def build_lift_scene(
     return LiftScene(**scene, bodies=bodies, object_qpos=object_qpos, rest=rest)
 
 
-def _drawn(spec: mujoco.MjSpec) -> mujoco.MjData:
+def _drawn(spec: MjSpec) -> MjData:
     """Compile the scene; return its bodies as they are drawn, with the model."""
     model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = MjData(model)
+    mj_kinematics(model, data)
     return data
 
 
-def _tcp_frame(data: mujoco.MjData, robot: Robot) -> tuple[Floats, Floats]:
+def _tcp_frame(data: MjData, robot: Robot) -> tuple[Floats, Floats]:
     """Return position (3,) and rotation (3, 3) of the tool centre point (TCP)."""
     tcp = data.model.site(ROBOT_PREFIX + robot.tcp_site).id
     return data.site_xpos[tcp], data.site_xmat[tcp].reshape(3, 3)
 
 
-def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
+def _add_pads(spec: MjSpec, data: MjData, robot: Robot) -> None:
     """Let each finger that is a body grip with one box, around what it has near the TCP.
 
     In the grip of hulls of meshes and of several small geoms, objects turn and creep. Geoms that
@@ -138,10 +151,10 @@ def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
             geom.conaffinity = 0
         turn = data.xmat[number].reshape(3, 3).T
         quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, (turn @ frame).ravel())
+        mju_mat2Quat(quat, (turn @ frame).ravel())
         _add_hidden(
             body,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
+            type=mjtGeom.mjGEOM_BOX,
             size=np.maximum((high - low) / 2, 1e-4),
             pos=turn @ (origin + frame @ (low + high) / 2 - data.xpos[number]),
             quat=quat,
@@ -149,15 +162,15 @@ def _add_pads(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> None:
         )
 
 
-def _add_hidden(body: mujoco.MjsBody, **fields: Any) -> None:
+def _add_hidden(body: MjsBody, **fields: Any) -> None:
     """Add a massless, invisible geom that collides with the support."""
     body.add_geom(mass=0, conaffinity=SUPPORT_BIT, rgba=[0, 0, 0, 0], **fields)
 
 
-def _surface(data: mujoco.MjData, geom: int) -> Floats:
+def _surface(data: MjData, geom: int) -> Floats:
     """Return points along the edges of a mesh, or in the box around another geom, (P, 3) [m]."""
     model = data.model
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+    if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])
         faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
         corners = model.mesh_vert[mesh.vertadr[0] :][faces]  # (F, 3, 3)
@@ -171,7 +184,7 @@ def _surface(data: mujoco.MjData, geom: int) -> Floats:
     return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
 
 
-def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> float:
+def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
     """Give the fingers slides towards each other and a servo; return the gap between them [m]."""
     if len(robot.fingers) != 2:
         raise UserError(
@@ -187,7 +200,7 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
                 "the bodies that hold those of the fingers."
             )
     opening = min(
-        mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in product(*geoms)
+        mj_geomDistance(model, data, a, b, 1.0, None) for a, b in product(*geoms)
     )
     if opening < LEAST_OPENING_M:
         raise UserError(
@@ -205,7 +218,7 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
         body.name = finger
         _add_slide(spec, body, frame.T @ inward, opening / 2)
     spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_JOINT,
+        type=mjtEq.mjEQ_JOINT,
         name1=FINGERS[0],
         name2=FINGERS[1],
         data=[0, 1] + [0] * 10,
@@ -213,15 +226,13 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
     return float(opening)
 
 
-def _add_slide(
-    spec: mujoco.MjSpec, finger: mujoco.MjsBody, axis: Floats, range_m: float
-) -> None:
+def _add_slide(spec: MjSpec, finger: MjsBody, axis: Floats, range_m: float) -> None:
     """Give a finger a slide along an axis of its frame, a servo, and geoms that grip."""
     finger.add_joint(
         name=finger.name,
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        type=mjtJoint.mjJNT_SLIDE,
         axis=axis,
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        limited=mjtLimited.mjLIMITED_TRUE,
         range=[0.0, range_m],
         damping=[FINGER_DAMPING_N_S_M, 0, 0],
         armature=0.1,
@@ -236,16 +247,14 @@ def _add_slide(
     servo = spec.add_actuator(
         name=finger.name,
         target=finger.name,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        trntype=mjtTrn.mjTRN_JOINT,
     )
     servo.set_to_position(kp=FINGER_GAIN_N_M)
     servo.forcelimited = True
     servo.forcerange = [-GRIP_FORCE_N, GRIP_FORCE_N]
 
 
-def _finger_geoms(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str
-) -> list[int]:
+def _finger_geoms(spec: MjSpec, model: MjModel, robot: Robot, name: str) -> list[int]:
     """Return the ids of a finger's geoms that grip."""
     full_name = ROBOT_PREFIX + name
     if spec.body(full_name) is not None:
@@ -259,16 +268,12 @@ def _finger_geoms(
     return [model.geom(full_name).id]
 
 
-def _geom_to_body(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, number: int
-) -> mujoco.MjsBody:
+def _geom_to_body(spec: MjSpec, model: MjModel, number: int) -> MjsBody:
     """Move a geom into a body of its own, at the frame of the body it was in."""
     old = spec.geom(model.geom(number).name)
     names = "name type meshname material rgba mass density group contype conaffinity"
     fields = {name: copy(getattr(old, name)) for name in names.split()}
-    if (
-        old.type == mujoco.mjtGeom.mjGEOM_MESH
-    ):  # whose compiled pose is that of its inertia
+    if old.type == mjtGeom.mjGEOM_MESH:  # whose compiled pose is that of its inertia
         fields["pos"] = copy(old.pos)
         fields["quat"] = copy(old.quat)
     else:
@@ -281,14 +286,12 @@ def _geom_to_body(
     return body
 
 
-def _body_name(spec: mujoco.MjSpec, target: Target) -> str:
+def _body_name(spec: MjSpec, target: Target) -> str:
     """Return the name of a target's body in the model."""
     return str(spec.site(f"{target.name}/{target.grasp_site}").parent.name)
 
 
-def _free(
-    spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target
-) -> Floats:
+def _free(spec: MjSpec, data: MjData, robot: Robot, target: Target) -> Floats:
     """Make a target a solid free body with its mass; return its pose on the support, (7,)."""
     model = data.model
     support = model.geom("table" if robot.table else "floor").id
@@ -302,9 +305,7 @@ def _free(
     for geom in body.geoms:
         geom.contype = OBJECT_BIT
         geom.conaffinity = ROBOT_BIT | OBJECT_BIT
-        gap = mujoco.mj_geomDistance(
-            model, data, model.geom(geom.name).id, support, 1.0, None
-        )
+        gap = mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
         if gap > -SUNK_M:
             geom.conaffinity |= SUPPORT_BIT
             lowest = min(lowest, gap)
@@ -312,7 +313,7 @@ def _free(
         half = 0.002
         _add_hidden(
             body,
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            type=mjtGeom.mjGEOM_CYLINDER,
             size=[target.base_radius_m, half, 0],
             pos=[0, 0, half],
             contype=0,
@@ -321,7 +322,7 @@ def _free(
     return np.array([0.0, 0.0, height, *data.xquat[number]])
 
 
-def _set_mass(body: mujoco.MjsBody, mass_kg: float, own_kg: float) -> None:
+def _set_mass(body: MjsBody, mass_kg: float, own_kg: float) -> None:
     """Scale the masses of a body, of which its file gives ``own_kg`` together."""
     for geom in body.geoms:
         geom.density = geom.density * mass_kg / own_kg
@@ -333,14 +334,14 @@ def _set_mass(body: mujoco.MjsBody, mass_kg: float, own_kg: float) -> None:
     body.fullinertia = body.fullinertia * (mass_kg / own_kg)
 
 
-def _sense_touch(spec: mujoco.MjSpec, finger: str, body: str) -> None:
+def _sense_touch(spec: MjSpec, finger: str, body: str) -> None:
     """Add a sensor that counts the contacts between a finger and an object."""
     spec.add_sensor(
         name=f"{body} {finger}",
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        type=mjtSensor.mjSENS_CONTACT,
+        objtype=mjtObj.mjOBJ_BODY,
         objname=finger,
-        reftype=mujoco.mjtObj.mjOBJ_BODY,
+        reftype=mjtObj.mjOBJ_BODY,
         refname=body,
         intprm=[1, 0, 1],
     )

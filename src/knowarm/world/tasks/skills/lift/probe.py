@@ -26,9 +26,8 @@ LIFT_STEPS = 20
 HOLD_STEPS = 20
 LIFT_M = 0.10  # Way of the gripper upwards
 LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
-MOVED_M = (
-    0.02  # Way of the object before the fingers close from which it counts as pushed
-)
+# Way of the object before the fingers close from which it counts as pushed
+MOVED_M = 0.02
 WAYPOINTS = 5  # Poses of the way upwards
 
 OUTCOMES = {
@@ -76,11 +75,9 @@ def lift(
     moved = np.zeros(len(paths))
     for visible in np.unique(objects, axis=0):
         rows = np.flatnonzero((objects == visible).all(axis=1))
-        # Column of each object, by its name; of several parts the first.
-        whole: dict[str, int] = {}
-        for column, k in enumerate(visible):
-            whole.setdefault(object_of(scene.targets[k].name), column)
-        columns = list(whole.values())
+        names = [object_of(scene.targets[k].name) for k in visible]
+        _, columns = np.unique(names, return_index=True)
+        columns.sort()  # of several parts of an object the first
         targets = [scene.targets[k] for k in visible[columns]]
         trial = LiftTrial(build_trial_scene(scene.robot, targets), len(rows))
         places = positions[rows][:, columns]
@@ -106,12 +103,9 @@ def plan_lifts(scene: Scene, joints: Floats) -> Floats:
     """
     solver = InverseKinematics(scene, starts=1)
     position, matrix = solver.pose(joints)
-    angles = []
-    for height in np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]:
-        goal = position + np.array([0.0, 0.0, height])
-        joints = solver.solve(goal, matrix, joints, attempts=1).joints
-        angles.append(joints)
-    return np.stack(angles, axis=1)
+    shifts = np.zeros((WAYPOINTS, 3))
+    shifts[:, 2] = np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]
+    return solver.solve_way(position, matrix, joints, shifts).swapaxes(0, 1)
 
 
 def build_trial_scene(robot: Robot, targets: Sequence[Target]) -> LiftScene:
@@ -137,7 +131,7 @@ class LiftTrial:
         self.simulator = LiftSimulator(
             scene, num_trials, threads, free_substeps=substeps
         )
-        self._first = np.zeros(num_trials, dtype=np.int64)
+        self._first = np.zeros(num_trials, np.int64)
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
 
@@ -247,7 +241,7 @@ class LiftProbe(BaseProbe):
     about = (
         "Lift the object where an episode succeeds, in a simulation with solid objects."
     )
-    measures: ClassVar[tuple[Measure, ...]] = _MEASURES
+    measures = _MEASURES
     column_meanings: ClassVar[dict[str, str]] = {
         "lift": "how the lift of the object ended: see OUTCOMES of the lift test",
         "lift_rise_m": "rise of the object's centre of mass in the lift [m]",

@@ -1,7 +1,7 @@
 """Simulator of the lifting task: fingers that move, and solid objects that are free to move."""
 
-import mujoco
 import numpy as np
+from mujoco import MjData, mj_comPos, mj_kinematics, mjtStage
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
@@ -9,15 +9,13 @@ from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
 from knowarm.world.tasks.state import Indices
 
-PARKED_M = (
-    1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
-)
+# Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
+
+PARKED_M = 1e6
 
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
-_CONTACTS = (
-    mujoco.mjtStage.mjSTAGE_ACC.value
-)  # The sensors of touch need the contacts' forces
+_CONTACTS = mjtStage.mjSTAGE_ACC.value  # The sensors of touch need the contacts' forces
 
 
 class LiftSimulator(MujocoSimulator):
@@ -48,11 +46,12 @@ class LiftSimulator(MujocoSimulator):
         self._centre = self.batch.bind("xipos")
         self._touch = self.batch.bind("sensordata").reshape(num_envs, -1, len(FINGERS))
         self._fingers = model.jnt_qposadr[[model.joint(name).id for name in FINGERS]]
-        data = mujoco.MjData(model)
-        for start, pose in zip(scene.object_qpos, scene.rest, strict=True):
-            data.qpos[start : start + 7] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+        # Indices in qpos of each target's pose, (K, 7)
+        self._poses = scene.object_qpos[:, None] + np.arange(7)
+        data = MjData(model)
+        data.qpos[self._poses] = scene.rest
+        mj_kinematics(model, data)
+        mj_comPos(model, data)
         self._rest_height = data.xipos[scene.bodies, 2].copy()
 
     def centre(self, targets: Integers) -> Floats:
@@ -61,8 +60,7 @@ class LiftSimulator(MujocoSimulator):
 
     def place(self, targets: Integers) -> Floats:
         """Return x and y of one target per environment, (n, 2) [m]."""
-        columns = self._objects.object_qpos[targets][:, None] + np.arange(2)
-        return self._qpos[self._rows[:, None], columns]
+        return self._qpos[self._rows[:, None], self._poses[targets, :2]]
 
     def rise(self, targets: Integers) -> Floats:
         """Return how far each target's centre of mass is above where it stood, (n,) [m]."""
@@ -78,12 +76,12 @@ class LiftSimulator(MujocoSimulator):
         """Put the targets on their support, or far above, and the second finger as the first."""
         rows = ids[:, None]
         self._qpos[rows, self._fingers] = self._qpos[rows, self._fingers[:1]]
-        for k, start in enumerate(self._objects.object_qpos):
-            pose = np.tile(self._objects.rest[k], (len(ids), 1))
-            pose[:, :2] = position[:, k]
-            if visible is not None:
-                pose[:, 2] += PARKED_M * (k + 1) * ~visible[:, k]
-            self._qpos[rows, start + np.arange(7)] = pose
+        poses = np.repeat(self._objects.rest[None], len(ids), axis=0)
+        poses[..., :2] = position
+        if visible is not None:
+            parked = PARKED_M * np.arange(1, len(self._poses) + 1)
+            poses[..., 2] += parked * ~visible
+        self._qpos[rows[:, None], self._poses] = poses
 
     def _set_servos(self, ids: Indices | slice, joint_targets: Floats) -> None:
         """Set the servos' targets; that of the second finger follows the first one's."""

@@ -19,10 +19,8 @@ from knowarm.world.tasks.skills.teacher import (
 )
 from knowarm.world.tasks.state import EpisodeState
 
-APPROACH_M = (
-    0.035,
-    0.07,
-)  # Distances of the poses of the approach from the grasp frame
+# Distances of the poses of the approach from the grasp frame
+APPROACH_M = (0.035, 0.07)
 OVER_M = 0.05  # Height of the first pose above the start of the approach
 RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the way upwards
 POINTS = 6  # Points between two poses
