@@ -1,11 +1,12 @@
 """Diagrams with one row per item in SVG: dot charts, confusion matrices."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from knowarm.arrays import Floats
+from knowarm.report.blocks import Panel
 from knowarm.report.charts import Axis, Box, Scale
-from knowarm.report.format import percent
+from knowarm.report.format import facet, percent
 from knowarm.report.model import Evaluated, TaskData
 from knowarm.statistics import Interval
 from knowarm.svg import drawing, element, hover, label, text_width
@@ -32,8 +33,20 @@ def group_dot(
     task: TaskData, group: Evaluated, key: str, ring: float | None = None
 ) -> Dot:
     """Return the row of one number of a summary: the mean over seeds, and each seed."""
-    single = group.scores(key).tolist() if len(group.evaluations) > 1 else []
+    single = []
+    if len(group.evaluations) > 1:
+        single = group.scores(key).tolist()
     return Dot(group.name, task.colours[group.name], group.level(key), single, ring)
+
+
+def part_panels(dots: Mapping[str, Sequence[Dot]], axis: Axis) -> list[Panel]:
+    """Draw one dot chart per target, facet or kind of query."""
+    panels = []
+    for part, rows in dots.items():
+        title = facet(part)
+        svg = dot_chart(rows, f"{axis.title} on {title}", axis, width=340, left=100)
+        panels.append(Panel(svg, title))
+    return panels
 
 
 def dot_chart(

@@ -26,18 +26,18 @@ def findings(
     task: TaskData, decided: Sequence[Claim], outcome: str = "success"
 ) -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
-    return [
-        finding(task, decided, outcome, subject) for subject in task.subjects or (None,)
-    ]
+    subjects = task.subjects or (None,)
+    return [finding(task, decided, outcome, subject) for subject in subjects]
 
 
 def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
     """Return the findings on all outcomes; of others than success only those with a test."""
-    tested = findings(task, decided)
+    tested = []
     for outcome in OUTCOMES:
+        found = findings(task, decided, outcome)
         if outcome != "success":
-            others = findings(task, decided, outcome)
-            tested += [other for other in others if other.kind not in UNTESTED]
+            found = [finding for finding in found if finding.kind not in UNTESTED]
+        tested += found
     return tested
 
 
@@ -140,7 +140,9 @@ def _not_counted(task: TaskData, subject: Group) -> str:
             reason = mismatch(group, subject)
             if reason:
                 reasons.append(f"{group.name} ({reason})")
-    return f" Not counted as controls: {listed(reasons)}." if reasons else ""
+    if not reasons:
+        return ""
+    return f" Not counted as controls: {listed(reasons)}."
 
 
 WORDS: dict[Kind, str] = {
@@ -181,15 +183,14 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     for name, outcomes in said.items():
         if outcomes.get("success") == outcomes.get("speed"):
             outcomes.pop("speed", None)
-        parts = []
+        statements = []
         for outcome, clauses in outcomes.items():
-            part = "; ".join(
-                f"{_where(where, tasks)}{what}" for what, where in clauses.items()
-            )
+            phrases = [_where(where, tasks) + what for what, where in clauses.items()]
+            statement = "; ".join(phrases)
             if outcome and "speed" in outcomes:
-                part = f"{OUTCOMES[outcome]}: {part}"
-            parts.append(part)
-        sentences.append(f"{name}: {'; '.join(parts)}.")
+                statement = f"{OUTCOMES[outcome]}: {statement}"
+            statements.append(statement)
+        sentences.append(f"{name}: {'; '.join(statements)}.")
     answer = " ".join(sentences) or "There is nothing to compare."
     tone = tone_of(finding.kind for finding in findings)
     return Verdict(f"Does the knowledge help? {answer}", tone=tone)
@@ -197,15 +198,15 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
 
 def _where(places: Mapping[str, Sequence[str]], tasks: int) -> str:
     """Return where a finding holds; nothing for all of a single task."""
-    titles: dict[tuple[str, ...], list[str]] = {}
+    titles: dict[str, list[str]] = {}
     for title, splits in places.items():
-        titles.setdefault(tuple(splits), []).append(title)
+        titles.setdefault(listed(splits), []).append(title)
     phrases = []
-    for splits, same_splits in titles.items():
-        phrase = [listed(splits)] if splits else []
+    for phrase, same_splits in titles.items():
         if tasks > 1:
-            phrase.append(_tasks(same_splits, tasks))
-        phrases.append(" of ".join(phrase))
+            which = _tasks(same_splits, tasks)
+            phrase = f"{phrase} of {which}" if phrase else which
+        phrases.append(phrase)
     return f"on {listed(phrases)} " if any(phrases) else ""
 
 
