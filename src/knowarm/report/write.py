@@ -109,15 +109,16 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
 def _write_table(table: DataTable, folder: Path, start: Path) -> Row:
     """Write one table as CSV; return what the JSON holds of it."""
     columns = table.csv_columns()
-    rows = _plain(table.flat_rows, start)
+    rows = []
+    for row in table.flat_rows:
+        values = {key: row.get(key) for key in columns}
+        rows.append(_plain(values, start))
     path = folder / f"{table.name}.csv"
     with (
         replacing(path) as temporary,
         temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
     ):
-        writer = csv.DictWriter(
-            file, columns, extrasaction="ignore", lineterminator="\n"
-        )
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
     return {
@@ -125,7 +126,7 @@ def _write_table(table: DataTable, folder: Path, start: Path) -> Row:
         "note": table.note,
         "csv": f"{folder.name}/{path.name}",
         "sources": table.sources,
-        "rows": [{key: row.get(key) for key in columns} for row in rows],
+        "rows": rows,
     }
 
 

@@ -119,21 +119,22 @@ def _results(study: StudyData) -> Figure:
     rows = []
     agents: list[Evaluated] = []
     abouts: dict[str, str] = {}
+    known: set[str] = set()
     for task in study.tasks:
         agents += task.agents
         for agent in task.agents:
             row = row_of(task, agent, *MEASURES, "vision_gain")
             rows.append(row | {"task": task.title})
+            known |= {key for key in MEASURES if row[key]}
             scores += agent.scores("success").tolist()
         for group in task.groups:
             if group.agent in AGENTS:
                 abouts[group.agent] = f"{group.agent}: {AGENTS[group.agent].about}"
-    measured = [key for key in MEASURES if any(row[key] for row in rows)]
-    columns = shared("agent", *measured, "vision_gain", "seeds")
+    keys = ["agent", *(key for key in MEASURES if key in known), "vision_gain", "seeds"]
     axes = {"success": near(SUCCESS_AXIS, scores)}
     several = len(study.tasks) > 1
     if several:
-        columns = shared("task", *columns)
+        keys.insert(0, "task")
     else:
         axes["return_mean"] = RETURN_AXIS
     panels = []
@@ -149,5 +150,5 @@ def _results(study: StudyData) -> Figure:
     )
     title = "Success, accuracy and return after training"
     sources = [run.path for run in study.runs]
-    table = DataTable("summary", title, columns, rows, sources, note)
+    table = DataTable("summary", title, shared(*keys), rows, sources, note)
     return Figure(table, SUMMARY_CAPTION, panels, open_table=True)

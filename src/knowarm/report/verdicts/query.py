@@ -89,11 +89,52 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
     return max(comparison.p_value for comparison in compared)
 
 
+SENTENCES: dict[Kind, str] = {
+    "no control": "nothing to compare the choice of {name} with.{content_hint}",
+    "too few seeds": "whether {name} understood the query {few_seeds}",
+    "not above chance": (
+        "{name} is not shown to understand the query: {chose}, not significantly more often than "
+        "at random ({at_random})."
+    ),
+    "not above the best control": (
+        "{name} is not shown to understand the query: {chose}, not significantly more often than "
+        "{not_beaten}; the best control is {best}.{also}"
+    ),
+    "meaning not tested": (
+        "{name} uses the query: {chose} (at random: {at_random}), more often than the best "
+        "control {controls}; whether by its meaning was not tested.{content_hint}"
+    ),
+    "understood": (
+        "{name} understood the query: {chose} (at random: {at_random}), more often than the best "
+        "control {controls}."
+    ),
+}
+"""What a finding says about a subject."""
+
+
 def _finding(
     subject: TestedGroup, claims: list[Claim], adjusted_p: float | None
 ) -> Finding:
     chance, *controls = claims
-    kind, words = _judge(subject, chance, controls, adjusted_p)
+    kind = _judge(chance, controls, adjusted_p)
+    beaten = [control.against for control in controls if control.is_above]
+    missed = [control.against for control in controls if not control.is_above]
+    best, *others = [control.against for control in controls] or [""]
+    if controls and controls[0].comparison:
+        gap = controls[0].comparison.difference
+        best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
+    share = percent(float(subject.scores("choice").mean()))
+    words = SENTENCES[kind].format(
+        name=subject.name,
+        content_hint=hint("content_control", subject.group),
+        few_seeds=few_seeds(min(claim.seeds for claim in claims)),
+        chose=f"it chose the wanted object in {share} of the episodes",
+        at_random=percent(subject.chance),
+        best=best,
+        controls=f"{best} and than {listed(others)}" if others else best,
+        not_beaten=listed(missed, "or") or "every control after the correction",
+        also=f" It was better than {listed(beaten)}." if beaten and missed else "",
+    )
     sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
     reasons = [*controls, chance] if controls and chance.comparison else []
     notes = []
@@ -104,56 +145,18 @@ def _finding(
     )
 
 
-def _judge(
-    subject: TestedGroup,
-    chance: Claim,
-    controls: Sequence[Claim],
-    adjusted_p: float | None,
-) -> tuple[Kind, str]:
-    """Return the finding on an agent and its sentence."""
-    name = subject.name
-    missing = hint("content_control", subject.group)
-    if not controls:
-        return "no control", f"nothing to compare the choice of {name} with.{missing}"
-    if adjusted_p is None:
-        seeds = few_seeds(min(claim.seeds for claim in (chance, *controls)))
-        return "too few seeds", f"whether {name} understood the query {seeds}"
-    share = percent(float(subject.scores("choice").mean()))
-    chose = f"it chose the wanted object in {share} of the episodes"
-    at_random = percent(subject.chance)
-    not_shown = f"{name} is not shown to understand the query: {chose}"
-    if not chance.is_above:
-        return "not above chance", (
-            f"{not_shown}, not significantly more often than at random ({at_random})."
-        )
-    best, *others = [control.against for control in controls]
-    compared = controls[0].comparison
-    if compared:
-        gap = compared.difference
-        best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
-    if adjusted_p > ALPHA:
-        missed = listed(
-            [control.against for control in controls if not control.is_above], "or"
-        )
-        beaten = listed([control.against for control in controls if control.is_above])
-        also = ""
-        if beaten and missed:
-            also = f" It was better than {beaten}."
-        return "not above the best control", (
-            f"{not_shown}, not significantly more often than "
-            f"{missed or 'every control after the correction'}; the best control is {best}.{also}"
-        )
-    better = (
-        f"{chose} (at random: {at_random}), more often than the best control {best}"
-    )
-    if others:
-        better += f" and than {listed(others)}"
+def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -> Kind:
+    """Return the finding on an agent."""
     roles = {control.second.role for control in controls if control.second}
-    if "content_control" not in roles:
-        return "meaning not tested", (
-            f"{name} uses the query: {better}; whether by its meaning was not tested.{missing}"
-        )
-    return "understood", f"{name} understood the query: {better}."
+    if not roles:
+        return "no control"
+    if adjusted_p is None:
+        return "too few seeds"
+    if not chance.is_above:
+        return "not above chance"
+    if adjusted_p > ALPHA:
+        return "not above the best control"
+    return "understood" if "content_control" in roles else "meaning not tested"
 
 
 def query_summary(findings: Sequence[Finding]) -> list[Verdict]:
