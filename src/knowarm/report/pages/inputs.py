@@ -19,7 +19,7 @@ from knowarm.report.blocks import (
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
 
-Vectors = dict[Group, EmbeddingFacts | None]
+Vectors = dict[str, EmbeddingFacts | None]
 """Description of each agent's knowledge vector; None if the network received none."""
 
 KINDS = (
@@ -77,7 +77,7 @@ PARAMETERS_NOTE = "A longer vector makes a larger LSTM: compare agents of equal 
 
 def input_blocks(task: TaskData) -> list[Block]:
     """Show what each agent's vector says, and how many parameters receive it."""
-    vectors = {group: _knowledge_of(group.runs[0]) for group in task.groups}
+    vectors = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
     blocks: list[Block] = [_kind_of_input(task, vectors), _overview(task, vectors)]
     stems = slugs(group.name for group in task.groups)
     listed_before = []
@@ -85,7 +85,7 @@ def input_blocks(task: TaskData) -> list[Block]:
     for group in sorted(
         task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)
     ):
-        knowledge = vectors[group]
+        knowledge = vectors[group.name]
         sentences = knowledge.sentences if knowledge else {}
         if any(sentences.values()) and sentences not in listed_before:
             listed_before.append(sentences)
@@ -136,7 +136,7 @@ def _kind_of_input(task: TaskData, vectors: Vectors) -> Verdict:
 
 def _is(scope: str, group: Group, vectors: Vectors) -> bool:
     """Return whether a group's vector is constant (scene), of the query, or privileged (target)."""
-    knowledge = vectors[group]
+    knowledge = vectors[group.name]
     if not knowledge:
         return False
     if scope == "scene":
@@ -159,7 +159,8 @@ def _overview(task: TaskData, vectors: Vectors) -> DataTable:
     """List the source, size and norm of each agent's vector."""
     note = ""
     rows = []
-    for group, knowledge in vectors.items():
+    for group in task.groups:
+        knowledge = vectors[group.name]
         training = ", ".join(_privileged_uses(group))
         if training:
             note = PRIVILEGED_NOTE
