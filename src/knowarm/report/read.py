@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain, compress
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -116,9 +116,11 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
     if not values:
         return {}
     table = np.array([values[step] for step in sorted(values)], np.float64)
-    # A column without any number is as good as missing.
-    known = np.isfinite(table).any(axis=0)
-    return dict(compress(zip(columns, table.T, strict=True), known))
+    return {
+        name: column
+        for name, column in zip(columns, table.T, strict=True)
+        if np.isfinite(column).any()  # one without any number is as good as missing
+    }
 
 
 @contextmanager

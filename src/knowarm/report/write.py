@@ -202,10 +202,10 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
         return Markup('<a href="{}">{}</a>').format(quote(path), path)
     form = FORMATS[column.format]
     text = form(value)
-    low = row.get(f"{column.key}_low")
-    high = row.get(f"{column.key}_high")
+    low: Any = row.get(f"{column.key}_low")
+    high: Any = row.get(f"{column.key}_high")
     is_known = column.interval and text != MISSING and None not in (low, high)
-    if not is_known or low >= high:
+    if not (is_known and low < high):
         return escape(text)
     runs = row.get(f"{column.key}_runs")
     ends = f"{form(low)} to {form(high)}"

@@ -232,8 +232,11 @@ class _Driver:
 
     def _start(self, statuses: Sequence[RunStatus]) -> None:
         """Fill the free slots in the study's order; leave runs that others hold."""
-        waiting = [status for status in statuses if status.run not in self._mine]
-        waiting = [status for status in waiting if self._is_free(status)]
+        waiting = [
+            status
+            for status in statuses
+            if status.run not in self._mine and self._is_free(status)
+        ]
         if self._study.order == "seeds":  # otherwise they are in the order of the study
             left = seconds_left(statuses)
             seeds = self._study.all_seeds()
@@ -273,7 +276,5 @@ class _Driver:
         count = self._deaths[run, step]
         if count > self._study.where.retries:
             del self._deaths[run, step]  # `retry` starts the count again
-            reason = (
-                f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
-            )
-            record_failure(path, reason)
+            since = f"{count} times since step {max(step, 0):,}"
+            record_failure(path, f"{problem}, {since}; out of memory?")

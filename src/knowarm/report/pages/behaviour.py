@@ -4,6 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
@@ -27,7 +28,7 @@ from knowarm.report.pages.paper import published_comparison
 STRIP_FRAMES = 8  # frames of a film strip
 MOST_EPISODES = 3  # shown per task: the first recorded one of each target
 MOST_AGENTS = 4  # shown per task: subjects and baseline first
-STATISTICS = {"mean": np.mean, "std": np.std}  # of the angles of a joint
+STATISTICS = ("mean", "std")  # of the angles of a joint
 
 
 def joint_blocks(task: TaskData) -> list[Block]:
@@ -59,12 +60,12 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         if joint not in other:
             continue
         row: Row = {"joint": joint, "paper_std_change": published.get(str(joint))}
-        for statistic, compute in STATISTICS.items():
-            before = float(compute(other[joint]))
-            after = float(compute(one[joint]))
-            row[f"first_{statistic}"] = after
-            row[f"second_{statistic}"] = before
-            row[f"{statistic}_change"] = after - before
+        before = _statistics(other[joint])
+        after = _statistics(one[joint])
+        for statistic in STATISTICS:
+            row[f"first_{statistic}"] = after[statistic]
+            row[f"second_{statistic}"] = before[statistic]
+            row[f"{statistic}_change"] = after[statistic] - before[statistic]
         rows.append(row)
         title = f"joint {joint}"
         if joint in names:
@@ -94,6 +95,10 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         panels,
         legend=[(group.name, task.colours[group.name]) for group in (first, second)],
     )
+
+
+def _statistics(angles: Floats) -> dict[str, float]:
+    return {"mean": float(angles.mean()), "std": float(angles.std())}
 
 
 def film_blocks(task: TaskData) -> list[Films]:

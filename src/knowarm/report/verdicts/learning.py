@@ -29,8 +29,8 @@ def learned(task: TaskData, group: Group) -> bool | None:
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
     untrained = [policy for policy in task.references if policy.level("success")]
-    better = []
-    others = []
+    better: list[str] = []
+    others: list[str] = []
     evaluated = []
     for group in task.groups:
         has_learned = learned(task, group)
