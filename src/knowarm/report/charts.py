@@ -58,9 +58,7 @@ class Box:
     left: float = 46  # margin for the tick labels of the vertical axis
     right: float = 26  # margin
     top: float = 24  # margin for the title of the vertical axis
-    bottom: float = (
-        40  # margin for the tick labels and the title of the horizontal axis
-    )
+    bottom: float = 40  # margin for tick labels and title of the horizontal axis
 
     @property
     def x(self) -> tuple[float, float]:
@@ -87,9 +85,8 @@ class Axis:
     """Title and tick labels of an axis."""
 
     title: str  # title, with the unit
-    format: Callable[[float, int], str] = (
-        number  # formats a value with a number of decimals
-    )
+    # Formats a value with a number of decimals.
+    format: Callable[[float, int], str] = number
     decimals: int = 0  # fewest decimals; tick labels have as many as their values need
     unit: float = 1.0  # shown number of the value 1: 100 for per cent
     range: tuple[float, float] | None = None  # ends of the axis; None fits the data
@@ -183,9 +180,7 @@ class Series:
     y: Floats  # (n,) NaN where there is no value
     band: tuple[Floats, Floats] | None = None  # (n,) its lower and upper end
     faint: Sequence[tuple[Floats, Floats]] = ()  # (x, y) of thin lines, one per seed
-    dashed: bool = (
-        False  # whether the line is dashed, which distinguishes it without colour
-    )
+    dashed: bool = False  # which distinguishes the line without colour
     stairs: bool = False  # whether each value holds until the next x
 
     @property

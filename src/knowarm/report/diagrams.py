@@ -24,9 +24,8 @@ class Dot:
     colour: str  # palette class
     value: Interval | None  # the estimate with its interval, or None
     single: Sequence[float] = ()  # values of the training seeds, drawn small
-    ring: float | None = (
-        None  # another value for comparison, such as the paper's, drawn as a ring
-    )
+    # Another value for comparison, such as the paper's, drawn as a ring.
+    ring: float | None = None
 
 
 def group_dot(

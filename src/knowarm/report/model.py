@@ -139,12 +139,10 @@ class RunData:
 
     path: Path
     config: ExperimentConfig
-    settings: dict[
-        str, Any
-    ]  # the same as JSON values, files of the user by their content
-    provenance: (
-        Provenance  # versions, machine, parameter counts, knowledge; empty if missing
-    )
+    # The same as JSON values, files of the user by their content.
+    settings: dict[str, Any]
+    # Versions, machine, parameter counts, knowledge; empty if missing.
+    provenance: Provenance
     interim: Curve  # columns of ``evaluations.csv``; empty if missing
     metrics: Curve  # columns of ``metrics.csv``; empty if missing
     evaluations: dict[str, Evaluation]  # post-training evaluations by label

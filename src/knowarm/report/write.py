@@ -26,9 +26,8 @@ FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
 MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
 TEMPLATES = Path(__file__).parent / "templates"
-LONG_TABLE = (
-    400  # rows of a table that are written into the page; the CSV has all of them
-)
+# Rows of a table that are written into the page; the CSV has all of them.
+LONG_TABLE = 400
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
@@ -64,9 +63,8 @@ def write_report(
     page = _render(study, pages, out)
     _write_data(study, pages, out)
     with replacing(out) as temporary:
-        temporary.write_text(
-            page, encoding="utf-8", errors="replace"
-        )  # lone surrogates
+        # Lone surrogates become question marks.
+        temporary.write_text(page, encoding="utf-8", errors="replace")
     return out
 
 

@@ -133,9 +133,8 @@ class LocalExecutor:
     def __init__(self, where: Where, out: Path) -> None:
         self._where = where
         self._out = out
-        self._workers: dict[
-            RunKey, tuple[int, subprocess.Popen[bytes]]
-        ] = {}  # with their slots
+        # With their slots.
+        self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}
         self._deadline = math.inf  # when those that were asked to end are killed
         memory = psutil.virtual_memory()
         self._gpus = _gpus() if where.gpus else []

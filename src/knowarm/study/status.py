@@ -34,12 +34,10 @@ State = Literal[
 ]
 
 PAUSE = "until-step"  # in a study's folder: the step at which all its runs pause
-FAILURE = (
-    "failed.json"  # in a run folder: why the run failed; without it the run can resume
-)
-SILENT_S = (
-    900.0  # time without a written file after which a running run counts as stalled
-)
+# In a run folder: why the run failed; without it the run can resume.
+FAILURE = "failed.json"
+# Time without a written file after which a running run counts as stalled.
+SILENT_S = 900.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +50,8 @@ class RunStatus:
     detail: str = ""  # why it failed, stalled or stopped, or how it ended early
     step: int = 0  # environment steps taken
     total_steps: int
-    success: float | None = (
-        None  # of the first post-training evaluation, or the latest interim one
-    )
+    # Of the first post-training evaluation, or the latest interim one.
+    success: float | None = None
     best_return: float | None = None  # of the best interim evaluation
     best_step: int | None = None  # of the best interim evaluation
     steps_per_s: float | None = None  # latest rate

@@ -26,9 +26,8 @@ from knowarm.study.executor import TIMEOUT_S, RunKey, folder_of
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations, pause_step
 
 STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
-WORKED = (
-    "worked for"  # start of the last line that a worker prints, followed by its time
-)
+# Start of the last line that a worker prints, followed by its time.
+WORKED = "worked for"
 
 
 def work(out: Path, key: RunKey) -> None:
@@ -55,9 +54,8 @@ def work(out: Path, key: RunKey) -> None:
                 )
                 try:
                     run = train_run(resume=is_started)
-                except (
-                    RunExistsError
-                ):  # begun meanwhile by the worker of a driver that was killed
+                except RunExistsError:
+                    # Begun meanwhile by the worker of a driver that was killed.
                     run = train_run(resume=True)
             if run.result.reason == "stopped":
                 return

@@ -26,9 +26,8 @@ from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.model import Group, StudyData, TaskData, evaluated_runs
 from knowarm.statistics import Interval, bootstrap
 
-RESULTS = (
-    Path(__file__).parents[1] / "paper_results.json"
-)  # ``about`` in it explains the fields
+# ``about`` in it explains the fields.
+RESULTS = Path(__file__).parents[1] / "paper_results.json"
 
 ACCURACY_AXIS = percent_axis("accuracy")
 

@@ -15,9 +15,8 @@ from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
 FEWEST_SEEDS = 3  # of each agent, below which no difference is called significant
 ALPHA = 0.05  # fraction of studies without any effect in which the report may claim one
-TOLERANCE = (
-    0.01  # largest relative difference in size between a control and its subject
-)
+# Largest relative difference in size between a control and its subject.
+TOLERANCE = 0.01
 
 # Sizes in which controls must equal their subject: where ``provenance.json`` has them.
 SIZES = (
@@ -62,12 +61,10 @@ class Claim:
     outcome: str  # key of `OUTCOMES`, or the name of a split
     stage: Stage  # how the difference enters the verdict
     seeds: int  # training seeds of the agent that has fewer
-    comparison: Comparison | None = (
-        None  # over training seeds; None below two seeds per agent
-    )
-    adjusted_p: float | None = (
-        None  # see `claims`, `verdicts.query`; None: nothing is tested
-    )
+    # Over training seeds; None below two seeds per agent.
+    comparison: Comparison | None = None
+    # See `claims`, `verdicts.query`; None: nothing is tested.
+    adjusted_p: float | None = None
 
     @property
     def topic(self) -> tuple[TaskData, Group, str]:
@@ -322,9 +319,8 @@ class Finding:
     """What a report says about one agent."""
 
     task: TaskData
-    subject: (
-        Group | None
-    )  # the agent; None if the task has none whose knowledge can be tested
+    # The agent; None if the task has none whose knowledge can be tested.
+    subject: Group | None
     outcome: str  # outcome or split that the finding is about
     kind: Kind  # the finding
     sentence: str  # the finding in words
