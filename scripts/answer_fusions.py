@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.report.collect import collect, split_groups
-from knowarm.report.model import SplitGroup, TaskData
+from knowarm.report.collect import collect
+from knowarm.report.model import TaskData, TestedGroup
 from knowarm.statistics import holm, welch
 from scripts.answer_cells import FEWEST
 
@@ -31,9 +31,9 @@ def shares(values: Iterable[float]) -> str:
     return ", ".join(f"{100 * value:.1f}" for value in values)
 
 
-def found_on(task: TaskData, split: str) -> dict[str, SplitGroup]:
+def found_on(task: TaskData, split: str) -> dict[str, TestedGroup]:
     """Return the agents of a task with episodes of a split, by name."""
-    return {each.group.agent: each for each in split_groups(task).get(split, [])}
+    return {each.group.agent: each for each in task.splits.get(split, [])}
 
 
 def conclusion(how: str, right: Mapping[str, np.ndarray]) -> str:

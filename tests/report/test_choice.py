@@ -11,7 +11,7 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import FilmsProbe, SplitTest
 from knowarm.report import write_report
 from knowarm.report.blocks import flat
-from knowarm.report.collect import collect, split_groups
+from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
 from knowarm.report.verdicts.claims import Finding
@@ -189,7 +189,7 @@ def test_noise_is_hardly_ever_understood(tmp_path):
 
 def test_numbers_are_corrected_for_chance(tmp_path):
     study = study_of(tmp_path, on("S1", {"bm": 0.25, "subgraph": 0.95}), reach=0.9)
-    bm, told = split_groups(study.tasks[0])["S1"]
+    bm, told = study.tasks[0].splits["S1"]
     assert told.level("choice_corrected").estimate == pytest.approx(
         (told.level("choice").estimate - 0.25) / 0.75
     )
@@ -200,19 +200,19 @@ def test_numbers_are_corrected_for_chance(tmp_path):
 
 def test_the_rate_of_switching_counts_the_new_among_both_answers(tmp_path):
     study = study_of(tmp_path, on("S5", {"subgraph": 0.6}), seeds=1, old=1.0)
-    (asked,) = split_groups(study.tasks[0])["S5"]
+    (asked,) = study.tasks[0].splits["S5"]
     assert asked.level("switched").estimate == pytest.approx(
         asked.level("choice").estimate
     )
     never = study_of(tmp_path / "never", on("S5", {"subgraph": 0.6}), seeds=1, old=0.0)
-    (asked,) = split_groups(never.tasks[0])["S5"]
+    (asked,) = never.tasks[0].splits["S5"]
     assert asked.level("switched").estimate == 1
 
 
 def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
     study = study_of(tmp_path, on("S1", EVERY | {"mask": 0.99}))
     (task,) = study.tasks
-    assert "mask" in {each.name for each in split_groups(task)["S1"]}
+    assert "mask" in {each.name for each in task.splits["S1"]}
     assert [group.name for group in task.subjects] == ["subgraph"]
     assert "choose among 4" in task.title
     assert only(study).kind == "understood"

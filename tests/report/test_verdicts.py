@@ -391,9 +391,8 @@ def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):
         )
         for name, role in roles.items()
     ]
-    monkeypatch.setattr(inputs, "_knowledge_of", known.__getitem__)
     monkeypatch.setattr(inputs, "_privileged_uses", lambda group: [])
-    verdict = inputs._kind_of_input(SimpleNamespace(groups=groups))
+    verdict = inputs._kind_of_input(SimpleNamespace(groups=groups), known)
     assert (
         verdict.sentence == "The knowledge vector describes the query of the episode."
     )

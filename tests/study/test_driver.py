@@ -13,7 +13,7 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.reading import read_json
-from knowarm.study import driver, executor, worker
+from knowarm.study import driver, executor
 from knowarm.study.config import OverridesFor, write_study
 from knowarm.study.driver import request_stop, retry, run_study
 from knowarm.study.executor import LocalExecutor, Where
@@ -322,8 +322,3 @@ def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monke
     record = json.loads((tmp_path / "irb120-bm-ppo" / "0" / FAILURE).read_text())
     assert record["reason"] == "ZeroDivisionError: division by zero"
     assert "Traceback" in record["traceback"]
-
-
-def test_a_worker_has_as_long_to_save_whoever_ends_it():
-    """Killed earlier it would lose what it learned since its last checkpoint."""
-    assert executor.TIMEOUT_S >= worker.GRACE_S

@@ -53,12 +53,10 @@ class DataTable:
     name: str  # stem of the CSV file; unique in a report
     title: str
     columns: Sequence[Column]  # columns, left to right
-    rows: Sequence[
-        Row
-    ]  # values and intervals; ``_colour`` holds the palette class of a row
-    sources: Sequence[
-        Path
-    ] = ()  # files and folders that the numbers were computed from
+    # Values and intervals; ``_colour`` holds the palette class of a row.
+    rows: Sequence[Row]
+    # Files and folders that the numbers were computed from.
+    sources: Sequence[Path] = ()
     note: str = ""  # how the numbers were computed and what they do not show
 
     @property
@@ -135,9 +133,8 @@ def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Pa
     return paths
 
 
-Tone = Literal[
-    "good", "bad", "open", "note"
-]  # confirmed, refuted, undecided, or a remark
+Tone = Literal["good", "bad", "open", "note"]
+"""Confirmed, refuted, undecided, or a remark."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +143,8 @@ class Panel:
 
     svg: str  # markup of one ``<svg>``
     title: str = ""  # heading above the drawing
-    only: Literal["", "large", "small"] = (
-        ""  # screens it is for, where it has two widths
-    )
+    # Screens it is for, where it has two widths.
+    only: Literal["", "large", "small"] = ""
 
 
 @dataclass(frozen=True)
@@ -158,12 +154,9 @@ class Figure:
     table: DataTable  # the drawn values; its title is the figure's
     caption: str  # how to read the drawings
     panels: Sequence[Panel]  # drawings, side by side where there is room
-    legend: Sequence[
-        tuple[str, str]
-    ] = ()  # names, which toggle their series, and classes
-    open_table: bool = (
-        False  # whether the table is above the drawings, instead of folded
-    )
+    # Names, which toggle their series, and classes.
+    legend: Sequence[tuple[str, str]] = ()
+    open_table: bool = False  # whether the table is above the drawings, not folded
 
 
 @dataclass(frozen=True)
@@ -189,9 +182,8 @@ class Film:
     """One episode of one agent: selected frames and the animation."""
 
     name: str
-    strip: Sequence[
-        tuple[str, str]
-    ]  # data URI of a PNG and its label, per selected step
+    # Data URI of a PNG and its label, per selected step.
+    strip: Sequence[tuple[str, str]]
     moving: str  # data URI of the animated WebP
     poster: str  # data URI of the last frame
     size: tuple[int, int]  # width and height of a frame [px]

@@ -58,9 +58,7 @@ class Box:
     left: float = 46  # margin for the tick labels of the vertical axis
     right: float = 26  # margin
     top: float = 24  # margin for the title of the vertical axis
-    bottom: float = (
-        40  # margin for the tick labels and the title of the horizontal axis
-    )
+    bottom: float = 40  # margin for tick labels and title of the horizontal axis
 
     @property
     def x(self) -> tuple[float, float]:
@@ -87,9 +85,8 @@ class Axis:
     """Title and tick labels of an axis."""
 
     title: str  # title, with the unit
-    format: Callable[[float, int], str] = (
-        number  # formats a value with a number of decimals
-    )
+    # Formats a value with a number of decimals.
+    format: Callable[[float, int], str] = number
     decimals: int = 0  # fewest decimals; tick labels have as many as their values need
     unit: float = 1.0  # shown number of the value 1: 100 for per cent
     range: tuple[float, float] | None = None  # ends of the axis; None fits the data
@@ -100,10 +97,9 @@ class Axis:
 
     def labels(self, ticks: Sequence[float]) -> list[str]:
         """Format ticks so that no label is rounded to another value."""
+        values = np.multiply(ticks, self.unit)
         decimals = self.decimals
-        while decimals < 9 and any(
-            _is_cut(tick * self.unit, decimals) for tick in ticks
-        ):
+        while decimals < 9 and _is_cut(values, decimals):
             decimals += 1
         return [self.format(tick, decimals) for tick in ticks]
 
@@ -116,12 +112,14 @@ class Axis:
     def ticks(self, scale: Scale, count: int) -> list[tuple[float, str]]:
         """Return the pixels and labels of about ``count`` ticks."""
         values = scale.ticks(count)
-        return list(zip(map(scale, values), self.labels(values), strict=True))
+        pixels = map(scale, values)
+        return list(zip(pixels, self.labels(values), strict=True))
 
 
-def _is_cut(value: float, decimals: int) -> bool:
+def _is_cut(values: Floats, decimals: int) -> bool:
     """Return whether a value has more than a number of decimals."""
-    return abs(round(value, decimals) - value) > 1e-9 * abs(value)
+    errors = np.abs(values.round(decimals) - values)
+    return bool((errors > 1e-9 * np.abs(values)).any())
 
 
 def percent_axis(title: str, *, whole: bool = True) -> Axis:
@@ -144,25 +142,28 @@ RETURN_AXIS = Axis(title="mean return")
 POINTS_AXIS = Axis(title="difference [points]", format=points, unit=100)
 
 
+def rule(kind: str, x1: float, x2: float, y1: float, y2: float) -> str:
+    """Draw a line of the frame of a chart."""
+    return element("line", class_=kind, x1=x1, x2=x2, y1=y1, y2=y2)
+
+
 def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     """Draw grid lines, tick labels and axis titles; the vertical axis has its title on top."""
     left, right = box.x
     bottom, top = box.y
     elements = []
     for at, words in y_axis.ticks(y, 4):
-        elements.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
+        elements.append(rule("grid", left, right, at, at))
         elements.append(
             label(left - 6, at + 4, words, class_="tick", text_anchor="end")
         )
     for at, words in x_axis.ticks(x, max(4, int((right - left) / 85))):
-        elements.append(
-            element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4)
-        )
+        elements.append(rule("mark", at, at, bottom, bottom + 4))
         elements.append(
             label(at, bottom + 17, words, class_="tick", text_anchor="middle")
         )
     elements += [
-        element("line", class_="axis", x1=left, x2=right, y1=bottom, y2=bottom),
+        rule("axis", left, right, bottom, bottom),
         label(left - 40, top - 11, y_axis.title, class_="axis-title"),
         label(right, bottom + 33, x_axis.title, class_="axis-title", text_anchor="end"),
     ]
@@ -179,10 +180,14 @@ class Series:
     y: Floats  # (n,) NaN where there is no value
     band: tuple[Floats, Floats] | None = None  # (n,) its lower and upper end
     faint: Sequence[tuple[Floats, Floats]] = ()  # (x, y) of thin lines, one per seed
-    dashed: bool = (
-        False  # whether the line is dashed, which distinguishes it without colour
-    )
+    dashed: bool = False  # which distinguishes the line without colour
     stairs: bool = False  # whether each value holds until the next x
+
+    @property
+    def heights(self) -> Floats:
+        """All drawn values."""
+        faint = [thin for _, thin in self.faint]
+        return np.concatenate([self.y, *(self.band or ()), *faint])
 
 
 def line_chart(
@@ -195,28 +200,25 @@ def line_chart(
 ) -> str:
     """Draw lines over their bands; the page's script shows the values under the pointer."""
     box = box or Box()
-    xs: list[float] = []
-    heights: list[float] = []
-    for line in series:
-        xs.extend(line.x.tolist())
-        for values in (line.y, *(line.band or ()), *(thin for _, thin in line.faint)):
-            heights.extend(values.tolist())
-    low = min(xs)
-    high = max(xs)
+    xs = np.concatenate([line.x for line in series])
+    low = float(xs.min())
+    high = float(xs.max())
     if low == high:
         low = min(low, 0.0)
         high = max(high, 5.0)
     x = Scale(low, high, *box.x)
-    y = y_axis.scale(heights, box.y)
-    frame = axes(box, x, y, x_axis, y_axis)
+    heights = np.concatenate([line.heights for line in series])
+    y = y_axis.scale(heights.tolist(), box.y)
+    lines = [_line(line, x, y) for line in series]
     plot = (x.start, x.end, x.low, x.high, y.start, y.end)
+    kind = "chart lines many" if len(series) > 3 else "chart lines"
     return drawing(
         box.width,
         box.height,
         name,
-        frame,
-        *(_line(line, x, y) for line in series),
-        class_="chart lines many" if len(series) > 3 else "chart lines",
+        axes(box, x, y, x_axis, y_axis),
+        *lines,
+        class_=kind,
         data_plot=" ".join(f"{value:.10g}" for value in plot),
         data_y=f"{y.low:.10g} {y.high:.10g}",
     )
@@ -228,12 +230,17 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
             return _pixels(x, y, np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1])
         return _pixels(x, y, xs, ys)
 
-    def pieces(xs: Floats, ys: Floats) -> list[list[Point]]:
-        return [pixels(xs[piece], ys[piece]) for piece in _gapless(xs, ys)]
+    def draw(xs: Floats, ys: Floats, kind: str) -> None:
+        for piece in _gapless(xs, ys):
+            corners = pixels(xs[piece], ys[piece])
+            elements.append(path(corners, class_=kind))
+            if len(corners) == 1 and kind != "seed":
+                ((cx, cy),) = corners
+                elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
 
-    elements = []
+    elements: list[str] = []
     for xs, ys in series.faint:
-        elements += [path(corners, class_="seed") for corners in pieces(xs, ys)]
+        draw(xs, ys, "seed")
     if series.band is not None:
         lower, upper = series.band
         for piece in _gapless(series.x, lower + upper):
@@ -241,20 +248,17 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
             top = pixels(xs, upper[piece])
             bottom = pixels(xs, lower[piece])
             elements.append(band(top, bottom, class_="band"))
-    kind = "line dashed" if series.dashed else "line"
-    for corners in pieces(series.x, series.y):
-        elements.append(path(corners, class_=kind))
-        if len(corners) == 1:
-            ((cx, cy),) = corners
-            elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
-    finite = np.isfinite(series.y)
-    known = np.transpose([series.x[finite], series.y[finite]]).tolist()
+    draw(series.x, series.y, "line dashed" if series.dashed else "line")
+    known = []
+    for step, value in zip(series.x, series.y, strict=True):
+        if np.isfinite(value):
+            known.append(f"{step:.9g},{value:.9g}")
     return element(
         "g",
         *elements,
         class_=f"series {series.colour}",
         data_name=series.name,
-        data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in known),
+        data_points=";".join(known),
     )
 
 
@@ -270,15 +274,17 @@ def _gapless(x: Floats, y: Floats) -> list[slice]:
 
 def histograms(samples: Sequence[Floats]) -> tuple[Floats, list[Floats]]:
     """Compute densities, (BINS,) each, on (BINS + 1,) edges around all but the outermost 0.1 %."""
-    low = min(float(np.quantile(values, 0.001)) for values in samples)
-    high = max(float(np.quantile(values, 0.999)) for values in samples)
+    low = min(np.quantile(values, 0.001) for values in samples)
+    high = max(np.quantile(values, 0.999) for values in samples)
     if low == high:
         high += 1e-3
     edges = np.linspace(low, high, BINS + 1)
     width = edges[1] - edges[0]
-    return edges, [
-        np.histogram(each, edges)[0] / (each.size * width) for each in samples
-    ]
+    densities = []
+    for values in samples:
+        counts, _ = np.histogram(values, edges)
+        densities.append(counts / (values.size * width))
+    return edges, densities
 
 
 def density_chart(
@@ -288,8 +294,7 @@ def density_chart(
     box = Box(width=320, height=190, left=40, top=26)
     edges, heights = histograms(list(samples.values()))
     x = Scale(float(edges[0]), float(edges[-1]), *box.x)
-    highest = max(float(height.max()) for height in heights)
-    y = Scale(0.0, 1.08 * highest or 1.0, *box.y)
+    y = Scale(0.0, 1.08 * float(np.max(heights)) or 1.0, *box.y)
     x_axis = Axis(title=x_title, decimals=1)
     y_axis = Axis(title="density", decimals=1)
     elements = [axes(box, x, y, x_axis, y_axis)]

@@ -7,37 +7,36 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import flatten, to_dict
+from knowarm.config import flatten
 from knowarm.experiment.agents import AGENTS
-from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import differing, slugs
 from knowarm.report.model import (
+    HELD_OUT,
+    LATEST,
+    UNTRAINED,
     Evaluation,
     FolderProblem,
     Group,
     Reference,
     RunData,
-    SplitGroup,
     StudyData,
     TaskData,
+    evaluated_runs,
     rank,
 )
 from knowarm.report.read import read_folders
 from knowarm.world.robots import ROBOTS
 
+Fields = dict[str, Any]
+"""Fields of a config by their dotted names."""
+
 PREFERRED_LABEL = "post-training-greedy"
-# Suffixes of evaluations other than that of the best model on its training task.
-UNTRAINED = "-untrained"
-LATEST = "-latest"
-HELD_OUT = "-held-out"
-# Fields of ``env`` that do not make a different task, and those of ``env.task.asked`` that an
-# agent sets.
+# Fields of ``env`` that do not make a different task: of the image, and those that an agent sets.
 NOT_THE_TASK = {"renderer", "image_size"}
-NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.asked}
+for _agent in AGENTS.values():
+    NOT_THE_TASK |= {f"task.asked.{field}" for field in _agent.asked}
 # Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps"}
-# Evaluation settings that do not change the agent's numbers.
-NOT_A_RULE = ("probes", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knows.seed"}
 MOST_REFERENCES = 2  # untrained policies of a task, enough to compare with
@@ -87,28 +86,27 @@ def _task(
             chosen = _one_run_per_seed(same_settings, problems)
             groups.append(Group.of(group_name, chosen, label))
     groups.sort(key=lambda group: rank(group.role, group.agent))
-    compared = [run.evaluations[label] for run in runs if label in run.evaluations]
-    if not compared:
-        return TaskData(name, title, label, tuple(groups))
-    played = _played(compared[0])
-    alike = [
-        reference
-        for reference in references
-        if _played(reference.evaluations[0]) == played
-    ]
+    compared = evaluated_runs(runs, label)
+    alike: list[Reference] = []
+    if compared:
+        played = _played(compared[0].evaluations[label])
+        for reference in references:
+            (evaluation,) = reference.evaluations
+            if _played(evaluation) == played:
+                alike.append(reference)
     return TaskData(name, title, label, tuple(groups), tuple(alike[:MOST_REFERENCES]))
 
 
 def _by_settings(runs: list[RunData]) -> dict[str, list[RunData]]:
     """Return runs of one agent by a name that has the settings in which they differ."""
-    fields = differing([_agent_settings(run) for run in runs])
+    names = differing(list(map(_agent_settings, runs)))
 
-    def name(run: RunData) -> str:
+    def group_name(run: RunData) -> str:
         settings = _agent_settings(run)
-        details = [f"{field.split('.')[-1]}={settings.get(field)}" for field in fields]
+        details = [f"{name.split('.')[-1]}={settings.get(name)}" for name in names]
         return " · ".join([run.config.agent, *details])
 
-    return _grouped(runs, name)
+    return _grouped(runs, group_name)
 
 
 def _untrained(runs: list[RunData]) -> list[Reference]:
@@ -116,13 +114,9 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     references: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        role_and_agent = rank(run.config.role, run.config.agent)
-        return (
-            role_and_agent[0],
-            -run.config.knows.rank,
-            role_and_agent,
-            run.config.seed,
-        )
+        config = run.config
+        role, *agent = rank(config.role, config.agent)
+        return role, -config.knows.rank, agent, config.seed
 
     for run in sorted(runs, key=order):
         agent = run.config.agent
@@ -135,83 +129,34 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
 
 def _label(runs: list[RunData]) -> str:
     """Return the most common evaluation of the best model; of equally common ones the greedy."""
-    labels = Counter(label for run in runs for label in run.evaluations)
+    counts: Counter[str] = Counter()
+    for run in runs:
+        counts.update(run.evaluations.keys())
     others = (UNTRAINED, LATEST, HELD_OUT)
-    best = sorted(label for label in labels if not label.endswith(others))
+    best = [label for label in sorted(counts) if not label.endswith(others)]
     return max(
-        best, key=lambda label: (labels[label], label == PREFERRED_LABEL), default=""
+        best, key=lambda label: (counts[label], label == PREFERRED_LABEL), default=""
     )
 
 
-def _played(evaluation: Evaluation) -> tuple[dict[str, Any], str]:
+def _played(evaluation: Evaluation) -> tuple[Fields, str]:
     """Return what policies share that were evaluated on the same task by the same rules."""
-    return _task_env(evaluation.summary.env), rules(evaluation)
-
-
-def rules(evaluation: Evaluation) -> str:
-    """Return what evaluations by the same rules share."""
-    config = _without(to_dict(evaluation.summary.config), NOT_A_RULE)
-    return json.dumps([evaluation.summary["episodes"], config], sort_keys=True)
-
-
-EvaluationSet = dict[Group, list[Evaluation]]
-"""Evaluations by the same rules, by agent."""
-
-
-def evaluation_sets(task: TaskData) -> dict[tuple[str, str], EvaluationSet]:
-    """Return the evaluations of the best models by label and rules."""
-    sets: dict[tuple[str, str], EvaluationSet] = defaultdict(lambda: defaultdict(list))
-    for group in task.groups:
-        for run in group.runs:
-            for label, evaluation in run.evaluations.items():
-                if not label.endswith((UNTRAINED, LATEST)):
-                    sets[label, rules(evaluation)][group].append(evaluation)
-    return dict(sorted(sets.items(), key=lambda item: item[0][0]))
-
-
-def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
-    """Return the agents of a task that chose between objects, by split.
-
-    Without a split the queries are those of training (S1). The most common episodes count.
-    """
-    first, *_ = SPLITS
-    by_split: dict[str, list[EvaluationSet]] = defaultdict(list)
-    for evaluations in evaluation_sets(task).values():
-        summary = next(iter(evaluations.values()))[0].summary
-        if "choice_chance" in summary:
-            by_split[summary.config.split or first].append(evaluations)
-    groups = {}
-    for split in SPLITS:
-        if split in by_split:
-            common = max(
-                by_split[split], key=lambda agents: sum(map(len, agents.values()))
-            )
-            groups[split] = [
-                SplitGroup(group.name, evaluations, group, split)
-                for group, evaluations in common.items()
-            ]
-    return groups
+    return _task_env(evaluation.summary.env), evaluation.rules
 
 
 def _comparable(
     runs: list[RunData], label: str, problems: list[FolderProblem]
 ) -> list[RunData]:
     """Drop evaluations on other episodes or with other thresholds than most."""
-    rules_by_run = {
-        run.path: rules(run.evaluations[label])
-        for run in runs
-        if label in run.evaluations
-    }
-    usual = _most_common(rules_by_run.values())
+    compared = [run.evaluations[label] for run in evaluated_runs(runs, label)]
+    usual = _most_common(evaluation.rules for evaluation in compared)
     kept = []
     for run in runs:
-        if rules_by_run.get(run.path, usual) != usual:
-            evaluations = dict(run.evaluations)
-            folder = evaluations.pop(label).folder
-            problems.append(
-                FolderProblem(folder, OTHER_RULES, "the evaluation is left out")
-            )
-            run = replace(run, evaluations=evaluations)
+        evaluation = run.evaluations.get(label)
+        if evaluation and evaluation.rules != usual:
+            done = "the evaluation is left out"
+            problems.append(FolderProblem(evaluation.folder, OTHER_RULES, done))
+            run = replace(run, evaluations=_without(run.evaluations, [label]))
         kept.append(run)
     return kept
 
@@ -232,15 +177,12 @@ def _one_run_per_seed(
 
 def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
     """Return two titles per task, with names and for people; fields tell equal ones apart."""
-    same_title: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
-    for runs in tasks:
-        same_title[_title(runs[0])].append(flatten(runs[0].settings["env"]))
+    firsts = [(_title(runs[0]), flatten(runs[0].settings["env"])) for runs in tasks]
     titles = []
-    for runs in tasks:
-        title = _title(runs[0])
-        env = flatten(runs[0].settings["env"])
+    for title, env in firsts:
+        same_title = [fields for other, fields in firsts if other == title]
         robot, robot_title, *parts = title
-        parts += [f"{field} {env.get(field)}" for field in differing(same_title[title])]
+        parts += [f"{name} {env.get(name)}" for name in differing(same_title)]
         titles.append((" · ".join([robot, *parts]), " · ".join([robot_title, *parts])))
     return titles
 
@@ -263,44 +205,38 @@ def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None
     """Report the runs that were made with another version of the package than most."""
     versions = {run.path: run.provenance.versions.get("knowarm") for run in runs}
     usual = _most_common(filter(None, versions.values()))
+    done = "merged: the run format is the same"
     for path, version in versions.items():
         if version and version != usual:
             what = f"made with knowarm {version}, most runs with {usual}"
-            problems.append(
-                FolderProblem(path, what, "merged: the run format is the same")
-            )
+            problems.append(FolderProblem(path, what, done))
 
 
 def _most_common(values: Iterable[str]) -> str | None:
     """Return the most common value; of equally common ones the first by name."""
-    counts = Counter(sorted(values))
-    return max(counts, key=lambda value: counts[value], default=None)
+    for value, _ in Counter(sorted(values)).most_common(1):
+        return value
+    return None
 
 
 def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
-    return json.dumps(
-        [_task_env(run.settings["env"]), run.config.learner], sort_keys=True
-    )
+    env = _task_env(run.settings["env"])
+    return json.dumps([env, run.config.learner], sort_keys=True)
 
 
-def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what makes the task of an environment."""
-    task_env = _without(env, NOT_THE_TASK)
-    task = env.get("task")
-    if isinstance(task, dict) and isinstance(task.get("asked"), dict):
-        task_env["task"] = task | {"asked": _without(task["asked"], NOT_A_TASK)}
-    return task_env
+def _task_env(env: Mapping[str, Any]) -> Fields:
+    """Return the fields that make the task of an environment."""
+    return _without(flatten(env), NOT_THE_TASK)
 
 
-def _agent_settings(run: RunData) -> dict[str, Any]:
-    """Return everything but task and seed, flattened to dotted names."""
-    settings = _without(run.settings, NOT_A_SETTING)
-    env = run.settings["env"] | run.settings["env"]["task"]["asked"]
-    settings["env"] = {
-        name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env
-    }
-    return _without(flatten(settings), DRAWS)
+def _agent_settings(run: RunData) -> Fields:
+    """Return all fields but those of task and seed."""
+    settings = flatten(_without(run.settings, NOT_A_SETTING))
+    env = flatten(run.settings["env"])
+    for name in NOT_THE_TASK:
+        settings[f"env.{name}"] = env.get(name)
+    return _without(settings, DRAWS)
 
 
 def _without(values: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 """Diagrams with one row per item in SVG: dot charts, confusion matrices."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from knowarm.arrays import Floats
-from knowarm.report.charts import Axis, Box, Scale
-from knowarm.report.format import percent
+from knowarm.report.blocks import Panel
+from knowarm.report.charts import Axis, Box, Scale, rule
+from knowarm.report.format import facet, percent
 from knowarm.report.model import Evaluated, TaskData
 from knowarm.statistics import Interval
 from knowarm.svg import drawing, element, hover, label, text_width
@@ -23,17 +24,28 @@ class Dot:
     colour: str  # palette class
     value: Interval | None  # the estimate with its interval, or None
     single: Sequence[float] = ()  # values of the training seeds, drawn small
-    ring: float | None = (
-        None  # another value for comparison, such as the paper's, drawn as a ring
-    )
+    # Another value for comparison, such as the paper's, drawn as a ring.
+    ring: float | None = None
 
 
 def group_dot(
     task: TaskData, group: Evaluated, key: str, ring: float | None = None
 ) -> Dot:
     """Return the row of one number of a summary: the mean over seeds, and each seed."""
-    single = group.scores(key).tolist() if len(group.evaluations) > 1 else []
+    single = []
+    if len(group.evaluations) > 1:
+        single = group.scores(key).tolist()
     return Dot(group.name, task.colours[group.name], group.level(key), single, ring)
+
+
+def part_panels(dots: Mapping[str, Sequence[Dot]], axis: Axis) -> list[Panel]:
+    """Draw one dot chart per target, facet or kind of query."""
+    panels = []
+    for part, rows in dots.items():
+        title = facet(part)
+        svg = dot_chart(rows, f"{axis.title} on {title}", axis, width=340, left=100)
+        panels.append(Panel(svg, title))
+    return panels
 
 
 def dot_chart(
@@ -60,13 +72,12 @@ def dot_chart(
     x = axis.scale(_drawn_values(dots, zero), box.x)
     elements = []
     for at, words in axis.ticks(x, max(2, int((end - start) / 70))):
-        elements.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
+        elements.append(rule("grid", at, at, top, bottom))
         elements.append(
             label(at, bottom + 16, words, class_="tick", text_anchor="middle")
         )
     if zero:
-        at = x(0)
-        elements.append(element("line", class_="zero", x1=at, x2=at, y1=top, y2=bottom))
+        elements.append(rule("zero", x(0), x(0), top, bottom))
     elements.append(
         label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end")
     )
@@ -89,13 +100,15 @@ def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
 
 
 def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
+    def circle(value: float, y: float, r: float, kind: str) -> None:
+        elements.append(element("circle", cx=x(value), cy=y, r=r, class_=kind))
+
     words = dot.name
     elements = [
         label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")
     ]
-    elements += [
-        element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single
-    ]
+    for single in dot.single:
+        circle(single, y + 9, 2.2, "single")
     value = dot.value
     if value:
         words += f": {axis.text(value.estimate)}"
@@ -106,11 +119,9 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
                 element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker")
             )
             words += f" ({axis.text(value.low)} to {axis.text(value.high)})"
-        elements.append(
-            element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot")
-        )
+        circle(value.estimate, y, 5, "dot")
     if dot.ring is not None:
-        elements.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
+        circle(dot.ring, y, 5, "ring")
     return element(
         "g", hover(words), *elements, class_=f"row {dot.colour}", data_name=dot.name
     )

@@ -1,7 +1,9 @@
 """Data of a report: the tasks, agents, runs and evaluations that it is computed from."""
 
+import json
 import re
-from collections.abc import Collection, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +17,16 @@ from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, Summary, read_table
-from knowarm.learn.algorithms import privileged_uses
+from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, mean_of_runs
+
+# Suffixes of evaluations other than that of the best model on its training task.
+UNTRAINED = "-untrained"
+LATEST = "-latest"
+HELD_OUT = "-held-out"
+# Evaluation settings that do not change the agent's numbers.
+NOT_A_RULE = ("probes", "label")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +35,14 @@ class Evaluation:
 
     folder: Path
     summary: Summary  # its settings and numbers
+
+    @cached_property
+    def rules(self) -> str:
+        """What evaluations by the same rules share: episodes, thresholds, actions."""
+        config = to_dict(self.summary.config)
+        for name in NOT_A_RULE:
+            del config[name]
+        return json.dumps([self.summary["episodes"], config], sort_keys=True)
 
     def episodes(self, *further: str) -> dict[str, np.ndarray]:
         """Read the columns of ``episodes.parquet``: `EPISODE_COLUMNS` and those given."""
@@ -52,11 +69,7 @@ class Evaluation:
         films = {}
         for path in sorted((self.folder / "films").glob("*.webp")):
             name = path.stem
-            if (
-                name.isascii()
-                and name.isdigit()
-                and int(name) < self.summary["episodes"]
-            ):
+            if re.fullmatch("[0-9]+", name) and int(name) < self.summary["episodes"]:
                 films[int(name)] = path
         return films
 
@@ -66,13 +79,12 @@ class Evaluated:
     """Evaluations of one agent on the same episodes."""
 
     name: str  # name shown in the report
-    evaluations: Sequence[Evaluation]  # one evaluation per training seed
+    evaluations: list[Evaluation]  # one evaluation per training seed
 
     def scores(self, key: str) -> np.ndarray:
         """Return one number of the summary per evaluation, (n,) float64."""
-        return np.array(
-            [evaluation.summary[key] for evaluation in self.evaluations], np.float64
-        )
+        scores = [evaluation.summary[key] for evaluation in self.evaluations]
+        return np.array(scores, np.float64)
 
     def level(self, key: str, group: str = "", value: str = "") -> Interval | None:
         """Estimate the mean of one number of the summary over the evaluations.
@@ -83,9 +95,9 @@ class Evaluated:
         summaries = [evaluation.summary for evaluation in self.evaluations]
         known = [summary for summary in summaries if key in summary.of(group, value)]
         intervals = [summary.interval(key, group, value) for summary in known]
-        if not intervals:
-            return None
-        return mean_of_runs(intervals) if intervals[1:] else intervals[0]
+        if len(intervals) > 1:
+            return mean_of_runs(intervals)
+        return intervals[0] if intervals else None
 
 
 class Reference(Evaluated):
@@ -95,9 +107,8 @@ class Reference(Evaluated):
 def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
     """Read the columns of a table; refuse missing columns, rows and values."""
     columns = read_table(path)
-    missing = [
-        name for name in sorted(needed) if name not in columns or not len(columns[name])
-    ]
+    filled = {name for name, values in columns.items() if len(values)}
+    missing = sorted(set(needed) - filled)
     if missing:
         raise UserError(f"{path} lacks values of {', '.join(missing)}. {AGAIN}")
     for name, values in columns.items():
@@ -128,12 +139,10 @@ class RunData:
 
     path: Path
     config: ExperimentConfig
-    settings: dict[
-        str, Any
-    ]  # the same as JSON values, files of the user by their content
-    provenance: (
-        Provenance  # versions, machine, parameter counts, knowledge; empty if missing
-    )
+    # The same as JSON values, files of the user by their content.
+    settings: dict[str, Any]
+    # Versions, machine, parameter counts, knowledge; empty if missing.
+    provenance: Provenance
     interim: Curve  # columns of ``evaluations.csv``; empty if missing
     metrics: Curve  # columns of ``metrics.csv``; empty if missing
     evaluations: dict[str, Evaluation]  # post-training evaluations by label
@@ -176,19 +185,30 @@ class Group(Evaluated):
     that the task compares.
     """
 
-    agent: str
-    role: Role
     runs: tuple[RunData, ...]  # runs by seed, at least one
     label: str  # label of the evaluation that the task compares; "" if there is none
 
     @classmethod
     def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
-        evaluations = [
-            run.evaluations[label] for run in runs if label in run.evaluations
-        ]
-        config = runs[0].config
-        return cls(name, evaluations, config.agent, config.role, tuple(runs), label)
+        evaluated = evaluated_runs(runs, label)
+        evaluations = [run.evaluations[label] for run in evaluated]
+        return cls(name, evaluations, tuple(runs), label)
+
+    @property
+    def config(self) -> ExperimentConfig:
+        """Configuration of the runs, but for the seed."""
+        return self.runs[0].config
+
+    @property
+    def agent(self) -> str:
+        """Name of the agent."""
+        return self.config.agent
+
+    @property
+    def role(self) -> Role:
+        """Role of the agent in a comparison."""
+        return self.config.role
 
     @property
     def success_curves(self) -> list[Curve]:
@@ -198,25 +218,23 @@ class Group(Evaluated):
     @property
     def scope(self) -> str:
         """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
-        return self.runs[0].config.knows.scope
+        return self.config.knows.scope
 
     @property
     def detail(self) -> int:
         """How much of the objects the knowledge vector describes, from 1."""
-        return self.runs[0].config.knows.rank
+        return self.config.knows.rank
 
     @property
     def has_content(self) -> bool:
         """Whether the agent has a knowledge vector that is not all zeros."""
-        return self.runs[0].config.knows.has_content
+        return self.config.knows.has_content
 
     @property
     def best_run(self) -> RunData | None:
         """The run with the highest mean return after training, the paper's choice."""
-        runs = [run for run in self.runs if self.label in run.evaluations]
-        if not runs:
-            return None
-        return runs[int(np.argmax(self.scores("return_mean")))]
+        runs = evaluated_runs(self.runs, self.label)
+        return runs[self.scores("return_mean").argmax()] if runs else None
 
     @property
     def best(self) -> Evaluation | None:
@@ -224,12 +242,21 @@ class Group(Evaluated):
         return self.best_run.evaluations[self.label] if self.best_run else None
 
 
+def evaluated_runs(runs: Iterable[RunData], label: str) -> list[RunData]:
+    """Return the runs that have an evaluation."""
+    return [run for run in runs if label in run.evaluations]
+
+
 @dataclass(frozen=True, eq=False)
-class SplitGroup(Evaluated):
-    """One agent on the queries of one split."""
+class TestedGroup(Evaluated):
+    """One agent in evaluations by the same rules."""
 
     group: Group
-    split: str  # name of the split
+
+    @property
+    def split(self) -> str:
+        """Name of the split of the queries; without one these are those of training."""
+        return self.evaluations[0].summary.config.split or next(iter(SPLITS))
 
     @property
     def chance(self) -> float:
@@ -250,38 +277,67 @@ class TaskData:
     @property
     def runs(self) -> list[RunData]:
         """Runs of all groups."""
-        return [run for group in self.groups for run in group.runs]
+        runs: list[RunData] = []
+        for group in self.groups:
+            runs += group.runs
+        return runs
 
     @property
     def key(self) -> tuple[str, str]:
         """Robot and colour setting."""
-        env = self.groups[0].runs[0].config.env
+        env = self.groups[0].config.env
         return env.robot, env.colours
 
     @property
-    def is_published(self) -> bool:
-        """Whether the task is the paper's, and learned from its reward."""
-        config = self.groups[0].runs[0].config
-        if config.env.task.title:
-            return False
-        return "teacher" not in privileged_uses(to_dict(config.algorithm))
+    def agents(self) -> tuple[Evaluated, ...]:
+        """Groups and references."""
+        return *self.groups, *self.references
 
     @cached_property
     def baseline(self) -> Group | None:
         """The agent without knowledge."""
-        return next((group for group in self.groups if group.role == "baseline"), None)
+        for group in self.groups:
+            if group.role == "baseline":
+                return group
+        return None
 
     @cached_property
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: of each role and scope that with most detail."""
         most: dict[tuple[str, str], Group] = {}
-        for group in self.groups:
-            key = (group.role, group.scope)
+        for group in sorted(self.groups, key=lambda group: -group.detail):
             if group.role in ("knowledge", "privileged") and group.has_content:
-                most[key] = max(
-                    most.get(key, group), group, key=lambda group: group.detail
-                )
+                most.setdefault((group.role, group.scope), group)
         return tuple(group for group in self.groups if group in most.values())
+
+    @cached_property
+    def evaluation_sets(self) -> dict[tuple[str, str], dict[Group, TestedGroup]]:
+        """Evaluations of the best models by label and rules, then by agent."""
+        sets: dict[tuple[str, str], dict[Group, TestedGroup]] = defaultdict(dict)
+        for group in self.groups:
+            for run in group.runs:
+                for label, evaluation in run.evaluations.items():
+                    if not label.endswith((UNTRAINED, LATEST)):
+                        agents = sets[label, evaluation.rules]
+                        agent = TestedGroup(group.name, [], group)
+                        agents.setdefault(group, agent).evaluations.append(evaluation)
+        return dict(sorted(sets.items(), key=lambda item: item[0][0]))
+
+    @cached_property
+    def splits(self) -> dict[str, list[TestedGroup]]:
+        """Agents that chose between objects, by split; the most common episodes count."""
+        most: Counter[str] = Counter()
+        splits = {}
+        for by_group in self.evaluation_sets.values():
+            agents = list(by_group.values())
+            first = agents[0]
+            if "choice_chance" not in first.evaluations[0].summary:
+                continue
+            count = sum(len(agent.evaluations) for agent in agents)
+            if count > most[first.split]:
+                most[first.split] = count
+                splits[first.split] = agents
+        return {split: splits[split] for split in SPLITS if split in splits}
 
     @cached_property
     def colours(self) -> dict[str, str]:
@@ -295,10 +351,12 @@ class TaskData:
 
         A run that its ``stop_when`` ended counts to ``total_steps``.
         """
-        longest = [
-            max(run.success_until for run in group.runs) for group in self.groups
-        ]
-        return float(min(filter(None, longest), default=0.0))
+        ends = []
+        for group in self.groups:
+            longest = max(run.success_until for run in group.runs)
+            if longest:
+                ends.append(longest)
+        return float(min(ends, default=0.0))
 
 
 @dataclass(frozen=True)
@@ -311,7 +369,10 @@ class StudyData:
     @property
     def runs(self) -> list[RunData]:
         """Runs of all tasks."""
-        return [run for task in self.tasks for run in task.runs]
+        runs = []
+        for task in self.tasks:
+            runs += task.runs
+        return runs
 
 
 def rank(role: Role, agent: str) -> tuple[int, int, str]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain, compress
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -92,22 +92,20 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
     except (OSError, UserError) as error:
         problems.append(FolderProblem(path, f"cannot be read ({error})", "left out"))
         return {}
-    columns = [name for name in dict.fromkeys(chain.from_iterable(rows)) if name]
-    values: dict[float, list[float]] = {}
+    columns = list(filter(None, dict.fromkeys(chain.from_iterable(rows))))
+    values: dict[float, list[float | None]] = {}
     damaged = 0
     for row in rows:
-        numbers = [number_in(row, name) for name in columns]
         step = number_in(row, "step")
         if step is None or step < 0:
             damaged += 1
             continue
-        unknown = [
-            name
-            for name, number in zip(columns, numbers, strict=True)
-            if number is None
-        ]
-        damaged += any(row.get(name) not in ("", "nan") for name in unknown)
-        values[step] = [np.nan if number is None else number for number in numbers]
+        numbers = {name: number_in(row, name) for name in columns}
+        damaged += any(
+            number is None and row.get(name) not in ("", "nan")
+            for name, number in numbers.items()
+        )
+        values[step] = list(numbers.values())
     if is_truncated:
         problems.append(
             FolderProblem(path, "last line truncated", "the line is left out")
@@ -117,10 +115,12 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
         problems.append(FolderProblem(path, what, "the rows or cells are left out"))
     if not values:
         return {}
-    table = np.transpose([values[step] for step in sorted(values)])
-    # A column without any number is as good as missing.
-    known = [np.isfinite(column).any() for column in table]
-    return dict(compress(zip(columns, table, strict=True), known))
+    table = np.array([values[step] for step in sorted(values)], np.float64)
+    return {
+        name: column
+        for name, column in zip(columns, table.T, strict=True)
+        if np.isfinite(column).any()  # one without any number is as good as missing
+    }
 
 
 @contextmanager
@@ -128,31 +128,26 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
     """Report whatever damaged content of a file or folder raises as one of the problems."""
     try:
         yield
+    except UserError as error:
+        problems.append(FolderProblem(path, str(error), done))
     except Exception as error:
-        what = (
-            str(error)
-            if isinstance(error, UserError)
-            else f"damaged: {one_line(error)}"
-        )
-        problems.append(FolderProblem(path, what, done))
+        problems.append(FolderProblem(path, f"damaged: {one_line(error)}", done))
 
 
 def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[Path]:
     folders: dict[Path, Path] = {}
     for path in paths:
+        configs = sorted(path.rglob("config.json"))
         if (path / "config.json").is_file():
-            inside = [path]
-        else:
-            inside = sorted(config.parent for config in path.rglob("config.json"))
-        if not inside:
+            configs = [path / "config.json"]
+        if not configs:
             what = "does not exist"
             if path.is_file():
                 what = "is no folder; unpack a packed study first: knowarm study unpack"
             elif path.exists():
                 what = "holds no run folder"
             problems.append(FolderProblem(path, what, "left out"))
-        for folder in inside:
-            folders.setdefault(
-                folder.resolve(), folder
-            )  # a folder given twice counts once
+        for config in configs:
+            folder = config.parent
+            folders.setdefault(folder.resolve(), folder)  # given twice, it counts once
     return list(folders.values())

@@ -3,7 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,8 @@ FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
 MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
 TEMPLATES = Path(__file__).parent / "templates"
-LONG_TABLE = (
-    400  # rows of a table that are written into the page; the CSV has all of them
-)
+# Rows of a table that are written into the page; the CSV has all of them.
+LONG_TABLE = 400
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
@@ -64,75 +63,69 @@ def write_report(
     page = _render(study, pages, out)
     _write_data(study, pages, out)
     with replacing(out) as temporary:
-        temporary.write_text(
-            page, encoding="utf-8", errors="replace"
-        )  # lone surrogates
+        # Lone surrogates become question marks.
+        temporary.write_text(page, encoding="utf-8", errors="replace")
     return out
 
 
 def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     """Write the tables as CSV and JSON; paths in them are relative to the page."""
     folder = out.with_name(f"{out.stem}-data")
-    start = out.parent
     tables = {}
+    verdicts = []
     for page in pages:
         for table in page.tables():
             assert table.name not in tables, "two tables of one name"
             tables[table.name] = table
+        for block in flat(page.blocks):
+            if isinstance(block, Verdict):
+                verdict = {
+                    "page": page.name,
+                    "kind": block.kind,
+                    "sentence": block.sentence,
+                    "reasons": block.reasons,
+                }
+                verdicts.append(verdict)
     _remove_earlier(out, folder, tables)
+    contents = {}
     with writing(folder):
         folder.mkdir(exist_ok=True)
-        contents = {
-            name: _write_table(table, folder, start) for name, table in tables.items()
-        }
-    problems = [problem._asdict() for problem in study.problems]
+        for name, table in tables.items():
+            contents[name] = _write_table(table, folder, out.parent)
     report = {
         "format": FORMAT,
         "knowarm": version("knowarm"),
         "tasks": [task.title for task in study.tasks],
-        "runs": [_relative(run.path, start) for run in study.runs],
-        "problems": [_plain_row(problem, start) for problem in problems],
-        "verdicts": _verdicts(pages),
+        "runs": [run.path for run in study.runs],
+        "problems": [problem._asdict() for problem in study.problems],
+        "verdicts": verdicts,
         "tables": contents,
     }
-    write_json(out.with_suffix(".json"), report)
+    write_json(out.with_suffix(".json"), _plain(report, out.parent))
 
 
-def _write_table(table: DataTable, folder: Path, start: Path) -> dict[str, Any]:
+def _write_table(table: DataTable, folder: Path, start: Path) -> Row:
     """Write one table as CSV; return what the JSON holds of it."""
     columns = table.csv_columns()
-    rows = [{key: row.get(key) for key in columns} for row in table.flat_rows]
+    rows = []
+    for row in table.flat_rows:
+        values = {key: row.get(key) for key in columns}
+        rows.append(_plain(values, start))
     path = folder / f"{table.name}.csv"
     with (
         replacing(path) as temporary,
         temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
     ):
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for row in rows:
-            writer.writerow([_raw(value, start) for value in row.values()])
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
     return {
         "title": table.title,
         "note": table.note,
         "csv": f"{folder.name}/{path.name}",
-        "sources": [_relative(source, start) for source in table.sources],
-        "rows": [_plain_row(row, start) for row in rows],
+        "sources": table.sources,
+        "rows": rows,
     }
-
-
-def _verdicts(pages: Sequence[Page]) -> list[dict[str, Any]]:
-    verdicts = []
-    for page in pages:
-        for block in flat(page.blocks):
-            if isinstance(block, Verdict):
-                values = {
-                    "page": page.name,
-                    "kind": block.kind,
-                    "sentence": block.sentence,
-                    "reasons": list(block.reasons),
-                }
-                verdicts.append(values)
-    return verdicts
 
 
 def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
@@ -170,7 +163,7 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
     )
 
     def source_links(table: DataTable) -> list[tuple[str, str]]:
-        paths = dict.fromkeys(_relative(path, start) for path in table.sources)
+        paths = dict.fromkeys(_plain(table.sources, start))
         return [(quote(path), path) for path in paths]
 
     environment.filters["raw"] = lambda value: _raw(value, start)
@@ -202,48 +195,41 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
 def _cell(column: Column, row: Row, start: Path) -> Markup:
     """Return one formatted cell, with its interval, or few runs, in smaller type."""
     value = row.get(column.key)
-    if column.format == "path" and isinstance(value, Path):
-        path = _relative(value, start)
+    if isinstance(value, Path):
+        path = _plain(value, start)
         return Markup('<a href="{}">{}</a>').format(quote(path), path)
     form = FORMATS[column.format]
     text = form(value)
-    low = row.get(f"{column.key}_low")
-    high = row.get(f"{column.key}_high")
-    has_interval = (
-        column.interval and low is not None and high is not None and low < high
-    )
-    if not has_interval or text == MISSING:
+    low: Any = row.get(f"{column.key}_low")
+    high: Any = row.get(f"{column.key}_high")
+    is_known = column.interval and text != MISSING and None not in (low, high)
+    if not (is_known and low < high):
         return escape(text)
     runs = row.get(f"{column.key}_runs")
-    ends = (
-        f"seeds: {', '.join(map(form, runs))}"
-        if runs
-        else f"{form(low)} to {form(high)}"
-    )
+    ends = f"{form(low)} to {form(high)}"
+    if runs:
+        ends = f"seeds: {', '.join(map(form, runs))}"
     return Markup('{} <span class="ci">{}</span>').format(text, ends)
 
 
-def _relative(path: Path, start: Path) -> str:
-    """Return a path relative to the page's folder, with forward slashes."""
-    return Path(os.path.relpath(path, start)).as_posix()
-
-
-def _plain_row(row: Row, start: Path) -> Row:
-    return {key: _plain(value, start) for key, value in row.items()}
-
-
 def _plain(value: Any, start: Path) -> Any:
-    """Return a value as JSON holds it: numbers rounded, non-finite ones as None."""
+    """Return a value as JSON holds it.
+
+    Numbers are rounded, non-finite ones None; paths are relative to the page's folder, with
+    forward slashes.
+    """
+    if isinstance(value, Mapping):
+        return {key: _plain(item, start) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, start) for item in value]
     if isinstance(value, Path):
-        return _relative(value, start)
+        return Path(os.path.relpath(value, start)).as_posix()
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
 
 
 def _raw(value: Any, start: Path) -> str:
-    """Return a value as the CSV and the page's ``data-v`` attributes hold it."""
+    """Return a value as the page's ``data-v`` attributes hold it, like the CSV."""
     plain = _plain(value, start)
-    if plain is None:
-        return ""
-    return repr(plain) if isinstance(plain, float) else str(plain)
+    return "" if plain is None else str(plain)

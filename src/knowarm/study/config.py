@@ -33,9 +33,8 @@ from knowarm.world.tasks.sampling import Colours
 FORMAT = 1  # of study.json
 MAX_RUNS = 2000  # of a study
 STUDY_FILE = "study.json"  # the study that a folder holds
-PACKED = (
-    "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
-)
+# Marks an unpacked study, whose unfinished runs cannot be resumed.
+PACKED = "manifest.json"
 
 SHIPPED = {
     path.stem: path

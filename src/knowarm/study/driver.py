@@ -44,12 +44,8 @@ RESUMABLE = "checkpoints/latest/state.safetensors"
 """File of a run that a pack with checkpoints has, and others have not."""
 POLL_S = 0.5  # time between two looks at the workers [s]
 STATUS_S = 2.0  # time between two readings of all run folders [s]
-UNFINISHED = (
-    "waiting",
-    "stalled",
-    "stopped",
-    "trained",
-)  # states in which a free run is worked on
+# States in which a free run is worked on.
+UNFINISHED = ("waiting", "stalled", "stopped", "trained")
 
 OnStatus = Callable[[Sequence[RunStatus]], None]
 
@@ -89,9 +85,8 @@ def run_study(
             out, remedy="Wait until it ends, or stop it: knowarm study stop."
         ):
             write_study(study, out)
-            (out / PACKED).unlink(
-                missing_ok=True
-            )  # runs that start from now on can be resumed
+            # Runs that start from now on can be resumed.
+            (out / PACKED).unlink(missing_ok=True)
             (out / STOP).unlink(missing_ok=True)
             (out / PAUSE).unlink(missing_ok=True)
             if until_step is not None:
@@ -205,9 +200,8 @@ class _Driver:
         self._executor = executor
         self._on_status = on_status
         self._mine: set[RunKey] = set()
-        self._deaths: Counter[tuple[RunKey, int]] = (
-            Counter()
-        )  # by run and latest checkpoint
+        # By run and latest checkpoint.
+        self._deaths: Counter[tuple[RunKey, int]] = Counter()
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Work until every run is done or failed, or until asked to stop."""
@@ -232,8 +226,11 @@ class _Driver:
 
     def _start(self, statuses: Sequence[RunStatus]) -> None:
         """Fill the free slots in the study's order; leave runs that others hold."""
-        waiting = [status for status in statuses if status.run not in self._mine]
-        waiting = [status for status in waiting if self._is_free(status)]
+        waiting = [
+            status
+            for status in statuses
+            if status.run not in self._mine and self._is_free(status)
+        ]
         if self._study.order == "seeds":  # otherwise they are in the order of the study
             left = seconds_left(statuses)
             seeds = self._study.all_seeds()
@@ -273,7 +270,5 @@ class _Driver:
         count = self._deaths[run, step]
         if count > self._study.where.retries:
             del self._deaths[run, step]  # `retry` starts the count again
-            reason = (
-                f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
-            )
-            record_failure(path, reason)
+            since = f"{count} times since step {max(step, 0):,}"
+            record_failure(path, f"{problem}, {since}; out of memory?")

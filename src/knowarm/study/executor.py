@@ -23,8 +23,9 @@ RunKey = tuple[str, int]
 
 LOG = "log.txt"  # in a run folder: what its workers printed
 TIMEOUT_S = 60.0
-"""How long workers that were asked to end may take before they are killed: they save after a whole
-round, and one of A3C on a loaded machine takes longer than 15 s."""
+"""How long workers may take to save and end, whether they were asked to or the process that started
+them has exited: they save after a whole round, and one of A3C on a loaded machine takes longer than
+15 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,9 +133,8 @@ class LocalExecutor:
     def __init__(self, where: Where, out: Path) -> None:
         self._where = where
         self._out = out
-        self._workers: dict[
-            RunKey, tuple[int, subprocess.Popen[bytes]]
-        ] = {}  # with their slots
+        # With their slots.
+        self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}
         self._deadline = math.inf  # when those that were asked to end are killed
         memory = psutil.virtual_memory()
         self._gpus = _gpus() if where.gpus else []

@@ -34,12 +34,10 @@ State = Literal[
 ]
 
 PAUSE = "until-step"  # in a study's folder: the step at which all its runs pause
-FAILURE = (
-    "failed.json"  # in a run folder: why the run failed; without it the run can resume
-)
-SILENT_S = (
-    900.0  # time without a written file after which a running run counts as stalled
-)
+# In a run folder: why the run failed; without it the run can resume.
+FAILURE = "failed.json"
+# Time without a written file after which a running run counts as stalled.
+SILENT_S = 900.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +50,8 @@ class RunStatus:
     detail: str = ""  # why it failed, stalled or stopped, or how it ended early
     step: int = 0  # environment steps taken
     total_steps: int
-    success: float | None = (
-        None  # of the first post-training evaluation, or the latest interim one
-    )
+    # Of the first post-training evaluation, or the latest interim one.
+    success: float | None = None
     best_return: float | None = None  # of the best interim evaluation
     best_step: int | None = None  # of the best interim evaluation
     steps_per_s: float | None = None  # latest rate
@@ -91,13 +88,11 @@ def run_status(
     facts: dict[str, Any] = {}
     try:
         facts |= _progress(folder)
-        facts["state"], facts["detail"] = _state(
-            folder, config, evaluations, pause_step(out)
-        )
-        if facts["state"] == "done" and evaluations:
-            facts["success"] = Summary.read(folder.evaluation(evaluations[0].folder))[
-                "success"
-            ]
+        state, detail = _state(folder, config, evaluations, pause_step(out))
+        facts |= {"state": state, "detail": detail}
+        if state == "done" and evaluations:
+            summary = Summary.read(folder.evaluation(evaluations[0].folder))
+            facts["success"] = summary["success"]
     except UserError as error:
         facts |= {"state": "damaged", "detail": str(error)}
     steps = config.total_steps
@@ -116,27 +111,22 @@ def _state(
     path = folder.path
     failure = _failure(path)
     locked = is_locked(path)
-    if not folder.config_path.exists():
-        if failure:
-            return "failed", failure
-        return "running" if locked else "waiting", ""
+    is_started = folder.config_path.exists()
+    if failure and not (locked and is_started):
+        return "failed", failure
     if locked:
         silent = time.time() - _last_write(path)
-        if silent > SILENT_S:
-            return (
-                "stalled",
-                f"its process has written nothing for {silent / 60:.0f} min",
-            )
+        if is_started and silent > SILENT_S:
+            minutes = f"{silent / 60:.0f} min"
+            return "stalled", f"its process has written nothing for {minutes}"
         return "running", ""
-    if failure:
-        return "failed", failure
+    if not is_started:
+        return "waiting", ""
     if not is_trained(folder, config):
         step = folder.checkpoint_fact("step", -1)
         if pause is not None and step >= pause:
-            return (
-                "paused",
-                f"at step {step:,}; goes on with a larger --until-step, or without",
-            )
+            goes_on = "goes on with a larger --until-step, or without"
+            return "paused", f"at step {step:,}; {goes_on}"
         return "stopped", "resumes with the next study run"
     detail = ""
     early = folder.ended_early_at(config.stop_when)
@@ -165,11 +155,9 @@ def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
 
 def runs_beside(study: StudyConfig, out: Path) -> list[str]:
     """Return the runs in the folder of a study that are not of the study."""
+    folders = {file.parent for file in out.glob("*/*/config.json")}
     known = {run_path(out, config) for config in study.runs()}
-    folders = sorted(file.parent for file in out.glob("*/*/config.json"))
-    return [
-        folder.relative_to(out).as_posix() for folder in folders if folder not in known
-    ]
+    return [folder.relative_to(out).as_posix() for folder in sorted(folders - known)]
 
 
 def missing_evaluations(
@@ -250,12 +238,11 @@ def _training(path: Path, *version: int) -> Mapping[str, Any]:
 def _interim(path: Path, *version: int) -> Mapping[str, Any]:
     """Read the success of the latest interim evaluation, and the best one."""
     rows = read_csv(path)
-    numbers = [number_in(row, "success") for row in rows]
-    success = [number for number in numbers if number is not None]
     values: dict[str, Any] = {}
-    if success:
-        values["success"] = success[-1]
     for row in rows:
+        success = number_in(row, "success")
+        if success is not None:
+            values["success"] = success
         if number_in(row, "best") == 1:
             step = number_in(row, "step")
             values["best_step"] = None if step is None else int(step)

@@ -22,14 +22,12 @@ from knowarm.experiment.run_folder import RunExistsError, RunFolder
 from knowarm.experiment.run_lock import FolderInUseError, StopRequest, lock_folder
 from knowarm.reading import write_json
 from knowarm.study.config import read_study
-from knowarm.study.executor import RunKey, folder_of
+from knowarm.study.executor import TIMEOUT_S, RunKey, folder_of
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations, pause_step
 
 STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
-WORKED = (
-    "worked for"  # start of the last line that a worker prints, followed by its time
-)
-GRACE_S = 60.0  # how long a worker may take to save after the process that started it has exited
+# Start of the last line that a worker prints, followed by its time.
+WORKED = "worked for"
 
 
 def work(out: Path, key: RunKey) -> None:
@@ -56,9 +54,8 @@ def work(out: Path, key: RunKey) -> None:
                 )
                 try:
                     run = train_run(resume=is_started)
-                except (
-                    RunExistsError
-                ):  # begun meanwhile by the worker of a driver that was killed
+                except RunExistsError:
+                    # Begun meanwhile by the worker of a driver that was killed.
                     run = train_run(resume=True)
             if run.result.reason == "stopped":
                 return
@@ -98,7 +95,7 @@ def _end_with_parent() -> None:
     """Ask this process to save and end once the other end of its input is closed."""
     os.read(0, 1)
     _request_stop()
-    threading.Event().wait(GRACE_S)
+    threading.Event().wait(TIMEOUT_S)
     os._exit(1)
 
 

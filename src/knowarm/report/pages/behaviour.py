@@ -28,6 +28,7 @@ from knowarm.report.pages.paper import published_comparison
 STRIP_FRAMES = 8  # frames of a film strip
 MOST_EPISODES = 3  # shown per task: the first recorded one of each target
 MOST_AGENTS = 4  # shown per task: subjects and baseline first
+STATISTICS = ("mean", "std")  # of the angles of a joint
 
 
 def joint_blocks(task: TaskData) -> list[Block]:
@@ -50,38 +51,40 @@ def _has_steps(group: Group) -> bool:
 
 def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
-    one, other = (evaluation.joint_angles() for evaluation in evaluations)
+    one, other = [evaluation.joint_angles() for evaluation in evaluations]
     published = published_comparison(task, first, second).get("std_changes", {})
-    names = evaluations[0].summary.joints
+    names = dict(enumerate(evaluations[0].summary.joints, start=1))
     rows = []
     panels = []
     for joint in one:
         if joint not in other:
             continue
-        row = _joint_row(joint, one[joint], other[joint])
-        row["paper_std_change"] = published.get(str(joint))
+        row: Row = {"joint": joint, "paper_std_change": published.get(str(joint))}
+        before = _statistics(other[joint])
+        after = _statistics(one[joint])
+        for statistic in STATISTICS:
+            row[f"first_{statistic}"] = after[statistic]
+            row[f"second_{statistic}"] = before[statistic]
+            row[f"{statistic}_change"] = after[statistic] - before[statistic]
         rows.append(row)
         title = f"joint {joint}"
-        if 1 <= joint <= len(names):
-            title += f" ({names[joint - 1]})"
+        if joint in names:
+            title += f" ({names[joint]})"
         mean = signed(row["mean_change"])
         std = signed(row["std_change"])
         title += f": difference of means {mean}, of std {std}"
         angles = {second.name: other[joint], first.name: one[joint]}
-        svg = density_chart(
-            angles, task.colours, f"Angles of joint {joint}", "angle [rad]"
-        )
+        name = f"Angles of joint {joint}"
+        svg = density_chart(angles, task.colours, name, "angle [rad]")
         panels.append(Panel(svg, title))
-    columns = (
-        Column("joint", "joint", "integer"),
-        Column("first_mean", f"{first.name} mean", "number"),
-        Column("second_mean", f"{second.name} mean", "number"),
-        Column("mean_change", "difference", "signed"),
-        Column("first_std", f"{first.name} std", "number"),
-        Column("second_std", f"{second.name} std", "number"),
-        Column("std_change", "difference", "signed"),
-        Column("paper_std_change", "paper", "signed"),
-    )
+    columns = [Column("joint", "joint", "integer")]
+    for statistic in STATISTICS:
+        columns += [
+            Column(f"first_{statistic}", f"{first.name} {statistic}", "number"),
+            Column(f"second_{statistic}", f"{second.name} {statistic}", "number"),
+            Column(f"{statistic}_change", "difference", "signed"),
+        ]
+    columns.append(Column("paper_std_change", "paper", "signed"))
     sources = [evaluation.folder / "steps.parquet" for evaluation in evaluations]
     title = f"Joint angles of {first.name} and {second.name} [rad]"
     return Figure(
@@ -94,44 +97,34 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     )
 
 
-def _joint_row(joint: int, first: Floats, second: Floats) -> Row:
-    """Return means and standard deviations of one joint's angles, and their differences."""
-    means = [float(angles.mean()) for angles in (first, second)]
-    stds = [float(angles.std()) for angles in (first, second)]
-    return {
-        "joint": joint,
-        "first_mean": means[0],
-        "second_mean": means[1],
-        "mean_change": means[0] - means[1],
-        "first_std": stds[0],
-        "second_std": stds[1],
-        "std_change": stds[0] - stds[1],
-    }
+def _statistics(angles: Floats) -> dict[str, float]:
+    return {"mean": float(angles.mean()), "std": float(angles.std())}
 
 
 def film_blocks(task: TaskData) -> list[Films]:
     """Show agents on the same episodes: the policy's images as a strip and as an animation."""
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
-    filmed = [
-        (group.name, group.best)
-        for group in groups
-        if group.best and group.best.films()
-    ]
-    filmed = filmed[:MOST_AGENTS]
+    filmed: dict[str, Evaluation] = {}
+    for group in groups:
+        best = group.best
+        if best and best.films() and len(filmed) < MOST_AGENTS:
+            filmed[group.name] = best
     for reference in task.references:
         (evaluation,) = reference.evaluations
         if evaluation.films():
-            filmed.append((reference.name, evaluation))
+            filmed[reference.name] = evaluation
     if not filmed:
         return []
-    common = set.intersection(*(set(evaluation.films()) for _, evaluation in filmed))
+    common = set.intersection(*(set(best.films()) for best in filmed.values()))
     blocks = []
     with suppress(UserError):
-        for number, words in _first_of_each_target(filmed[0][1], sorted(common)):
-            films = [
-                _film(name, task.colours[name], best, number) for name, best in filmed
-            ]
+        first_filmed = next(iter(filmed.values()))
+        for number, words in _first_of_each_target(first_filmed, sorted(common)):
+            films = []
+            for name, best in filmed.items():
+                film = _film(name, task.colours[name], best, number)
+                films.append(film)
             blocks.append(Films(f"Episode {number}, {words}", films))
     return blocks
 

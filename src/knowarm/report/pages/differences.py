@@ -204,10 +204,11 @@ def _with_interval(
 
 def _profile(task: TaskData) -> Figure | None:
     """Draw performance profiles of agents with enough seeds."""
-    finals = {group.name: scores(task, group, "success") for group in task.groups}
-    finals = {
-        name: final for name, final in finals.items() if final.size >= FEWEST_SEEDS
-    }
+    finals = {}
+    for group in task.groups:
+        final = scores(task, group, "success")
+        if final.size >= FEWEST_SEEDS:
+            finals[group.name] = final
     if not finals:
         return None
     axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
@@ -216,26 +217,22 @@ def _profile(task: TaskData) -> Figure | None:
     rows = []
     for agent, final in finals.items():
         colour = task.colours[agent]
-        share, low, high = performance_profile(final, PROFILE_LEVELS)
+        profile = np.stack(performance_profile(final, PROFILE_LEVELS))
+        share, low, high = profile[:, drawn]
         line = Series(
             name=agent,
             colour=colour,
             x=PROFILE_LEVELS[drawn],
-            y=share[drawn],
-            band=(low[drawn], high[drawn]),
+            y=share,
+            band=(low, high),
             stairs=True,
         )
         series.append(line)
-        for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
-            share_above = Interval(*values)
-            rows.append(
-                {
-                    "agent": agent,
-                    "level": level,
-                    "share": share_above,
-                    "_colour": colour,
-                }
-            )
+        for level, values in zip(
+            PROFILE_LEVELS.tolist(), profile.T.tolist(), strict=True
+        ):
+            row = {"agent": agent, "level": level, "share": Interval(*values)}
+            rows.append(row | {"_colour": colour})
     name = f"Share of runs above each level of success on {task.title}"
     return Figure(
         table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows),

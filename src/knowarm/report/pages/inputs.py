@@ -1,6 +1,7 @@
 """Page "Inputs": the knowledge vector of each agent, its sentences, and network sizes."""
 
 from contextlib import suppress
+from pathlib import Path
 
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
@@ -13,11 +14,13 @@ from knowarm.report.blocks import (
     Row,
     Tone,
     Verdict,
-    shared,
     table_of,
 )
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
+
+Vectors = dict[str, EmbeddingFacts | None]
+"""Description of each agent's knowledge vector; None if the network received none."""
 
 KINDS = (
     (
@@ -74,29 +77,33 @@ PARAMETERS_NOTE = "A longer vector makes a larger LSTM: compare agents of equal 
 
 def input_blocks(task: TaskData) -> list[Block]:
     """Show what each agent's vector says, and how many parameters receive it."""
-    blocks: list[Block] = [_kind_of_input(task), _overview(task)]
+    vectors = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
+    blocks: list[Block] = [_kind_of_input(task, vectors), _overview(task, vectors)]
     stems = slugs(group.name for group in task.groups)
     listed_before = []
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(
         task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)
     ):
-        knowledge = _knowledge_of(group.runs[0])
+        knowledge = vectors[group.name]
         sentences = knowledge.sentences if knowledge else {}
         if any(sentences.values()) and sentences not in listed_before:
             listed_before.append(sentences)
-            table = DataTable(
-                f"sentences-{task.name}-{stems[group.name]}",
-                f"Sentence of each slot: {group.name}",
-                shared("slot", "sentence"),
-                [
-                    {"slot": slot, "sentence": sentence}
-                    for slot, sentence in sentences.items()
-                ],
-                [group.runs[0].path / "provenance.json"],
+            rows = [
+                {"slot": slot, "sentence": words} for slot, words in sentences.items()
+            ]
+            title = f"Sentence of each slot: {group.name}"
+            columns = ("slot", "sentence")
+            stem = f"-{stems[group.name]}"
+            table = table_of(
+                task, "sentences", title, columns, rows, [_source(group)], stem=stem
             )
             blocks.append(table)
     return [*blocks, *_parameters(task)]
+
+
+def _source(group: Group) -> Path:
+    return group.runs[0].path / "provenance.json"
 
 
 def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
@@ -107,18 +114,17 @@ def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
     return run.provenance.knowledge
 
 
-def _kind_of_input(task: TaskData) -> Verdict:
+def _kind_of_input(task: TaskData, vectors: Vectors) -> Verdict:
     """State which agents have a constant vector and which a privileged one."""
     sentence = "No agent received a knowledge vector."
     reasons = []
-    knowledge = [(group, _knowledge_of(group.runs[0])) for group in task.groups]
     for about, about_task, role, scope in KINDS:
-        agents = [group.name for group, facts in knowledge if _is(scope, group, facts)]
+        agents = [group.name for group in task.groups if _is(scope, group, vectors)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
-            controls = (
-                f"Compare with {listed(ran)}." if ran else "No control for this ran."
-            )
+            controls = "No control for this ran."
+            if ran:
+                controls = f"Compare with {listed(ran)}."
             reasons.append(f"{', '.join(agents)}: {about} {controls}")
             sentence = about_task
     tone: Tone = "open" if reasons else "note"
@@ -128,8 +134,9 @@ def _kind_of_input(task: TaskData) -> Verdict:
     return Verdict(sentence, reasons, tone=tone)
 
 
-def _is(scope: str, group: Group, knowledge: EmbeddingFacts | None) -> bool:
+def _is(scope: str, group: Group, vectors: Vectors) -> bool:
     """Return whether a group's vector is constant (scene), of the query, or privileged (target)."""
+    knowledge = vectors[group.name]
     if not knowledge:
         return False
     if scope == "scene":
@@ -148,34 +155,39 @@ def _privileged_uses(group: Group) -> list[str]:
     return uses
 
 
-def _overview(task: TaskData) -> DataTable:
+def _overview(task: TaskData, vectors: Vectors) -> DataTable:
     """List the source, size and norm of each agent's vector."""
-    rows = [_overview_row(group) for group in task.groups]
-    sources = [group.runs[0].path / "provenance.json" for group in task.groups]
-    note = PRIVILEGED_NOTE if any(row["training"] for row in rows) else ""
-    return table_of(
-        task, "knowledge", "Knowledge vectors", COLUMNS, rows, sources, note
-    )
-
-
-def _overview_row(group: Group) -> Row:
-    training = ", ".join(_privileged_uses(group))
-    row: Row = {"agent": group.name, "training": training}
-    knowledge = _knowledge_of(group.runs[0])
-    if not knowledge:
-        return row | {"slots": 0, "numbers": 0, "constant": False, "privileged": False}
-    row |= {
-        "slots": len(knowledge.slots),
-        "numbers": knowledge.dim,
-        "norm": knowledge.norm,
-        "constant": knowledge.constant,
-        "privileged": knowledge.privileged,
-        "note": knowledge.note,
-    }
-    if knowledge.slots:
-        row["source"] = knowledge.source
-        row["coverage"] = knowledge.coverage["share"]
-    return row
+    note = ""
+    rows = []
+    for group in task.groups:
+        knowledge = vectors[group.name]
+        training = ", ".join(_privileged_uses(group))
+        if training:
+            note = PRIVILEGED_NOTE
+        row: Row = {
+            "agent": group.name,
+            "training": training,
+            "slots": 0,
+            "numbers": 0,
+            "constant": False,
+            "privileged": False,
+        }
+        if knowledge:
+            row |= {
+                "slots": len(knowledge.slots),
+                "numbers": knowledge.dim,
+                "norm": knowledge.norm,
+                "constant": knowledge.constant,
+                "privileged": knowledge.privileged,
+                "note": knowledge.note,
+            }
+            if knowledge.slots:
+                row["source"] = knowledge.source
+                row["coverage"] = knowledge.coverage["share"]
+        rows.append(row)
+    title = "Knowledge vectors"
+    sources = list(map(_source, task.groups))
+    return table_of(task, "knowledge", title, COLUMNS, rows, sources, note)
 
 
 def _parameters(task: TaskData) -> list[Block]:
@@ -184,11 +196,10 @@ def _parameters(task: TaskData) -> list[Block]:
     sources = []
     columns = {"agent": Column("agent", "agent")}
     for group in task.groups:
-        run = group.runs[0]
-        counts = run.provenance.parameter_counts
+        counts = group.runs[0].provenance.parameter_counts
         if counts:
             rows.append({"agent": group.name, **counts})
-            sources.append(run.path / "provenance.json")
+            sources.append(_source(group))
         for part, count in counts.items():
             if count:
                 columns[part] = Column(part, part, "integer")

@@ -12,16 +12,22 @@ from knowarm.report.blocks import (
     Panel,
     Row,
     estimate_column,
+    files,
     row_of,
     table_of,
 )
 from knowarm.report.charts import POINTS_AXIS
-from knowarm.report.collect import evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import integer, slugs
-from knowarm.report.model import Evaluated, Group, TaskData
+from knowarm.report.model import Group, TaskData
 from knowarm.report.pages.results import conditions
-from knowarm.report.verdicts.claims import TOLERANCE, Claim, claims_on, size_of
+from knowarm.report.verdicts.claims import (
+    OUTCOMES,
+    TOLERANCE,
+    Claim,
+    claims_on,
+    size_of,
+)
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch
 
@@ -49,22 +55,22 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     blocks: list[Block] = []
     if len(task.groups) == 1:
         return blocks
+    stem = ""
     for subject in task.subjects:
-        name = subject.name
-        stem = "" if subject is task.subjects[0] else f"-{slugs([name])[name]}"
-        final = claims_on(decided, task, subject, "success")
-        blocks += [
-            finding(task, decided, "success", subject).verdict(),
-            finding(task, decided, "speed", subject).verdict(),
-            _controls(task, subject, final, stem),
-            *_other_conditions(task, subject, stem),
-        ]
+        if blocks:
+            stem = f"-{slugs([subject.name])[subject.name]}"
+        for outcome in OUTCOMES:
+            found = finding(task, decided, outcome, subject)
+            blocks.append(found.verdict())
+        blocks.append(_controls(task, subject, decided, stem))
+        blocks += _other_conditions(task, subject, stem)
     return blocks
 
 
-def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> Block:
+def _controls(task: TaskData, subject: Group, decided: list[Claim], stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
     name = subject.name
+    final = claims_on(decided, task, subject, "success")
     size = size_of(subject, "parameters")
     rows = []
     for claim in final:
@@ -124,28 +130,25 @@ def forest_figure(
 
 def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTable]:
     """Show the evaluations under other labels, such as held-out colours or sampled actions."""
-    sets = evaluation_sets(task)
-    labels = Counter(label for label, _ in sets)
+    labels = Counter(label for label, _ in task.evaluation_sets)
     rows = []
-    sources = []
-    for (label, _), evaluations in sets.items():
+    tested = []
+    for (label, _), agents in task.evaluation_sets.items():
         if label == task.label:
             continue
-        subject_scores = Evaluated(subject.name, evaluations.get(subject, [])).scores(
-            "success"
-        )
-        for group, alike in evaluations.items():
-            agent = Evaluated(group.name, alike)
-            scores = agent.scores("success")
+        for group, agent in agents.items():
+            tested.append(agent)
             row = row_of(task, agent)
-            row["label"] = (
-                f"{label}: {conditions(alike[0])}" if labels[label] > 1 else label
-            )
+            row["label"] = label
+            if labels[label] > 1:
+                row["label"] += f": {conditions(agent.evaluations[0])}"
+            scores = agent.scores("success")
             row["success"] = float(scores.mean())
-            if group is not subject and min(len(subject_scores), len(scores)) > 1:
-                row["difference"] = welch(subject_scores, scores).difference
+            if group is not subject and subject in agents:
+                subject_scores = agents[subject].scores("success")
+                if min(len(subject_scores), len(scores)) > 1:
+                    row["difference"] = welch(subject_scores, scores).difference
             rows.append(row)
-            sources += [evaluation.folder for evaluation in alike]
     if not rows:
         return []
     columns = (
@@ -156,6 +159,7 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
         estimate_column("difference", f"{subject.name} minus it [points]", "points"),
     )
     title = "Other conditions"
+    sources = files(tested, "")
     return [
         table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)
     ]

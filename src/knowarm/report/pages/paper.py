@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from knowarm.config import to_dict
+from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
     Column,
@@ -21,12 +23,11 @@ from knowarm.report.blocks import (
 )
 from knowarm.report.charts import percent_axis
 from knowarm.report.diagrams import dot_chart, group_dot
-from knowarm.report.model import Group, StudyData, TaskData
+from knowarm.report.model import Group, StudyData, TaskData, evaluated_runs
 from knowarm.statistics import Interval, bootstrap
 
-RESULTS = (
-    Path(__file__).parents[1] / "paper_results.json"
-)  # ``about`` in it explains the fields
+# ``about`` in it explains the fields.
+RESULTS = Path(__file__).parents[1] / "paper_results.json"
 
 ACCURACY_AXIS = percent_axis("accuracy")
 
@@ -75,15 +76,19 @@ def published_comparison(
 
 
 def _find(task: TaskData, kind: str, **agents: str) -> Mapping[str, Any] | None:
-    """Return what the paper publishes of agents on a task, if it is one of the paper's."""
-    if not task.is_published:
+    """Return what the paper publishes of agents on a task.
+
+    Nothing on tasks that are not the paper's, or were not learned from its reward.
+    """
+    config = task.groups[0].config
+    if config.env.task.title or "teacher" in privileged_uses(to_dict(config.algorithm)):
         return None
     robot, colours = task.key
     wanted = {"robot": robot, "colours": colours} | agents
-    matching = (
-        entry for entry in _published()[kind] if wanted.items() <= entry.items()
-    )
-    return next(matching, None)
+    for entry in _published()[kind]:
+        if wanted.items() <= entry.items():
+            return entry
+    return None
 
 
 def time_saved(steps: float | None, baseline_steps: float | None) -> float | None:
@@ -129,6 +134,6 @@ def paper_blocks(study: StudyData) -> list[Block]:
 
 def _best_steps(group: Group) -> Interval | None:
     """Estimate the mean step of the best interim model over training seeds."""
-    runs = [run for run in group.runs if group.label in run.evaluations]
+    runs = evaluated_runs(group.runs, group.label)
     steps = [run.best_step for run in runs if run.best_step]
     return bootstrap(np.array(steps)) if steps else None

@@ -1,6 +1,8 @@
 """Page "Query": which object each agent chose, by split, by kind of query and by object."""
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 import scipy
@@ -23,14 +25,17 @@ from knowarm.report.blocks import (
     table_of,
 )
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
-from knowarm.report.collect import split_groups
-from knowarm.report.diagrams import confusion_map, dot_chart, group_dot
+from knowarm.report.diagrams import (
+    Dot,
+    confusion_map,
+    dot_chart,
+    group_dot,
+    part_panels,
+)
 from knowarm.report.format import facet
-from knowarm.report.model import Group, SplitGroup, TaskData
-from knowarm.report.pages.results import part_panels
+from knowarm.report.model import TaskData, TestedGroup
 from knowarm.report.pages.training import curve_figure
 from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, Finding
-from knowarm.statistics import Interval
 
 EXPLANATION = (
     "Several objects are visible, and a query describes one of them by facts of a graph. An agent "
@@ -43,8 +48,6 @@ EXPLANATION = (
     f"of the report, adjusted p of at most {ALPHA}, at least {FEWEST_SEEDS} seeds of each agent). "
     "On S1 a code without meaning is enough; S2 to S5 require the meaning.",
 )
-
-Splits = Mapping[str, Sequence[SplitGroup]]
 
 BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)
 
@@ -62,7 +65,6 @@ MEASURE_CAPTION = (
     "Line at 0: a choice at random. Dot: mean over training seeds; line: 95 % interval "
     "over seeds. Small dots: single seeds."
 )
-BINDING_COLUMNS = shared("choice", "binding")
 BINDING_NOTE = (
     "Follows its question: right choices, minus those when the agent is told the question of "
     "another visible object. 100 points: it always goes where it is told; 0: the question changes "
@@ -77,6 +79,21 @@ SWITCH_NOTE = (
     "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
     "not visible in every episode, so compare with the controls rather than with one half."
 )
+FURTHER_TABLES: tuple[tuple[str, str, Sequence[Column], str], ...] = (
+    (
+        "binding",
+        "Does the arm follow its question?",
+        shared("choice", "binding"),
+        BINDING_NOTE,
+    ),
+    (
+        "switched",
+        "Does the arm follow the edited graph?",
+        SWITCH_COLUMNS,
+        SWITCH_NOTE,
+    ),
+)
+"""Tables of agents that have a measure: it, title, columns and note."""
 TYPE_COLUMNS = ("split", Column("type", "kind of query"), "agent", "choice", "success")
 TYPE_CAPTION = (
     "Kind: the relations that the query names. Dot: mean over training seeds; line: "
@@ -97,35 +114,23 @@ CONFUSION_CAPTION = (
 
 def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     """Show choice and reach by split, how they were learned, and what was confused."""
-    splits = split_groups(task)
-    if not splits:
+    if not task.splits:
         return []
-    agents = [agent for asked in splits.values() for agent in asked]
+    agents = list(chain.from_iterable(task.splits.values()))
     blocks: list[Block] = [
         finding.verdict() for finding in findings if finding.task is task
     ]
-    blocks += [
-        _measure(task, splits, agents, "choice", "Choice", CHOICE_COLUMNS),
-        _measure(task, splits, agents, "success", "Reach", REACH_COLUMNS),
-    ]
-    bound = [agent for agent in agents if agent.level("binding")]
-    if bound:
-        title = "Does the arm follow its question?"
-        blocks.append(
-            _table(task, "binding", title, BINDING_COLUMNS, bound, BINDING_NOTE)
-        )
-    edited = [agent for agent in agents if agent.level("switched")]
-    if edited:
-        title = "Does the arm follow the edited graph?"
-        blocks.append(
-            _table(task, "switched", title, SWITCH_COLUMNS, edited, SWITCH_NOTE)
-        )
+    blocks.append(_measure(task, agents, "choice", "Choice", CHOICE_COLUMNS))
+    blocks.append(_measure(task, agents, "success", "Reach", REACH_COLUMNS))
+    for key, title, columns, note in FURTHER_TABLES:
+        measured = [agent for agent in agents if agent.level(key)]
+        if measured:
+            blocks.append(_table(task, key, title, columns, measured, note))
     if any("choice" in run.interim for run in task.runs):
         measures = {"choice": CHOICE_AXIS}
-        blocks.append(
-            curve_figure(task, measures, "choice-curves", "Learning to choose")
-        )
-    return [*blocks, _by_type(task, splits, agents), _confusion(task, agents)]
+        title = "Learning to choose"
+        blocks.append(curve_figure(task, measures, "choice-curves", title))
+    return [*blocks, _by_type(task, agents), _confusion(task, agents)]
 
 
 def _table(
@@ -133,31 +138,29 @@ def _table(
     name: str,
     title: str,
     columns: Sequence[Column],
-    agents: Sequence[SplitGroup],
+    agents: Sequence[TestedGroup],
     note: str,
 ) -> DataTable:
     keys = [column.key for column in columns if column.interval]
     rows = [_row(task, agent, *keys) for agent in agents]
-    return table_of(
-        task, name, title, [*SPLIT_COLUMNS, *columns], rows, files(agents), note
-    )
+    columns = [*SPLIT_COLUMNS, *columns]
+    return table_of(task, name, title, columns, rows, files(agents), note)
 
 
-def _row(task: TaskData, agent: SplitGroup, *keys: str) -> Row:
+def _row(task: TaskData, agent: TestedGroup, *keys: str) -> Row:
     return row_of(task, agent, *keys) | {"split": agent.split, "chance": agent.chance}
 
 
 def _measure(
     task: TaskData,
-    splits: Splits,
-    agents: Sequence[SplitGroup],
+    agents: Sequence[TestedGroup],
     key: str,
     title: str,
     columns: Sequence[Column],
 ) -> Figure:
     """Draw one number of every agent, corrected for chance, one drawing per split."""
     panels = []
-    for split, asked in splits.items():
+    for split, asked in task.splits.items():
         dots = [group_dot(task, agent, f"{key}_corrected") for agent in asked]
         name = f"{title} on {split}, corrected for chance: {task.title}"
         svg = dot_chart(dots, name, BEYOND_CHANCE, zero=True, left=150)
@@ -167,40 +170,34 @@ def _measure(
     return Figure(table, MEASURE_CAPTION, panels, open_table=True)
 
 
-def _by_type(task: TaskData, splits: Splits, agents: Sequence[SplitGroup]) -> Figure:
-    """Show the choice by the relations that a query names."""
+def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
+    """Show the choice by the relations that a query names; draw it for the first split."""
+    first = next(iter(task.splits))
     rows = []
+    dots = defaultdict(list)
     for agent in agents:
-        for kind in _types([agent]):
+        kinds: set[str] = set()
+        for evaluation in agent.evaluations:
+            kinds |= evaluation.summary.groups["query_type"].keys()
+        for kind in sorted(kinds):
+            choice = agent.level("choice", "query_type", kind)
             row = _row(task, agent)
             row["type"] = kind
-            for key in ("choice", "success"):
-                row[key] = agent.level(key, "query_type", kind)
+            row["choice"] = choice
+            row["success"] = agent.level("success", "query_type", kind)
             rows.append(row)
-    first, asked = next(iter(splits.items()))
-    by_group = {agent.group: agent for agent in asked}
-
-    def choice(group: Group, kind: str) -> Interval | None:
-        return by_group[group].level("choice", "query_type", kind)
-
-    _, panels = part_panels(task, _types(asked), list(by_group), choice, CHOICE_AXIS)
+            if agent.split == first:
+                dots[kind].append(Dot(agent.name, row["_colour"], choice))
     title = f"Right choices by kind of query, {first}"
     table = table_of(task, "query-types", title, TYPE_COLUMNS, rows, files(agents))
+    panels = part_panels(dict(sorted(dots.items())), CHOICE_AXIS)
     return Figure(table, TYPE_CAPTION, panels)
 
 
-def _types(asked: Sequence[SplitGroup]) -> list[str]:
-    kinds: set[str] = set()
-    for agent in asked:
-        for evaluation in agent.evaluations:
-            kinds |= evaluation.summary.groups["query_type"].keys()
-    return sorted(kinds)
-
-
-def _confusion(task: TaskData, agents: Sequence[SplitGroup]) -> Block:
+def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
     """Show which object was chosen for which, by the first agent that receives the query."""
     told = [agent for agent in agents if agent.group.role == "knowledge"]
-    (first, *_) = told or agents
+    first = (told or agents)[0]
     agents = [agent for agent in agents if agent.group is first.group]
     rows = []
     panels = []
@@ -230,7 +227,7 @@ def _confusion(task: TaskData, agents: Sequence[SplitGroup]) -> Block:
     return Figure(table, CONFUSION_CAPTION, panels)
 
 
-def _counts(agent: SplitGroup) -> tuple[list[str], list[str], Integers]:
+def _counts(agent: TestedGroup) -> tuple[list[str], list[str], Integers]:
     """Count the episodes of every wanted and chosen object: names, names, (R, C)."""
     targets: list[str] = []
     chosen: list[str] = []

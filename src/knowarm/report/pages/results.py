@@ -1,14 +1,13 @@
 """Page "Results": the evaluation after training, in total and by target."""
 
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Iterable
 
 from knowarm.report.blocks import (
     Block,
     Column,
     DataTable,
     Figure,
-    Panel,
-    Row,
     column_of,
     estimate_column,
     files,
@@ -16,12 +15,10 @@ from knowarm.report.blocks import (
     shared,
     table_of,
 )
-from knowarm.report.charts import SUCCESS_AXIS, Axis
-from knowarm.report.collect import HELD_OUT, evaluation_sets
-from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.format import facet, integer
-from knowarm.report.model import Evaluated, Evaluation, Group, TaskData
-from knowarm.statistics import Interval
+from knowarm.report.charts import SUCCESS_AXIS
+from knowarm.report.diagrams import Dot, part_panels
+from knowarm.report.format import integer
+from knowarm.report.model import HELD_OUT, Evaluated, Evaluation, TaskData
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks import report_tables
 from knowarm.world.tasks.probe import ReportTable
@@ -72,16 +69,15 @@ def result_blocks(task: TaskData) -> list[Block]:
 
 
 def _table(task: TaskData) -> DataTable:
-    agents = (*task.groups, *task.references)
-    _, _, *measures = (column.key for column in COLUMNS)
-    rows = [row_of(task, agent, *measures) for agent in agents]
-    title = conditions(first_evaluation(agents))
-    return table_of(task, "evaluation", title, COLUMNS, rows, files(agents), NOTE)
+    measures = [column.key for column in COLUMNS[2:]]
+    rows = [row_of(task, agent, *measures) for agent in task.agents]
+    title = conditions(first_evaluation(task.agents))
+    sources = files(task.agents)
+    return table_of(task, "evaluation", title, COLUMNS, rows, sources, NOTE)
 
 
 def _vision(task: TaskData) -> DataTable | None:
     """Show the blind agents beside every agent, and how much of its success depends on vision."""
-    rows = []
     groups = [group for group in task.groups if group.level("vision_gain")]
     if not groups:
         return None
@@ -96,6 +92,7 @@ def _vision(task: TaskData) -> DataTable | None:
         if not entry.sees_nothing:
             label = f"success minus {name} [points]"
             differences.append(estimate_column(f"minus {name}", label, "points"))
+    rows = []
     most = 0.0
     for group in groups:
         row = row_of(task, group, "success", "vision_gain")
@@ -106,26 +103,22 @@ def _vision(task: TaskData) -> DataTable | None:
             if played:
                 most = max(most, played.estimate)
         rows.append(row)
+    columns += differences
     note = VISION_NOTE.format(count=integer(most), agents="; ".join(abouts))
     title = "How much of the success depends on vision"
-    return table_of(
-        task, "vision", title, [*columns, *differences], rows, files(groups), note
-    )
+    return table_of(task, "vision", title, columns, rows, files(groups), note)
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
     """Show a table that a part of a task brings, by agent and conditions of the episodes."""
-    sets = evaluation_sets(task)
     tested = []
     rows = []
     for group in task.groups:
-        for (label, _), evaluations in sets.items():
-            if group not in evaluations:
+        for (label, _), agents in task.evaluation_sets.items():
+            agent = agents.get(group)
+            first = first_evaluation([agent]) if agent else None
+            if not agent or not first or table.measures[0] not in first.summary:
                 continue
-            first = evaluations[group][0]
-            if table.measures[0] not in first.summary:
-                continue
-            agent = Evaluated(group.name, evaluations[group])
             tested.append(agent)
             row = row_of(task, agent, "success", *table.measures)
             row["rules"] = conditions(first)
@@ -137,9 +130,8 @@ def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
     columns = shared(
         "agent", "seeds", Column("rules", "episodes"), "success", *table.measures
     )
-    return table_of(
-        task, table.name, table.title, columns, rows, files(tested), table.note
-    )
+    sources = files(tested)
+    return table_of(task, table.name, table.title, columns, rows, sources, table.note)
 
 
 def first_evaluation(agents: Iterable[Evaluated]) -> Evaluation | None:
@@ -171,42 +163,18 @@ def _parts(task: TaskData, part: str, title: str) -> Block | None:
             sources.append(evaluation.folder)
     if part == "facet" and len({name.split("/")[0] for name in names}) == len(names):
         return None  # one colour per target: the same as per target
-
-    def success(group: Group, name: str) -> Interval | None:
-        return group.level("success", part, name)
-
-    rows, panels = part_panels(task, sorted(names), task.groups, success, SUCCESS_AXIS)
-    if not panels:
+    rows = []
+    dots = defaultdict(list)
+    for name in sorted(names):
+        for group in task.groups:
+            success = group.level("success", part, name)
+            if success:
+                rows.append(row_of(task, group) | {"part": name, "success": success})
+                dots[name].append(Dot(group.name, task.colours[group.name], success))
+    if not dots:
         return None
     columns = (Column("part", title), "agent", "success")
     table = table_of(task, f"per-{part}", f"Success by {title}", columns, rows, sources)
-    if len(panels) > MOST_PANELS:
+    if len(dots) > MOST_PANELS:
         return table
-    return Figure(table, PARTS_CAPTION, panels)
-
-
-def part_panels(
-    task: TaskData,
-    names: Iterable[str],
-    groups: Iterable[Group],
-    value: Callable[[Group, str], Interval | None],
-    axis: Axis,
-) -> tuple[list[Row], list[Panel]]:
-    """Draw one dot chart per target or facet, one row per agent that has a value.
-
-    Returns the rows of the table, with the estimate in the column "success", and the drawings.
-    """
-    rows = []
-    panels = []
-    for name in names:
-        dots = []
-        for group in groups:
-            level = value(group, name)
-            if level is not None:
-                rows.append(row_of(task, group) | {"part": name, "success": level})
-                dots.append(Dot(group.name, task.colours[group.name], level))
-        if dots:
-            title = facet(name)
-            svg = dot_chart(dots, f"{axis.title} on {title}", axis, width=340, left=100)
-            panels.append(Panel(svg, title))
-    return rows, panels
+    return Figure(table, PARTS_CAPTION, part_panels(dots, SUCCESS_AXIS))

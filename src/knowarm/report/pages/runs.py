@@ -19,7 +19,7 @@ from knowarm.report.blocks import (
 from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS, near
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
-from knowarm.report.model import RunData, StudyData
+from knowarm.report.model import Evaluated, RunData, StudyData
 from knowarm.report.pages.results import conditions, first_evaluation
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import answer, tested_findings
@@ -60,16 +60,14 @@ def run_blocks(study: StudyData) -> list[Block]:
     for task in study.tasks:
         for group in task.groups:
             for run in group.runs:
-                rows.append({"task": task.title, "agent": group.name, **_origin(run)})
+                rows.append({"task": task.title, "agent": group.name} | _origin(run))
                 sources.append(run.path / "provenance.json")
     runs = DataTable("runs", "Runs", RUN_COLUMNS, rows, sources)
     if not study.problems:
         return [Text(["Nothing is missing or damaged in the folders."]), runs]
     remarks = [problem._asdict() for problem in study.problems]
-    return [
-        DataTable("problems", "Remarks on the folders", PROBLEM_COLUMNS, remarks),
-        runs,
-    ]
+    title = "Remarks on the folders"
+    return [DataTable("problems", title, PROBLEM_COLUMNS, remarks), runs]
 
 
 def _origin(run: RunData) -> Row:
@@ -119,37 +117,38 @@ def summary_blocks(
 def _results(study: StudyData) -> Figure:
     scores: list[float] = []
     rows = []
-    panels = []
-    several = len(study.tasks) > 1
+    agents: list[Evaluated] = []
+    abouts: dict[str, str] = {}
+    known: set[str] = set()
     for task in study.tasks:
-        for agent in (*task.groups, *task.references):
-            rows.append(
-                row_of(task, agent, *MEASURES, "vision_gain") | {"task": task.title}
-            )
+        agents += task.agents
+        for agent in task.agents:
+            row = row_of(task, agent, *MEASURES, "vision_gain")
+            rows.append(row | {"task": task.title})
+            known |= {key for key in MEASURES if row[key]}
             scores += agent.scores("success").tolist()
+        for group in task.groups:
+            if group.agent in AGENTS:
+                abouts[group.agent] = f"{group.agent}: {AGENTS[group.agent].about}"
+    keys = ["agent", *(key for key in MEASURES if key in known), "vision_gain", "seeds"]
     axes = {"success": near(SUCCESS_AXIS, scores)}
-    if not several:
+    several = len(study.tasks) > 1
+    if several:
+        keys.insert(0, "task")
+    else:
         axes["return_mean"] = RETURN_AXIS
+    panels = []
     for task in study.tasks:
         for key, axis in axes.items():
-            dots = [
-                group_dot(task, agent, key)
-                for agent in (*task.groups, *task.references)
-            ]
+            dots = [group_dot(task, agent, key) for agent in task.agents]
             name = f"{axis.title} of each agent on {task.title}"
             svg = dot_chart(dots, name, axis, left=124)
             panels.append(Panel(svg, task.title if several else axis.title))
-    groups = [group for task in study.tasks for group in task.groups]
-    names = dict.fromkeys(group.agent for group in groups)
-    abouts = [f"{name}: {AGENTS[name].about}" for name in names if name in AGENTS]
-    measured = [key for key in MEASURES if any(row[key] is not None for row in rows)]
-    columns = shared("agent", *measured, "vision_gain", "seeds")
-    if several:
-        columns = shared("task", *columns)
     note = SUMMARY_NOTE.format(
-        conditions=conditions(first_evaluation(groups)), agents="; ".join(abouts)
+        conditions=conditions(first_evaluation(agents)),
+        agents="; ".join(abouts.values()),
     )
     title = "Success, accuracy and return after training"
     sources = [run.path for run in study.runs]
-    table = DataTable("summary", title, columns, rows, sources, note)
+    table = DataTable("summary", title, shared(*keys), rows, sources, note)
     return Figure(table, SUMMARY_CAPTION, panels, open_table=True)

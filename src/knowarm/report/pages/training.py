@@ -116,9 +116,9 @@ def _extended(run: RunData) -> Curve:
     """Return the interim curve; where ``stop_when`` ended a run its last values go on."""
     if not run.ended_early:
         return run.interim
-    curve = {
-        name: np.append(values, values[-1]) for name, values in run.interim.items()
-    }
+    curve = {}
+    for name, values in run.interim.items():
+        curve[name] = np.append(values, values[-1])
     curve["step"][-1] = run.config.total_steps
     return curve
 
@@ -142,9 +142,8 @@ def group_series(
     group: Group, curves: Sequence[Curve], key: str, colour: str
 ) -> Series:
     """Compute the mean trend of a group's runs on a common grid, with a band over seeds."""
-    start = min(float(curve["step"][0]) for curve in curves)
-    end = max(float(curve["step"][-1]) for curve in curves)
-    grid = np.linspace(start, end, GRID) if end > start else np.array([start])
+    steps = np.concatenate([curve["step"] for curve in curves])
+    grid = np.unique(np.linspace(steps.min(), steps.max(), GRID))
     table = np.empty((len(curves), len(grid)))
     for i, curve in enumerate(curves):
         good = np.isfinite(curve[key])
@@ -204,6 +203,7 @@ def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> Non
 def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
     """Estimate the steps until an interim evaluation first reaches each level of success."""
     baseline = task.baseline if task.baseline in groups else None
+    saved = f"saved against {baseline.name}" if baseline else "saved"
     until = task.horizon
     rows = []
     for level in LEVELS:
@@ -231,11 +231,7 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
         Column("reached", "runs that reached it"),
         estimate_column("median", "median steps", "steps"),
         estimate_column("mean", "restricted mean", "steps"),
-        Column(
-            "saved",
-            f"saved against {baseline.name}" if baseline else "saved",
-            "percent",
-        ),
+        Column("saved", saved, "percent"),
     )
     note = THRESHOLDS_NOTE.format(until=steps(until))
     title = "Steps to a level of success"
@@ -244,9 +240,9 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
 
 def _crossings(group: Group, level: float) -> tuple[Floats, Mask]:
     """Return the step of the first crossing, or of the end, and whether it crossed, per run."""
-    curves = group.success_curves
     crossings = [
-        first_crossing(curve["step"], curve["success"], level) for curve in curves
+        first_crossing(curve["step"], curve["success"], level)
+        for curve in group.success_curves
     ]
     first_steps, reached = zip(*crossings, strict=True)
     return np.array(first_steps), np.array(reached)

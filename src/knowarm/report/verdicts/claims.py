@@ -8,7 +8,6 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.experiment.agents import Role, controls_of
-from knowarm.experiment.provenance import Provenance
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.format import counted, ends, listed, p_value, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData
@@ -16,19 +15,16 @@ from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
 FEWEST_SEEDS = 3  # of each agent, below which no difference is called significant
 ALPHA = 0.05  # fraction of studies without any effect in which the report may claim one
-TOLERANCE = (
-    0.01  # largest relative difference in size between a control and its subject
-)
+# Largest relative difference in size between a control and its subject.
+TOLERANCE = 0.01
 
 # Sizes in which controls must equal their subject: where ``provenance.json`` has them.
-SIZES: dict[str, Callable[[Provenance], float | None]] = {
-    "knowledge width": lambda known: known.knowledge.dim if known.knowledge else None,
-    "parameters": lambda known: known.parameter_counts.get("total"),
-    "parameters of the image encoder": lambda known: known.parameter_counts.get(
-        "image"
-    ),
-    "norm": lambda known: known.knowledge.norm if known.knowledge else None,
-}
+SIZES = (
+    "knowledge width",
+    "parameters",
+    "parameters of the image encoder",
+    "norm",
+)
 
 # What is tested, beside right choices on a split. Everything else in a report is descriptive.
 OUTCOMES = {
@@ -65,12 +61,10 @@ class Claim:
     outcome: str  # key of `OUTCOMES`, or the name of a split
     stage: Stage  # how the difference enters the verdict
     seeds: int  # training seeds of the agent that has fewer
-    comparison: Comparison | None = (
-        None  # over training seeds; None below two seeds per agent
-    )
-    adjusted_p: float | None = (
-        None  # see `claims`, `verdicts.query`; None: nothing is tested
-    )
+    # Over training seeds; None below two seeds per agent.
+    comparison: Comparison | None = None
+    # See `claims`, `verdicts.query`; None: nothing is tested.
+    adjusted_p: float | None = None
 
     @property
     def topic(self) -> tuple[TaskData, Group, str]:
@@ -88,22 +82,22 @@ class Claim:
         return self.comparison is not None and self.comparison.difference.low > 0
 
     @property
-    def testable(self) -> bool:
-        """Whether there are enough seeds for a test."""
-        return self.comparison is not None and self.seeds >= FEWEST_SEEDS
+    def tested(self) -> Comparison | None:
+        """The comparison, if there are enough seeds for a test."""
+        return self.comparison if self.seeds >= FEWEST_SEEDS else None
 
     @property
     def verdict(self) -> Decision:
         """The decision on the first agent: significant if the adjusted p is at most `ALPHA`."""
         if self.stage == "described":
             return "described"
-        if self.comparison is None or not self.testable:
+        if self.tested is None:
             return "too few seeds"
         if self.adjusted_p is None:
             return "not tested"
         if self.adjusted_p > ALPHA:
             return "undecided"
-        return "better" if self.comparison.difference.estimate > 0 else "worse"
+        return "better" if self.tested.difference.estimate > 0 else "worse"
 
     def sentence(self) -> str:
         """Return the difference in words, with its interval and the decision."""
@@ -146,9 +140,13 @@ def claims(study: StudyData) -> list[Claim]:
                 undecided.append(
                     claim_of(task, first, second, outcome, stage, values, others)
                 )
-    gates = [claim for claim in undecided if claim.stage == "gate" and claim.testable]
-    adjusted = holm([gate.comparison.p_value for gate in gates if gate.comparison])
-    gate_values = dict(zip(gates, adjusted.tolist(), strict=True))
+    gates = []
+    p_values = []
+    for claim in undecided:
+        if claim.stage == "gate" and claim.tested:
+            gates.append(claim)
+            p_values.append(claim.tested.p_value)
+    gate_values = dict(zip(gates, holm(p_values).tolist(), strict=True))
     return [_decide(claim, gate_values) for claim in undecided]
 
 
@@ -164,13 +162,13 @@ def _decide(claim: Claim, gate_values: Mapping[Claim, float]) -> Claim:
     """Return a claim with its adjusted p, given those of the gates."""
     if claim in gate_values:
         return replace(claim, adjusted_p=gate_values[claim])
-    if claim.stage != "after gate" or not claim.testable or claim.comparison is None:
+    if claim.stage != "after gate" or not claim.tested:
         return claim
     own_gates = [p for gate, p in gate_values.items() if gate.topic == claim.topic]
     gate_p = min(own_gates, default=1.0)
     if gate_p > ALPHA:
         return claim
-    adjusted = min(1.0, claim.comparison.p_value * len(gate_values))
+    adjusted = min(1.0, claim.tested.p_value * len(gate_values))
     return replace(claim, adjusted_p=max(gate_p, adjusted))
 
 
@@ -196,14 +194,15 @@ def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
     A subject is tested against the baseline, then against the agents that match it (`mismatch`).
     """
     compared: list[tuple[Group, Group, Stage]] = []
-    for i, subject in enumerate(task.subjects, start=1):
-        others = [group for group in task.groups if group not in task.subjects[:i]]
-        compared += [(subject, group, _stage(task, subject, group)) for group in others]
+    others = list(task.groups)
+    for subject in task.subjects:
+        others.remove(subject)
+        for group in others:
+            stage = _stage(task, subject, group)
+            compared.append((subject, group, stage))
     first = task.baseline or task.groups[0]
     if task.baseline or not task.subjects:
-        others = [
-            group for group in task.groups if group not in (*task.subjects, first)
-        ]
+        others = [group for group in others if group is not first]
         compared += [(group, first, "described") for group in others]
     return sorted(compared, key=lambda pair: STAGES.index(pair[2]))
 
@@ -242,7 +241,16 @@ def mismatch(group: Group, subject: Group) -> str | None:
 
 def size_of(group: Group, name: str) -> float | None:
     """Return a stored size of an agent's network or input; None if it is not stored."""
-    return SIZES[name](group.runs[0].provenance)
+    provenance = group.runs[0].provenance
+    counts = provenance.parameter_counts
+    sizes: dict[str, float | None] = {
+        "parameters": counts.get("total"),
+        "parameters of the image encoder": counts.get("image"),
+    }
+    if provenance.knowledge:
+        sizes["knowledge width"] = provenance.knowledge.dim
+        sizes["norm"] = provenance.knowledge.norm
+    return sizes.get(name)
 
 
 def scores(task: TaskData, group: Group, outcome: str) -> Floats:
@@ -254,10 +262,11 @@ def scores(task: TaskData, group: Group, outcome: str) -> Floats:
     if outcome == "success":
         return group.scores("success")
     until = task.horizon
-    curves = [run.interim for run in group.runs if run.lasts(until)]
-    areas = [
-        area_under_curve(curve["step"], curve["success"], until) for curve in curves
-    ]
+    areas = []
+    for run in group.runs:
+        if run.lasts(until):
+            curve = run.interim
+            areas.append(area_under_curve(curve["step"], curve["success"], until))
     return np.array(areas)
 
 
@@ -310,9 +319,8 @@ class Finding:
     """What a report says about one agent."""
 
     task: TaskData
-    subject: (
-        Group | None
-    )  # the agent; None if the task has none whose knowledge can be tested
+    # The agent; None if the task has none whose knowledge can be tested.
+    subject: Group | None
     outcome: str  # outcome or split that the finding is about
     kind: Kind  # the finding
     sentence: str  # the finding in words
@@ -336,4 +344,6 @@ def few_seeds(count: int) -> str:
 def hint(role: Role, subject: Group) -> str:
     """Return a sentence that names the registered agents that would answer the question."""
     names = controls_of(subject.agent, role)
-    return f" Registered for this: {listed(names, 'or')}." if names else ""
+    if not names:
+        return ""
+    return f" Registered for this: {listed(names, 'or')}."

@@ -26,18 +26,18 @@ def findings(
     task: TaskData, decided: Sequence[Claim], outcome: str = "success"
 ) -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
-    return [
-        finding(task, decided, outcome, subject) for subject in task.subjects or (None,)
-    ]
+    subjects = task.subjects or (None,)
+    return [finding(task, decided, outcome, subject) for subject in subjects]
 
 
 def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
     """Return the findings on all outcomes; of others than success only those with a test."""
-    tested = findings(task, decided)
+    tested = []
     for outcome in OUTCOMES:
+        found = findings(task, decided, outcome)
         if outcome != "success":
-            others = findings(task, decided, outcome)
-            tested += [other for other in others if other.kind not in UNTESTED]
+            found = [finding for finding in found if finding.kind not in UNTESTED]
+        tested += found
     return tested
 
 
@@ -70,51 +70,68 @@ def finding(
         return Finding(
             task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS]
         )
-    kind, words = _judge(subject, tested)
+    baseline = _against("baseline", tested)
+    capacity = _against("capacity_control", tested)
+    content = _against("content_control", tested)
+    kind = _judge(baseline, capacity, content)
+    words = SENTENCES[kind].format(
+        name=subject.name,
+        baseline=_names(baseline[:1]),
+        capacity=_names(capacity),
+        content=_names(content),
+        not_beaten=_not_beaten(capacity) or _not_beaten(content),
+        capacity_hint=hint("capacity_control", subject),
+        content_hint=hint("content_control", subject),
+    )
     sentence = f"{start}{words}{_not_counted(task, subject)}"
     return Finding(task, subject, outcome, kind, sentence, compared)
 
 
-def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
-    """Return the finding on a subject and its sentence; both name only agents that ran."""
-    name = subject.name
-    gates = _against("baseline", tested)
-    if not gates:
-        return "no baseline", f"there is no baseline to compare {name} with."
-    baseline = f"the baseline {gates[0].against}"
-    if gates[0].verdict == "worse":
-        return "worse", f"{name} was worse than {baseline}."
-    if gates[0].verdict != "better":
-        return "no advantage", f"no advantage of {name} over {baseline} is shown."
-    better = f"{name} was better than {baseline}"
-    capacity = _against("capacity_control", tested)
+SENTENCES: dict[Kind, str] = {
+    "no baseline": "there is no baseline to compare {name} with.",
+    "worse": "{name} was worse than the baseline {baseline}.",
+    "no advantage": "no advantage of {name} over the baseline {baseline} is shown.",
+    "size not excluded": (
+        "{name} was better than the baseline {baseline}, but its network is larger, too: without "
+        "a capacity control this is no evidence for knowledge.{capacity_hint}"
+    ),
+    "size may explain it": (
+        "{name} was better than the baseline {baseline}, but not significantly better than "
+        "{not_beaten} without knowledge: the size of the network may explain the advantage."
+    ),
+    "meaning not tested": (
+        "{name} was better than the baseline {baseline}, than {capacity} (as large, without "
+        "knowledge); whether the content of the vector matters was not tested.{content_hint}"
+    ),
+    "input without meaning": (
+        "an input vector helps, but its meaning is not shown to matter: {name} was not "
+        "significantly better than {not_beaten}."
+    ),
+    "knowledge matters": (
+        "the knowledge matters: {name} was better than the baseline {baseline}, than {capacity} "
+        "(as large, without knowledge) and than {content} (same shape, other content)."
+    ),
+}
+"""What a finding says about a subject; it names only agents that ran."""
+
+
+def _judge(
+    baseline: Sequence[Claim], capacity: Sequence[Claim], content: Sequence[Claim]
+) -> Kind:
+    """Return the finding on a subject, from the comparisons with agents of each role."""
+    if not baseline:
+        return "no baseline"
+    if baseline[0].verdict == "worse":
+        return "worse"
+    if baseline[0].verdict != "better":
+        return "no advantage"
     if not capacity:
-        return "size not excluded", (
-            f"{better}, but its network is larger, too: without a capacity control this is no "
-            f"evidence for knowledge.{hint('capacity_control', subject)}"
-        )
-    missed = _not_beaten(capacity)
-    if missed:
-        return "size may explain it", (
-            f"{better}, but not significantly better than {missed} without knowledge: the size of "
-            "the network may explain the advantage."
-        )
-    better = f"{better}, than {_names(capacity)} (as large, without knowledge)"
-    content = _against("content_control", tested)
+        return "size not excluded"
+    if _not_beaten(capacity):
+        return "size may explain it"
     if not content:
-        return "meaning not tested", (
-            f"{better}; whether the content of the vector matters was not tested."
-            f"{hint('content_control', subject)}"
-        )
-    missed = _not_beaten(content)
-    if missed:
-        return "input without meaning", (
-            f"an input vector helps, but its meaning is not shown to matter: {name} was not "
-            f"significantly better than {missed}."
-        )
-    return "knowledge matters", (
-        f"the knowledge matters: {better} and than {_names(content)} (same shape, other content)."
-    )
+        return "meaning not tested"
+    return "input without meaning" if _not_beaten(content) else "knowledge matters"
 
 
 def _against(role: Role, claims: Sequence[Claim]) -> list[Claim]:
@@ -127,9 +144,8 @@ def _names(claims: Sequence[Claim]) -> str:
 
 
 def _not_beaten(claims: Sequence[Claim]) -> str:
-    return listed(
-        [claim.against for claim in claims if claim.verdict != "better"], "or"
-    )
+    missed = [claim.against for claim in claims if claim.verdict != "better"]
+    return listed(missed, "or")
 
 
 def _not_counted(task: TaskData, subject: Group) -> str:
@@ -140,7 +156,9 @@ def _not_counted(task: TaskData, subject: Group) -> str:
             reason = mismatch(group, subject)
             if reason:
                 reasons.append(f"{group.name} ({reason})")
-    return f" Not counted as controls: {listed(reasons)}." if reasons else ""
+    if not reasons:
+        return ""
+    return f" Not counted as controls: {listed(reasons)}."
 
 
 WORDS: dict[Kind, str] = {
@@ -181,15 +199,14 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
     for name, outcomes in said.items():
         if outcomes.get("success") == outcomes.get("speed"):
             outcomes.pop("speed", None)
-        parts = []
+        statements = []
         for outcome, clauses in outcomes.items():
-            part = "; ".join(
-                f"{_where(where, tasks)}{what}" for what, where in clauses.items()
-            )
+            phrases = [_where(where, tasks) + what for what, where in clauses.items()]
+            statement = "; ".join(phrases)
             if outcome and "speed" in outcomes:
-                part = f"{OUTCOMES[outcome]}: {part}"
-            parts.append(part)
-        sentences.append(f"{name}: {'; '.join(parts)}.")
+                statement = f"{OUTCOMES[outcome]}: {statement}"
+            statements.append(statement)
+        sentences.append(f"{name}: {'; '.join(statements)}.")
     answer = " ".join(sentences) or "There is nothing to compare."
     tone = tone_of(finding.kind for finding in findings)
     return Verdict(f"Does the knowledge help? {answer}", tone=tone)
@@ -197,15 +214,15 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
 
 def _where(places: Mapping[str, Sequence[str]], tasks: int) -> str:
     """Return where a finding holds; nothing for all of a single task."""
-    titles: dict[tuple[str, ...], list[str]] = {}
+    titles: dict[str, list[str]] = {}
     for title, splits in places.items():
-        titles.setdefault(tuple(splits), []).append(title)
+        titles.setdefault(listed(splits), []).append(title)
     phrases = []
-    for splits, same_splits in titles.items():
-        phrase = [listed(splits)] if splits else []
+    for phrase, same_splits in titles.items():
         if tasks > 1:
-            phrase.append(_tasks(same_splits, tasks))
-        phrases.append(" of ".join(phrase))
+            which = _tasks(same_splits, tasks)
+            phrase = f"{phrase} of {which}" if phrase else which
+        phrases.append(phrase)
     return f"on {listed(phrases)} " if any(phrases) else ""
 
 

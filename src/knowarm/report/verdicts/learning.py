@@ -29,12 +29,16 @@ def learned(task: TaskData, group: Group) -> bool | None:
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
     untrained = [policy for policy in task.references if policy.level("success")]
-    outcomes = {group: learned(task, group) for group in task.groups}
-    evaluated = [group for group, outcome in outcomes.items() if outcome is not None]
+    better: list[str] = []
+    others: list[str] = []
+    evaluated = []
+    for group in task.groups:
+        has_learned = learned(task, group)
+        if has_learned is not None:
+            evaluated.append(group)
+            (better if has_learned else others).append(group.name)
     if not untrained or not evaluated:
         return None
-    better = [group.name for group in evaluated if outcomes[group]]
-    others = [group.name for group in evaluated if not outcomes[group]]
     more = "succeeded clearly more often than an untrained policy"
     if any(group.level("vision_gain") for group in evaluated):
         more += " and policies without vision"

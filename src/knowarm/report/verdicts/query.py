@@ -8,9 +8,8 @@ import numpy as np
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.blocks import Verdict
-from knowarm.report.collect import split_groups
 from knowarm.report.format import ends, listed, p_value, percent, points
-from knowarm.report.model import CONTROLS, Group, SplitGroup, StudyData, TaskData
+from knowarm.report.model import CONTROLS, Group, StudyData, TaskData, TestedGroup
 from knowarm.report.verdicts.claims import (
     ALPHA,
     Claim,
@@ -34,19 +33,21 @@ def query_findings(study: StudyData) -> list[Finding]:
     """
     subjects = []
     for task in study.tasks:
-        for agents in split_groups(task).values():
-            told = [agent for agent in agents if _is_subject(agent.group)]
-            subjects += [(agent, _claims(task, agent, agents)) for agent in told]
-    p_values = [_p_value(claims) for _, claims in subjects]
-    adjusted = iter(holm([p for p in p_values if p is not None]).tolist())
+        for agents in task.splits.values():
+            for agent in agents:
+                if agent.group.role == "knowledge" and agent.group.scope != "scene":
+                    compared = _claims(task, agent, agents)
+                    subjects.append((agent, compared, _p_value(compared)))
+    adjusted = holm([p for *_, p in subjects if p is not None]).tolist()
     findings = []
-    for (agent, claims), p in zip(subjects, p_values, strict=True):
-        findings.append(_finding(agent, claims, None if p is None else next(adjusted)))
+    for agent, compared, p in subjects:
+        adjusted_p = None if p is None else adjusted.pop(0)
+        findings.append(_finding(agent, compared, adjusted_p))
     return findings
 
 
 def _claims(
-    task: TaskData, subject: SplitGroup, agents: Sequence[SplitGroup]
+    task: TaskData, subject: TestedGroup, agents: Sequence[TestedGroup]
 ) -> list[Claim]:
     """Compare an agent with chance, then with its controls, the best one first."""
     group = subject.group
@@ -55,19 +56,13 @@ def _claims(
     chance = np.full(len(right), subject.chance)
     claims = [claim_of(task, group, None, split, "query", right, chance, paired)]
     controls = [agent for agent in agents if _is_control(agent.group, group)]
-    controls.sort(
-        key=lambda control: (-float(control.scores("choice").mean()), control.name)
-    )
+    controls.sort(key=lambda control: (-control.scores("choice").mean(), control.name))
     for control in controls:
         others = control.scores("choice")
         claims.append(
             claim_of(task, group, control.group, split, "query", right, others)
         )
     return claims
-
-
-def _is_subject(group: Group) -> bool:
-    return group.role == "knowledge" and group.scope != "scene"
 
 
 def _is_control(group: Group, subject: Group) -> bool:
@@ -86,9 +81,7 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
 
     None if there is no control, or too few seeds for one of the comparisons.
     """
-    compared = [
-        claim.comparison for claim in claims if claim.comparison and claim.testable
-    ]
+    compared = [claim.tested for claim in claims if claim.tested]
     if len(claims) == 1 or len(compared) < len(claims):
         return None
     if min(comparison.difference.estimate for comparison in compared) <= 0:
@@ -96,11 +89,52 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
     return max(comparison.p_value for comparison in compared)
 
 
+SENTENCES: dict[Kind, str] = {
+    "no control": "nothing to compare the choice of {name} with.{content_hint}",
+    "too few seeds": "whether {name} understood the query {few_seeds}",
+    "not above chance": (
+        "{name} is not shown to understand the query: {chose}, not significantly more often than "
+        "at random ({at_random})."
+    ),
+    "not above the best control": (
+        "{name} is not shown to understand the query: {chose}, not significantly more often than "
+        "{not_beaten}; the best control is {best}.{also}"
+    ),
+    "meaning not tested": (
+        "{name} uses the query: {chose} (at random: {at_random}), more often than the best "
+        "control {controls}; whether by its meaning was not tested.{content_hint}"
+    ),
+    "understood": (
+        "{name} understood the query: {chose} (at random: {at_random}), more often than the best "
+        "control {controls}."
+    ),
+}
+"""What a finding says about a subject."""
+
+
 def _finding(
-    subject: SplitGroup, claims: list[Claim], adjusted_p: float | None
+    subject: TestedGroup, claims: list[Claim], adjusted_p: float | None
 ) -> Finding:
     chance, *controls = claims
-    kind, words = _judge(subject, chance, controls, adjusted_p)
+    kind = _judge(chance, controls, adjusted_p)
+    beaten = [control.against for control in controls if control.is_above]
+    missed = [control.against for control in controls if not control.is_above]
+    best, *others = [control.against for control in controls] or [""]
+    if controls and controls[0].comparison:
+        gap = controls[0].comparison.difference
+        best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
+    share = percent(float(subject.scores("choice").mean()))
+    words = SENTENCES[kind].format(
+        name=subject.name,
+        content_hint=hint("content_control", subject.group),
+        few_seeds=few_seeds(min(claim.seeds for claim in claims)),
+        chose=f"it chose the wanted object in {share} of the episodes",
+        at_random=percent(subject.chance),
+        best=best,
+        controls=f"{best} and than {listed(others)}" if others else best,
+        not_beaten=listed(missed, "or") or "every control after the correction",
+        also=f" It was better than {listed(beaten)}." if beaten and missed else "",
+    )
     sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
     reasons = [*controls, chance] if controls and chance.comparison else []
     notes = []
@@ -111,69 +145,30 @@ def _finding(
     )
 
 
-def _judge(
-    subject: SplitGroup,
-    chance: Claim,
-    controls: Sequence[Claim],
-    adjusted_p: float | None,
-) -> tuple[Kind, str]:
-    """Return the finding on an agent and its sentence."""
-    name = subject.name
-    missing = hint("content_control", subject.group)
-    if not controls:
-        return "no control", f"nothing to compare the choice of {name} with.{missing}"
+def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -> Kind:
+    """Return the finding on an agent."""
+    roles = {control.second.role for control in controls if control.second}
+    if not roles:
+        return "no control"
     if adjusted_p is None:
-        seeds = few_seeds(min(claim.seeds for claim in (chance, *controls)))
-        return "too few seeds", f"whether {name} understood the query {seeds}"
-    share = percent(float(subject.scores("choice").mean()))
-    chose = f"it chose the wanted object in {share} of the episodes"
-    at_random = percent(subject.chance)
-    not_shown = f"{name} is not shown to understand the query: {chose}"
+        return "too few seeds"
     if not chance.is_above:
-        return "not above chance", (
-            f"{not_shown}, not significantly more often than at random ({at_random})."
-        )
-    best, *others = (control.against for control in controls)
-    compared = controls[0].comparison
-    if compared:
-        gap = compared.difference
-        best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
+        return "not above chance"
     if adjusted_p > ALPHA:
-        missed = listed(
-            [control.against for control in controls if not control.is_above], "or"
-        )
-        beaten = listed([control.against for control in controls if control.is_above])
-        also = f" It was better than {beaten}." if beaten and missed else ""
-        return "not above the best control", (
-            f"{not_shown}, not significantly more often than "
-            f"{missed or 'every control after the correction'}; the best control is {best}.{also}"
-        )
-    better = (
-        f"{chose} (at random: {at_random}), more often than the best control {best}"
-    )
-    if others:
-        better += f" and than {listed(others)}"
-    if not any(
-        control.second and control.second.role == "content_control"
-        for control in controls
-    ):
-        return "meaning not tested", (
-            f"{name} uses the query: {better}; whether by its meaning was not tested.{missing}"
-        )
-    return "understood", f"{name} understood the query: {better}."
+        return "not above the best control"
+    return "understood" if "content_control" in roles else "meaning not tested"
 
 
 def query_summary(findings: Sequence[Finding]) -> list[Verdict]:
     """Return one sentence per task and agent: on which splits it understood the query."""
-    by_agent: dict[tuple[str, str], dict[Kind, list[str]]] = defaultdict(
-        lambda: defaultdict(list)
-    )
+    by_agent: dict[str, dict[Kind, list[str]]] = defaultdict(lambda: defaultdict(list))
     for finding in findings:
         name = finding.subject.name if finding.subject else ""
-        by_agent[finding.task.title, name][finding.kind].append(finding.outcome)
+        start = f"{finding.task.title}, the query received by {name}"
+        by_agent[start][finding.kind].append(finding.outcome)
     verdicts = []
-    for (title, name), kinds in by_agent.items():
-        parts = [f"{kind} on {listed(splits)}" for kind, splits in kinds.items()]
-        sentence = f"{title}, the query received by {name}: {'; '.join(parts)}."
-        verdicts.append(Verdict(sentence, tone=tone_of(kinds)))
+    for start, kinds in by_agent.items():
+        phrases = [f"{kind} on {listed(splits)}" for kind, splits in kinds.items()]
+        tone = tone_of(kinds)
+        verdicts.append(Verdict(f"{start}: {'; '.join(phrases)}.", tone=tone))
     return verdicts
