@@ -19,7 +19,13 @@ from knowarm.cli.arguments import (
     read_names,
     take_option,
 )
-from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
+from knowarm.cli.tables import (
+    FilePath,
+    TableCommand,
+    Values,
+    print_meeting,
+    print_table,
+)
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.config import Which
@@ -206,7 +212,7 @@ class Evaluate(TableCommand):
         words = answer_help(cls(agent=""), f"{prog} AGENT", arguments, FIRST, ABOUT)
         return parse_with_task(cls, prog, words, agent=tyro.MISSING)
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Evaluate, print and save."""
         from knowarm.experiment.evaluate import (
             evaluate,

@@ -19,6 +19,7 @@ from knowarm.cli.tables import (
     FilePath,
     FolderPath,
     TableCommand,
+    Values,
     counted,
     lay_out,
     make_console,
@@ -254,7 +255,7 @@ PROGRESS = ("run", "state", "steps", "of", "best return", "at step", "steps/s")
 class Status(FolderCommand, TableCommand):
     """Show the state of every run of a study."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print the table and the reasons of failures."""
         study = open_study(self.folder)
         statuses = study_status(study, self.folder)
@@ -365,7 +366,7 @@ class Report(TableCommand):
     out: Path = Path("runs/report.html")
     """HTML file; the JSON and CSV files are written to the same folder."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Write the report and return its numbers."""
         path = write_report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))

@@ -9,7 +9,7 @@ import numpy as np
 from safetensors.numpy import save_file
 
 from knowarm.cli.knowledge.options import SceneOptions, short_names
-from knowarm.cli.tables import check_out, counted, print_table
+from knowarm.cli.tables import Values, check_out, counted, print_table
 from knowarm.config import to_dict
 from knowarm.knowledge import (
     SceneEmbedding,
@@ -25,7 +25,7 @@ from knowarm.reading import replacing
 class KnowledgeShow(SceneOptions):
     """Show the facts of the graph about objects, as triples, sentences and a vector."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
         config, facets, seed = self.scene()
         embedding = scene_embedding(config, facets, run_seed=seed)
@@ -80,7 +80,7 @@ class Embed(SceneOptions):
     out: Path | None = None
     """Write the slots, (S, D) float32: .npy, or .safetensors, which names them."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Embed, print and write."""
         check_out(self.out, "vectors", (".npy", ".safetensors"))
         config, facets, seed = self.scene()
@@ -113,7 +113,7 @@ def _write(embedding: SceneEmbedding, path: Path) -> None:
 class ProbeCommand(SceneOptions):
     """Test whether facets can be distinguished and their facts recovered from the vectors."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
         config, facets, seed = self.scene()
         separation = probe(config, facets, run_seed=seed)
