@@ -155,10 +155,7 @@ class StudyShow:
         """Print it."""
         if self.study is None:
             studies = map(read_study, SHIPPED)
-            rows = [
-                [shipped.name, len(shipped.runs()), shipped.about]
-                for shipped in studies
-            ]
+            rows = [[study.name, len(study.runs()), study.about] for study in studies]
             print_table("Studies", ["study", "runs", "about"], rows)
             return
         study = read_study(self.study, of=self.of)
@@ -224,9 +221,8 @@ class StudyRun:
             if status.state in BAD:
                 print(state_line(status))
         if any(status.step for status in statuses):
-            print(
-                f"Wrote {write_report([out], out / 'report.html')}: open it in a browser."
-            )
+            report = write_report([out], out / "report.html")
+            print(f"Wrote {report}: open it in a browser.")
         states = {status.state for status in statuses}
         if states <= {"done"}:
             print(f"Complete: {out}")
@@ -273,11 +269,10 @@ class Status(FolderCommand, TableCommand):
         for status in statuses:
             if status.detail and status.state in (*BAD, *PAUSED):
                 print(state_line(status))
-        runs = [asdict(status) for status in statuses]
         return {
             "study": study.name,
             **totals(statuses, study.where.cores),
-            "runs": runs,
+            "runs": list(map(asdict, statuses)),
         }
 
 

@@ -34,14 +34,14 @@ class TableCommand:
     json: FilePath = None
     """Also write the result to this JSON file."""
 
-    def run(self) -> Values:
+    def run(self) -> Mapping[str, Any]:
         """Run the command; a file that cannot be written is found before the work begins."""
         check_output(self.json)
         values = self.result()
         write_json_table(self.json, values)
         return values
 
-    def result(self) -> Values:
+    def result(self) -> Mapping[str, Any]:
         """Do the work, print the result and return its values."""
         raise NotImplementedError
 

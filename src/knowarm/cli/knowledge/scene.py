@@ -1,9 +1,8 @@
 """`knowarm knowledge show`, `embed` and `probe`: sentences and vectors of a scene's objects."""
 
 from dataclasses import dataclass
-from math import isnan
+from itertools import repeat
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from safetensors.numpy import save_file
@@ -37,12 +36,11 @@ class KnowledgeShow(SceneOptions):
         print_table("Sentences", ["slot", "sentence"], sentences.items())
         described = embedding.describe()
         dim = embedding.slot_dim
-        norms = zip(described.slots, described.slot_norms, strict=True)
         print_table(
             f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
             f"source {config.source.short_name}, scope {config.scope}",
             ["slot", "numbers", "norm"],
-            [[name, dim, norm] for name, norm in norms],
+            zip(described.slots, repeat(dim), described.slot_norms, strict=False),
         )
         coverage = described.coverage
         if coverage["labels"]:
@@ -118,14 +116,12 @@ class ProbeCommand(SceneOptions):
         config, facets, seed = self.scene()
         separation = probe(config, facets, run_seed=seed)
         columns = ["", "facet"]
-        rows: list[list[Any]] = []
-        for name, cosines in zip(
-            separation.slots, separation.cosine.tolist(), strict=True
-        ):
-            number = str(len(rows) + 1)
-            columns.append(number)
-            cells = [None if isnan(cosine) else cosine for cosine in cosines]
-            rows.append([number, name, *cells])
+        rows = []
+        cells = separation.cosine.astype(object)
+        cells[np.isnan(separation.cosine)] = None
+        for number, name in enumerate(separation.slots, start=1):
+            columns.append(str(number))
+            rows.append([str(number), name, *cells[number - 1]])
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
         print_table(title, columns, rows)
         if separation.recovered:
