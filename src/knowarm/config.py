@@ -7,6 +7,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
+from itertools import filterfalse
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
@@ -32,6 +33,8 @@ MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
 _hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
+Fields = Mapping[str, Any]
+"""Values of a config's fields, by name."""
 _Reader = Callable[[Any, str], Any]
 """Converts a JSON value, and names it by its dotted path in errors."""
 
@@ -145,23 +148,21 @@ def _check(
 
 def to_dict(config: Any) -> dict[str, Any]:
     """Convert a (nested) config dataclass to JSON values; tuples become lists."""
-    return {
-        field.name: _plain(getattr(config, field.name))
-        for field in dataclasses.fields(config)
-    }
+    names = [field.name for field in dataclasses.fields(config)]
+    return {name: _plain(getattr(config, name)) for name in names}
 
 
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return to_dict(value)
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return list(map(_plain, value))
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     return value
 
 
-def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(values: Fields, prefix: str = "") -> dict[str, Any]:
     """Return nested mappings as one mapping of dotted names."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
@@ -172,21 +173,20 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def differences(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> dict[str, tuple[Any, Any]]:
+def differences(first: Fields, second: Fields) -> dict[str, tuple[Any, Any]]:
     """Return both values of each field in which nested mappings differ, by dotted name."""
     one = flatten(first)
     other = flatten(second)
     different = {}
     for name in one | other:
-        pair = (one.get(name), other.get(name))
-        if pair[0] != pair[1]:
-            different[name] = pair
+        before = one.get(name)
+        after = other.get(name)
+        if before != after:
+            different[name] = (before, after)
     return different
 
 
-def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
+def override(config: T, overrides: Fields, *, where: str = "") -> T:
     """Copy a config with some fields changed and all types checked.
 
     Args:
@@ -206,7 +206,7 @@ def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     return from_dict(type(config), values, where=where)
 
 
-def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
+def from_dict(cls: type[T], values: Fields, *, where: str = "") -> T:
     """Build a config dataclass from JSON values and check the type of every field.
 
     Args:
@@ -319,17 +319,23 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
     """
     if value is None and type(None) in args:
         return None
-    kinds, tagged, only_config = _alternatives(args)
-    if isinstance(value, Mapping) and only_config is not None:
-        return from_dict(only_config, value, where=path)
-    if isinstance(value, Mapping) and tagged:
+    kinds = [kind for kind in args if kind is not type(None)]
+    configs = list(filterfalse(_is_plain, kinds))
+    tagged: dict[tuple[str, str], Any] = {}
+    for kind in kinds:
+        tagged |= dict.fromkeys(_tags(kind), kind)
+    if isinstance(value, Mapping):
         for (field, tag), kind in tagged.items():
             if value.get(field) == tag:
                 return from_dict(kind, value, where=path)
-        field, _ = next(iter(tagged))
-        tags = [tag for _, tag in tagged]
-        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
-        raise UserError(f"{unknown}{remedy}")
+        if tagged:
+            field, _ = next(iter(tagged))
+            tags = [tag for _, tag in tagged]
+            unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
+            raise UserError(f"{unknown}{remedy}")
+        if len(configs) == 1 and dataclasses.is_dataclass(configs[0]):
+            # its fields tell it apart from numbers and texts
+            return from_dict(typing.cast(Any, configs[0]), value, where=path)
     if tagged and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(
@@ -341,27 +347,8 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
             return _reader(kind)(value, path)
         except UserError as error:
             errors.append(str(error))
-    if len(errors) == 1:
-        raise UserError(errors[0])
-    raise UserError(f"{path}: " + " Or: ".join(errors))
-
-
-@cache
-def _alternatives(
-    args: tuple[Any, ...],
-) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
-    """Return a union's types, those with tags by tag, and the only config if none has tags.
-
-    The fields of the only config tell it apart from numbers and texts.
-    """
-    kinds = [kind for kind in args if kind is not type(None)]
-    tagged: dict[tuple[str, str], Any] = {}
-    for kind in kinds:
-        tagged |= dict.fromkeys(_tags(kind), kind)
-    configs = [kind for kind in kinds if not _is_plain(kind)]
-    if not tagged and len(configs) == 1 and dataclasses.is_dataclass(configs[0]):
-        return kinds, tagged, configs[0]
-    return kinds, tagged, None
+    where = f"{path}: " if len(errors) > 1 else ""
+    raise UserError(where + " Or: ".join(errors))
 
 
 @cache

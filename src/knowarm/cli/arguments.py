@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
 from functools import partial
+from itertools import dropwhile
 from pathlib import Path
 from textwrap import fill
 from types import UnionType
@@ -91,10 +92,6 @@ def _to_integer(word: str) -> int:
         ) from None
 
 
-# Alternatives such as tasks are options, not commands: the default says which one is meant.
-READING: dict[str, Any] = {"registry": REGISTRY, "config": (AvoidSubcommands,)}
-
-
 def parse_options(
     command: type[Command], prog: str, arguments: Sequence[str], **options: Any
 ) -> Command:
@@ -108,7 +105,15 @@ def parse_options(
     if HELP.intersection(arguments):
         _print_help(shape, prog)
     with parse_errors.on_parse_error(partial(_refuse, shape)):
-        return tyro.cli(command, prog=prog, args=arguments, **READING, **options)
+        # Alternatives such as tasks are options, not commands: the default says which is meant.
+        return tyro.cli(
+            command,
+            prog=prog,
+            args=arguments,
+            registry=REGISTRY,
+            config=(AvoidSubcommands,),
+            **options,
+        )
 
 
 def _option_of(word: str) -> str:
@@ -136,16 +141,14 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
             unknown = ", ".join(event.tokens)
             problem = f"Unrecognized options: {unknown}.{_near(shape, event.tokens)}"
         case parse_errors.MissingArgs():
-            names = [
-                str(missing.arg.lowered.metavar) for missing in event.missing_arguments
-            ]
-            problem = f"Missing from {event.prog}: {', '.join(names)}."
+            missing = [part.arg.lowered.metavar for part in event.missing_arguments]
+            problem = f"Missing from {event.prog}: {', '.join(map(str, missing))}."
         case parse_errors.BadValue(reason="too_few_values"):
             problem = f"Missing value of {event.argument.display_name()}."
         case parse_errors.InstantiationFailure():
-            option = (
-                event.argument.display_name() if event.argument else "the arguments"
-            )
+            option = "the arguments"
+            if event.argument:
+                option = event.argument.display_name()
             problem = f"Error parsing {option}: {_in_words(event.message)}."
         case _:
             return
@@ -195,14 +198,13 @@ def _fields(shape: Any) -> Iterator[tuple[str, Any, Any]]:
     types = get_type_hints(cls, include_extras=True)
     for option in fields(cls):
         name = option.name
+        value: Any = tyro.MISSING
         if shape is not cls:
             value = getattr(shape, name)
         elif option.default_factory is not MISSING:
             value = option.default_factory()
         elif option.default is not MISSING:
             value = option.default
-        else:
-            value = tyro.MISSING
         yield name, types[name], value
 
 
@@ -249,15 +251,13 @@ def answer_help(
     Without `--help` return the words, with `--help-all` as the `--help` of all options. ``default``
     is the command with its defaults.
     """
-    help_at = [i for i, word in enumerate(words) if word in HELP]
-    if not help_at:
+    if HELP.isdisjoint(words):
         return ["--help" if word == "--help-all" else word for word in words]
-    groups = {}
-    for path in _groups(default):
-        groups[path.removeprefix("config.")] = path
+    groups = {path.removeprefix("config."): path for path in _groups(default)}
     groups.pop("config", None)
-    first_at = help_at[0] + 1
-    group = "".join(words[first_at : first_at + 1])
+    after_help = dropwhile(lambda word: word not in HELP, words)
+    next(after_help)
+    group = next(after_help, "")
     if group.startswith("-"):
         group = ""
     if group and group not in groups:
@@ -282,9 +282,14 @@ def _print_help(
     about: str = "",
 ) -> None:
     """Print the help of a command, a class or an object of it with its defaults, and exit."""
-    config = (*READING["config"], DisallowNone)
-    options = {**READING, "config": config, "description": about or None}
-    tyro.cli(_showing(default, is_shown), prog=prog, args=["--help"], **options)
+    tyro.cli(
+        _showing(default, is_shown),
+        prog=prog,
+        args=["--help"],
+        registry=REGISTRY,
+        config=(AvoidSubcommands, DisallowNone),
+        description=about or None,
+    )
 
 
 def _hint(default: str) -> str:
@@ -332,8 +337,7 @@ def _showing(
         elif value is False:
             extras.append(FlagCreatePairsOff)
         about = arg(help=help_texts.get(name), help_behavior_hint=_hint)
-        has_default = value is not tyro.MISSING
-        filled = field(default_factory=default) if has_default else field()
+        filled = field() if value is tyro.MISSING else field(default_factory=default)
         options.append((name, Annotated[kind, about, *extras], filled))
     return make_dataclass(
         cls.__name__,
@@ -408,10 +412,8 @@ def read_names(words: Sequence[str]) -> dict[str, str]:
     for word in words:
         lines = [word]
         if "=" not in word:
-            text = read_text(
-                Path(word), remedy="Give mug=CoffeeMug, or a file of such lines."
-            )
-            lines = text.split("\n")
+            remedy = "Give mug=CoffeeMug, or a file of such lines."
+            lines = read_text(Path(word), remedy=remedy).split("\n")
         for line in filter(None, map(str.strip, lines)):
             name, _, other = map(str.strip, line.partition("="))
             if not (name and other):

@@ -19,7 +19,13 @@ from knowarm.cli.arguments import (
     read_names,
     take_option,
 )
-from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
+from knowarm.cli.tables import (
+    FilePath,
+    TableCommand,
+    Values,
+    print_meeting,
+    print_table,
+)
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.config import Which
@@ -206,11 +212,10 @@ class Evaluate(TableCommand):
         words = answer_help(cls(agent=""), f"{prog} AGENT", arguments, FIRST, ABOUT)
         return parse_with_task(cls, prog, words, agent=tyro.MISSING)
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Evaluate, print and save."""
-        from knowarm.experiment.evaluate import (
-            evaluate,
-        )  # imports torch, which takes seconds
+        # Imports torch, which takes seconds.
+        from knowarm.experiment.evaluate import evaluate
         from knowarm.experiment.load import load_agent
 
         recorded: RecordOptions = self.probes
@@ -274,9 +279,8 @@ def parse_with_task(
         make: Callable[..., Command] = command
         options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
     parsed: Any = parse_options(command, prog, words, **options)
-    if any(word.startswith("--env.") for word in arguments) and not is_scripted(
-        parsed.agent
-    ):
+    sets_env = any(word.startswith("--env.") for word in arguments)
+    if sets_env and not is_scripted(parsed.agent):
         raise UserError("A run has its own environment: leave out the --env options.")
     return parsed
 
@@ -321,10 +325,9 @@ def _print_groups(title: str, what: str, groups: Mapping[str, Numbers]) -> None:
     """Print one row per group of episodes, and one column per measure that any of them has."""
     names = dict.fromkeys(chain.from_iterable(groups.values()))
     measures = [column for column in map(measure, names) if not column.detail]
-    rows: list[list[Any]] = []
+    rows = []
     for name, numbers in groups.items():
-        cells = [_cell(column, numbers) for column in measures]
-        rows.append([name, *cells])
+        rows.append([name, *[_cell(column, numbers) for column in measures]])
     titles = [column.title for column in measures]
     print_table(title, [what, *titles], rows)
 

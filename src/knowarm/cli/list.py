@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from knowarm.cli.tables import TableCommand, print_table
+from knowarm.cli.tables import TableCommand, Values, print_table
 from knowarm.config import to_dict
 from knowarm.errors import unknown_name
 from knowarm.experiment.agents import AGENTS
@@ -112,7 +112,7 @@ class List(TableCommand):
     kind: Annotated[Positional[str | None], arg(metavar="[KIND]")] = None
     """All robots, agents, algorithms or targets; without it, the first of each."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print the names of one kind, or the first of each."""
         if self.kind is None:
             _print_kinds()

@@ -19,6 +19,7 @@ from knowarm.cli.tables import (
     FilePath,
     FolderPath,
     TableCommand,
+    Values,
     counted,
     lay_out,
     make_console,
@@ -154,10 +155,7 @@ class StudyShow:
         """Print it."""
         if self.study is None:
             studies = map(read_study, SHIPPED)
-            rows = [
-                [shipped.name, len(shipped.runs()), shipped.about]
-                for shipped in studies
-            ]
+            rows = [[study.name, len(study.runs()), study.about] for study in studies]
             print_table("Studies", ["study", "runs", "about"], rows)
             return
         study = read_study(self.study, of=self.of)
@@ -223,9 +221,8 @@ class StudyRun:
             if status.state in BAD:
                 print(state_line(status))
         if any(status.step for status in statuses):
-            print(
-                f"Wrote {write_report([out], out / 'report.html')}: open it in a browser."
-            )
+            report = write_report([out], out / "report.html")
+            print(f"Wrote {report}: open it in a browser.")
         states = {status.state for status in statuses}
         if states <= {"done"}:
             print(f"Complete: {out}")
@@ -254,7 +251,7 @@ PROGRESS = ("run", "state", "steps", "of", "best return", "at step", "steps/s")
 class Status(FolderCommand, TableCommand):
     """Show the state of every run of a study."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print the table and the reasons of failures."""
         study = open_study(self.folder)
         statuses = study_status(study, self.folder)
@@ -272,11 +269,10 @@ class Status(FolderCommand, TableCommand):
         for status in statuses:
             if status.detail and status.state in (*BAD, *PAUSED):
                 print(state_line(status))
-        runs = [asdict(status) for status in statuses]
         return {
             "study": study.name,
             **totals(statuses, study.where.cores),
-            "runs": runs,
+            "runs": list(map(asdict, statuses)),
         }
 
 
@@ -365,7 +361,7 @@ class Report(TableCommand):
     out: Path = Path("runs/report.html")
     """HTML file; the JSON and CSV files are written to the same folder."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Write the report and return its numbers."""
         path = write_report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -17,6 +17,8 @@ from tyro.conf import arg
 from knowarm.errors import UserError, printable
 from knowarm.reading import write_json, writing
 
+Values = dict[str, Any]
+"""What a command prints, as JSON values."""
 FilePath = Annotated[Path | None, arg(metavar="FILE")]
 FolderPath = Annotated[Path | None, arg(metavar="DIR")]
 """Types of an optional file argument, such as ``--json``, and of a folder."""
@@ -74,27 +76,33 @@ def lay_out(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int
 ) -> list[Table]:
     """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
-    headings = [Text(printable(name)) for name in columns]
-    cells = [list(map(_cell, row)) for row in rows]
-    least = []
-    most = []
-    for i, heading in enumerate(headings):
-        column = [heading, *(row[i] for row in cells)]
-        least.append(max(map(_longest_part, column)))
-        most.append(max(cell.cell_len for cell in column))
+    laid_out = []
+    for i, name in enumerate(columns):
+        laid_out.append(_Column(name, [row[i] for row in rows]))
     tables = []
-    for block in _blocks(least, room):
-        widths = _widths([least[i] for i in block], [most[i] for i in block], room)
-        table = Table(width=_total(widths))
-        for i, width in zip(block, widths, strict=True):
-            is_number = rows and all(isinstance(row[i], int | float) for row in rows)
-            table.add_column(
-                headings[i], justify="right" if is_number else "left", width=width
-            )
-        for row in cells:
-            table.add_row(*(row[i] for i in block))
+    for block in _blocks(laid_out, room):
+        table = Table(width=_share(block, room))
+        for column in block:
+            table.add_column(column.heading, justify=column.justify, width=column.width)
+        for i in range(len(rows)):
+            table.add_row(*[column.cells[i] for column in block])
         tables.append(table)
     return tables
+
+
+class _Column:
+    """Heading and cells of a column, and how many characters wide they are."""
+
+    def __init__(self, name: str, values: Sequence[Any]):
+        self.heading = Text(printable(name))
+        self.cells = list(map(_cell, values))
+        texts = [self.heading, *self.cells]
+        self.least = max(map(_longest_part, texts))
+        self.wish = max(text.cell_len for text in texts) - self.least
+        self.width = self.least
+        self.justify: Literal["left", "right"] = "left"
+        if values and all(isinstance(value, int | float) for value in values):
+            self.justify = "right"
 
 
 def _longest_part(cell: Text) -> int:
@@ -103,35 +111,36 @@ def _longest_part(cell: Text) -> int:
     return max(map(cell_len, parts), default=0)
 
 
-def _blocks(least: Sequence[int], room: int) -> list[list[int]]:
-    """Split columns, whose least widths are given, into as few tables as possible."""
-    others = range(1, len(least))
-    for count in range(1, len(least)):
+def _blocks(columns: list[_Column], room: int) -> list[list[_Column]]:
+    """Split columns into as few tables as possible, each with the first column."""
+    first, *others = columns
+    blocks = [columns]
+    for count in range(1, len(columns)):
         size = -(-len(others) // count)
-        blocks = [[0, *others[i : i + size]] for i in range(0, len(others), size)]
-        widest = max(_total([least[i] for i in block]) for block in blocks)
-        if size == 1 or widest <= room:
-            return blocks
-    return [[0]]
+        starts = range(0, len(others), size)
+        blocks = [[first, *others[start : start + size]] for start in starts]
+        if max(map(_width, blocks)) <= room:
+            break
+    return blocks
 
 
-def _total(widths: Sequence[int]) -> int:
+def _width(columns: Sequence[_Column]) -> int:
     """Return the width of a table with frame and padding."""
-    return sum(widths) + 3 * len(widths) + 1
+    return sum(column.width + 3 for column in columns) + 1
 
 
-def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
-    """Share the room among columns, those with the shortest lines first."""
-    widths = list(least)
-    wishes = [wide - narrow for narrow, wide in zip(least, most, strict=True)]
-    spare = room - _total(least)
-    waiting = len(least)
-    for i in sorted(range(len(least)), key=wishes.__getitem__):
-        more = max(0, min(wishes[i], spare // waiting))
-        widths[i] += more
+def _share(columns: Sequence[_Column], room: int) -> int:
+    """Share the room among columns, those with the shortest lines first; return the width."""
+    for column in columns:
+        column.width = column.least  # the first may have been in another table
+    spare = room - _width(columns)
+    waiting = len(columns)
+    for column in sorted(columns, key=lambda column: column.wish):
+        more = max(0, min(column.wish, spare // waiting))
+        column.width += more
         spare -= more
         waiting -= 1
-    return widths
+    return _width(columns)
 
 
 def counted(count: int, noun: str) -> str:
@@ -165,17 +174,19 @@ def _cell(value: Any) -> Text:
     """Return a value as the text of a cell."""
     if isinstance(value, Text):
         return value
+    text = printable(str(value))
     if value is None:
-        return Text("-")
-    if isinstance(value, bool):
-        return Text("yes" if value else "no")
-    if isinstance(value, int):
-        return Text(f"{value:,}")
-    if not isinstance(value, float):
-        return Text(printable(str(value)))
-    if abs(value) < 10:
-        return Text(f"{value:,.3f}")
-    return Text(f"{value:,.1f}" if abs(value) < 1000 else f"{value:,.0f}")
+        text = "-"
+    elif isinstance(value, bool):
+        text = "yes" if value else "no"
+    elif isinstance(value, int):
+        text = f"{value:,}"
+    elif isinstance(value, float):
+        digits = 3 if abs(value) < 10 else 1
+        if abs(value) >= 1000:
+            digits = 0
+        text = f"{value:,.{digits}f}"
+    return Text(text)
 
 
 def check_output(path: Path | None, option: str = "--json") -> None:

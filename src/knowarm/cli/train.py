@@ -120,14 +120,14 @@ class Train:
                 raise UserError(
                     f"There is no run to resume in {path}: leave out --resume."
                 )
-            command = parse_over(
-                override_experiment(RunFolder.open(path).experiment(), values)
-            )
+            started = RunFolder.open(path).experiment()
+            command = parse_over(override_experiment(started, values))
         else:
-            names = [
-                word.partition("=")[0].lstrip("-").replace("-", "_") for word in words
-            ]
-            check_graphs(command.config, [*flatten(values), *names])
+            set_fields = list(flatten(values))
+            for word in words:
+                option = word.partition("=")[0]
+                set_fields.append(option.lstrip("-").replace("-", "_"))
+            check_graphs(command.config, set_fields)
         own = ""
         for flag, (variable, _) in OWN.items():
             import_paths = named_by(variable)
@@ -154,23 +154,20 @@ class Train:
             )
         path = run.folder.path
         result = run.result
+        step = f"{result.step:,}"
         if result.reason == "stopped":
             if self.until_step is not None and result.step >= self.until_step:
                 total = f"{self.config.total_steps:,}"
-                print(f"Paused at step {result.step:,} of {total} and saved: {path}")
+                print(f"Paused at step {step} of {total} and saved: {path}")
                 print(f"Resume with: {self.again}")
                 return 0
-            print(
-                f"Stopped at step {result.step:,} and saved. Resume with: {self.again}"
-            )
+            print(f"Stopped at step {step} and saved. Resume with: {self.again}")
             return 130
-        print(f"Trained for {result.step:,} steps: {path}")
+        print(f"Trained for {step} steps: {path}")
         if result.best_return is not None:
-            success = read_json(run.folder.checkpoints / "best" / "meta.json")["facts"][
-                "success"
-            ]
+            best = read_json(run.folder.checkpoints / "best" / "meta.json")
             print(
-                f"Best interim evaluation: success {100 * success:.0f} %, "
+                f"Best interim evaluation: success {100 * best['facts']['success']:.0f} %, "
                 f"return {result.best_return:.1f}, at step {result.best_step:,}"
             )
             if result.best_step == 0:

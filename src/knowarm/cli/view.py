@@ -114,15 +114,15 @@ class View:
         agent = make_agent(env)
         films = []
         knowledge = []
-        for number in range(len(episodes)):
-            film = record_episode(
-                agent, env, episodes[number : number + 1], axes=self.axes
-            )
+        for number in range(self.episodes):
+            episode = episodes[number : number + 1]
+            film = record_episode(agent, env, episode, axes=self.axes)
             films.append(film)
             if self.rrd is not None:
                 knowledge.append(self._knowledge(agent, film[0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
+        scene = env.scene
         if self.video is not None:
             write_video(self.video, films)
             print(f"Wrote {self.video}")
@@ -130,12 +130,10 @@ class View:
             write_strip(self.strip, films)
             print(f"Wrote {self.strip}")
         if self.rrd is not None:
-            write_rrd(
-                self.rrd, films, joints=env.scene.joint_names, knowledge=knowledge
-            )
+            write_rrd(self.rrd, films, scene.joint_names, knowledge)
             print(f"Wrote {self.rrd}")
         if page is not None:
-            write_page(page, f"KnowArm: {env.scene.robot.name}, {self.agent}", films)
+            write_page(page, f"KnowArm: {scene.robot.name}, {self.agent}", films)
             print(f"Wrote {page}")
             if self.browser:
                 webbrowser.open(page.resolve().as_uri())
@@ -156,9 +154,8 @@ class View:
                 raise UserError(f"{robot} is a run: knowarm view --agent {robot}")
             config = EnvConfig(robot=robot, task=self.task)
             return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
-        from knowarm.experiment.evaluate import (
-            check_fits,
-        )  # imports torch, which takes seconds
+        # Imports torch, which takes seconds.
+        from knowarm.experiment.evaluate import check_fits
         from knowarm.experiment.load import load_agent
 
         trained = load_agent(self.agent, seed=self.seed)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from knowarm.learn import TorchVectorEnv, Trainer
     from knowarm.policy import Policy
 
+    MakeEnv = Callable[..., TorchVectorEnv]
+
 GROUP = "knowarm.algorithms"
 """Group of the entry points of other packages."""
 
@@ -53,35 +55,22 @@ class Algorithm:
 # need.
 
 
-def _make_ppo(
-    config: PPOConfig,
+def _make_synchronous(
+    config: PPOConfig | DistilConfig,
     policy: "Policy",
-    make_env: "Callable[..., TorchVectorEnv]",
+    make_env: "MakeEnv",
     **options: Any,
 ) -> "Trainer":
-    from knowarm.learn import PPOTrainer
+    from knowarm.learn import DistilTrainer, PPOTrainer
 
     env = make_env(config.num_envs, device=config.device)
+    if isinstance(config, DistilConfig):
+        return DistilTrainer(config, policy, env, **options)
     return PPOTrainer(config, policy, env, **options)
 
 
-def _make_distil(
-    config: DistilConfig,
-    policy: "Policy",
-    make_env: "Callable[..., TorchVectorEnv]",
-    **options: Any,
-) -> "Trainer":
-    from knowarm.learn import DistilTrainer
-
-    env = make_env(config.num_envs, device=config.device)
-    return DistilTrainer(config, policy, env, **options)
-
-
 def _make_a3c(
-    config: A3CConfig,
-    policy: "Policy",
-    make_env: "Callable[..., TorchVectorEnv]",
-    **options: Any,
+    config: A3CConfig, policy: "Policy", make_env: "MakeEnv", **options: Any
 ) -> "Trainer":
     from knowarm.learn import A3CTrainer, FixedScheduleA3CTrainer
 
@@ -89,6 +78,8 @@ def _make_a3c(
         return FixedScheduleA3CTrainer(config, policy, make_env, **options)
     return A3CTrainer(config, policy, make_env, **options)
 
+
+CENTRED_PIXELS = {"pixel_shift": 0.5, "pixel_scale": 4.0}
 
 ALGORITHMS: dict[str, Algorithm] = {
     "fast": Algorithm(
@@ -105,37 +96,32 @@ ALGORITHMS: dict[str, Algorithm] = {
                 threshold_decrease=0.05,
             ),
         ),
-        make_trainer=_make_ppo,
+        make_trainer=_make_synchronous,
         total_steps=1_500_000,
-        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        policy=CENTRED_PIXELS,
     ),
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",
         config=DistilConfig(),
-        make_trainer=_make_distil,
+        make_trainer=_make_synchronous,
         total_steps=200_000,
-        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        policy=CENTRED_PIXELS,
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
         grounded={"fusion": "before_fc"},
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",
         config=PPOConfig(),
-        make_trainer=_make_ppo,
+        make_trainer=_make_synchronous,
         total_steps=10_000_000,
-        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        policy=CENTRED_PIXELS,
     ),
     "a3c": Algorithm(
         about="asynchronous advantage actor-critic with the paper's numbers",
         config=A3CConfig(),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
-        policy={
-            "pixel_shift": 0.0,
-            "pixel_scale": 1.0,
-            "fc_activation": "none",
-            "actor_gain": 1.0,
-        },
+        policy={"fc_activation": "none", "actor_gain": 1.0},
     ),
     "a3c-tuned": Algorithm(
         about="A3C with two batched workers, larger thresholds at first, PPO's rewards and pixels",
@@ -160,7 +146,7 @@ ALGORITHMS: dict[str, Algorithm] = {
         ),
         make_trainer=_make_a3c,
         total_steps=10_000_000,
-        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        policy=CENTRED_PIXELS,
     ),
 }
 """Algorithms by name; the first is that of the default experiment. See `algorithms`."""

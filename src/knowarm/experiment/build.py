@@ -32,25 +32,26 @@ def interim_evaluation(
         columns = task.columns(setting, result.infos)
         for measure in task.measures:
             if measure.column in columns and measure.among is None:
-                numbers[measure.name] = float(columns[measure.column].mean())
-        return numbers
+                numbers[measure.name] = columns[measure.column].mean()
+        return {name: float(number) for name, number in numbers.items()}
 
     return evaluate
 
 
-def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
+def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, Any]:
     """Return the columns of ``evaluations.csv``, averages over the episodes.
 
     ``accuracy`` counts the distance only (paper equation 8), ``success`` distance and orientation.
     """
+    is_accurate = result.distance <= success_distance_m
     return {
-        "return_mean": float(result.episode_return.mean()),
-        "return_std": float(result.episode_return.std()),
-        "length_mean": float(result.length.mean()),
-        "success": float(result.success.mean()),
-        "accuracy": float((result.distance <= success_distance_m).mean()),
-        "distance_mean": float(result.distance.mean()),
-        "angle_mean": float(result.angle.mean()),
+        "return_mean": result.episode_return.mean(),
+        "return_std": result.episode_return.std(),
+        "length_mean": result.length.mean(),
+        "success": result.success.mean(),
+        "accuracy": is_accurate.mean(),
+        "distance_mean": result.distance.mean(),
+        "angle_mean": result.angle.mean(),
     }
 
 

@@ -114,15 +114,13 @@ class ExperimentConfig:
     @property
     def evaluate_every(self) -> int:
         """Environment steps between two interim evaluations, of which there are ten or more."""
-        return min(
-            self.interim.every_steps, max(1, self.total_steps // MIN_EVALUATIONS)
-        )
+        tenth = max(1, self.total_steps // MIN_EVALUATIONS)
+        return min(self.interim.every_steps, tenth)
 
     @property
     def learner(self) -> str:
         """Name of the algorithm in the registry, or of its trainer if it has none."""
         entry = algorithms().get(self.algorithm_name)
-        trainer = self.algorithm.name
-        return (
-            self.algorithm_name if entry and entry.config.name == trainer else trainer
-        )
+        if entry and entry.config.name == self.algorithm.name:
+            return self.algorithm_name
+        return self.algorithm.name

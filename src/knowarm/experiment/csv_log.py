@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from knowarm.reading import reading, replacing
 from knowarm.reading import writing as writing_file
@@ -35,33 +35,36 @@ class CsvLog:
                 step = number_in(row, "step")
                 if step is not None and step <= last and step not in drop_steps:
                     rows.append(row)
-                    self._columns += [name for name in row if name not in self._columns]
+                    self._add_columns(row)
             self._rewrite(rows)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append one row and flush it."""
-        new_columns = [name for name in row if name not in self._columns]
-        if new_columns:
-            rows = read_csv(self._path) if self._columns else []
-            self._columns += new_columns
-            self._rewrite(rows)
-        with (
-            writing(self._path),
-            self._path.open("a", newline="", encoding="utf-8") as file,
-        ):
-            csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
+        is_new = not self._columns
+        if self._add_columns(row):
+            self._rewrite([] if is_new else read_csv(self._path))
+        with writing(self._path), _opened(self._path, "a") as file:
+            self._writer(file).writerow(row)
+
+    def _add_columns(self, row: Iterable[str]) -> bool:
+        """Add the columns of a row that are missing; return whether there are some."""
+        count = len(self._columns)
+        self._columns = list(dict.fromkeys([*self._columns, *row]))
+        return len(self._columns) > count
 
     def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        with (
-            replacing(self._path, REMEDY) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
+        with replacing(self._path, REMEDY) as path, _opened(path, "w") as file:
             if self._columns:
-                writer = csv.DictWriter(
-                    file, self._columns, restval="", lineterminator="\n"
-                )
+                writer = self._writer(file)
                 writer.writeheader()
                 writer.writerows(rows)
+
+    def _writer(self, file: IO[str]) -> "csv.DictWriter[str]":
+        return csv.DictWriter(file, self._columns, lineterminator="\n")
+
+
+def _opened(path: Path, mode: str) -> IO[str]:
+    return path.open(mode, newline="", encoding="utf-8")
 
 
 def training_seconds(clock: Iterable[float]) -> float:
@@ -91,14 +94,11 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         reader = csv.DictReader(lines)
         if data and "step" not in (reader.fieldnames or ["step"]):
             raise ValueError("its first line names no column step")
-        return [
-            {
-                name: cell
-                for name, cell in row.items()
-                if name is not None and cell is not None
-            }
-            for row in reader
-        ]
+        rows = []
+        for row in reader:
+            row.pop(None, None)  # cells beyond the last column
+            rows.append({name: cell for name, cell in row.items() if cell is not None})
+        return rows
 
 
 LARGEST = 1e15

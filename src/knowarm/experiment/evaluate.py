@@ -1,6 +1,5 @@
 """Evaluation of an agent on fixed episodes (paper section 4.2.4)."""
 
-import dataclasses
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -10,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from knowarm.arrays import Mask
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import (
@@ -40,6 +40,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.probe import Findings
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.state import NamedArrays
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,19 +57,19 @@ class EvaluationResult:
     """
 
     summary: Summary
-    episodes: dict[str, np.ndarray]
-    steps: dict[str, np.ndarray] | None = None
+    episodes: NamedArrays
+    steps: NamedArrays | None = None
     films: Sequence[np.ndarray] = ()
     folder: Path | None = None
     meanings: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return agent, episodes, success and return in one line."""
-        numbers = self.summary
+        summary = self.summary
         return (
-            f"EvaluationResult({numbers.agent}, {numbers.label}: {numbers['episodes']:,.0f} "
-            f"episodes, success {100 * numbers['success']:.1f} %, "
-            f"return {numbers['return_mean']:.1f})"
+            f"EvaluationResult({summary.agent}, {summary.label}: {summary['episodes']:,.0f} "
+            f"episodes, success {100 * summary['success']:.1f} %, "
+            f"return {summary['return_mean']:.1f})"
         )
 
     def write(self, folder: Path | str | None = None) -> Path:
@@ -149,33 +150,36 @@ def evaluate(
     """
     config = override(config or EvaluationConfig(), overrides)
     agent, trained = _loaded(agent, config)
-    subject = config.prepare(
-        _subject(trained, env_config, own_folder=write and not config.label)
-    )
-    if trained is not None and trained.which != "best":
-        config = replace(config, label=f"{config.folder}-{trained.which}")
+    subject = _subject(trained, env_config, own_folder=write and not config.label)
+    subject = config.prepare(subject)
+    is_trained = False
+    folder = None
+    if trained is not None:
+        is_trained = trained.which != "untrained"
+        if trained.which != "best":
+            config = replace(config, label=f"{config.folder}-{trained.which}")
+        agent_name = f"{trained.config.name}/{trained.config.seed}"
+        folder = trained.folder.evaluation(config.folder)
     task = subject.env.task
+    measures: list[Measure] = []
+    meanings = task.column_meanings
     with closing(ArmVectorEnv(subject.env, min(BATCH, config.episodes))) as env:
         agent = agent_for_test(agent, trained, subject, env)
         for probe in config.probes:
             probe.check(env.scene, task.name)
+            measures += probe.measures
+            meanings |= probe.column_meanings
         fixed = _episodes(env, config)
         report(f"Playing {len(fixed):,} episodes.")
         result = play(agent, env, fixed, record_images=config.films, report=report)
         columns = episode_columns(subject, result, env, config)
-        is_trained = trained is not None and trained.which != "untrained"
         played = Played(agent, env, fixed, result, config.seed, is_trained, report)
         findings = Findings(columns)
         for probe in config.probes:
             probe.measure(played, findings)
-    measures: list[Measure] = []
-    meanings = dict(task.column_meanings)
-    for probe in config.probes:
-        measures += probe.measures
-        meanings |= probe.column_meanings
     numbers, groups = summarize(findings.columns, [*measures, *task.measures])
     summary = Summary(
-        agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
+        agent=agent_name,
         label=config.folder,
         config=config,
         env=to_dict(config.stored(subject.env)),
@@ -183,7 +187,6 @@ def evaluate(
         numbers=numbers | findings.numbers,
         groups=groups | findings.groups,
     )
-    folder = trained.folder.evaluation(config.folder) if trained else None
     measured = EvaluationResult(
         summary, findings.columns, findings.steps, result.images, folder, meanings
     )
@@ -246,9 +249,9 @@ def agent_for_test(
     if trained is None:
         is_made = hasattr(agent, "act") and not isinstance(agent, type)
         return cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
-    changed = known_in_test(trained, subject)
-    check_fits(trained, env, knows_task=changed is not trained.agent)
-    return changed
+    informed = known_in_test(trained, subject)
+    check_fits(trained, env, knows_task=informed is not trained.agent)
+    return informed
 
 
 def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
@@ -289,20 +292,19 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
     shape = trained.policy.shape
-    sizes = (shape.joints, shape.image_size)
-    env_sizes = (env.scene.num_joints, env.config.image_size)
-    compared: dict[str, Any] = {"joints, image size": (sizes, env_sizes)}
-    if trained.policy.uses_knowledge and not knows_task:
-        compared["knowledge of"] = (
-            row_names(trained.config.env),
-            row_names(env.config),
+    of_agent: Any = (shape.joints, shape.image_size)
+    of_env: Any = (env.scene.num_joints, env.config.image_size)
+    name = "joints, image size"
+    reads_rows = trained.policy.uses_knowledge and not knows_task
+    if of_agent == of_env and reads_rows:
+        of_agent = row_names(trained.config.env)
+        of_env = row_names(env.config)
+        name = "knowledge of"
+    if of_agent != of_env:
+        raise UserError(
+            f"{trained.config.name} does not fit this environment (agent | environment): "
+            f"{name} {of_agent!s:.80} | {of_env!s:.80}. Evaluate it in one like its own."
         )
-    for name, (of_agent, of_env) in compared.items():
-        if of_agent != of_env:
-            raise UserError(
-                f"{trained.config.name} does not fit this environment (agent | environment): "
-                f"{name} {of_agent!s:.80} | {of_env!s:.80}. Evaluate it in one like its own."
-            )
 
 
 def episode_columns(
@@ -310,63 +312,57 @@ def episode_columns(
     result: EpisodeResults,
     env: ArmVectorEnv,
     config: EvaluationConfig,
-) -> dict[str, np.ndarray]:
+) -> NamedArrays:
     """Return the columns of ``episodes.parquet``, (n,) each."""
+    infos = result.infos
+    notes = result.notes
     count = len(result.length)
-    wide = max(WIDE_ANGLE_DEG, config.angle_deg)
     seeds = config.seed + np.arange(config.seeds)
     targets = np.array([target.name for target in env.scene.targets])
     columns = {
         "episode": np.arange(count),
         "evaluation_seed": np.repeat(seeds, count // config.seeds),
-        "target": targets[result.infos["target"]],
-        "facet": result.infos["facet"],
+        "target": targets[infos["target"]],
+        "facet": infos["facet"],
         "return": result.episode_return,
         "length": result.length,
         "distance_m": result.distance,
         "angle_deg": result.angle,
         "success": result.success,
         "accurate": result.distance <= config.distance_m,
-        "success_wide": _ever_within(result, config.distance_m, wide),
+        "success_wide": _ever_wide_success(result, config),
     }
-    columns |= env.config.task.columns(env.running.setting, result.infos)
+    columns |= env.config.task.columns(env.running.setting, infos)
     for condition in config.test:
         columns |= condition.columns(env.config, columns)
-    if "candidates" in result.notes:  # of an agent that answers by a graph
-        places = result.notes["places"]
-        candidates = result.notes["candidates"]
+    if "candidates" in notes:  # of an agent that answers by a graph
+        candidates = notes["candidates"]
         columns["visible_answers"] = candidates.sum(1)
         if subject.level is not None:
-            right = result.infos["object_positions"][:, 0]
+            right = infos["object_positions"][:, 0]
             size = env.config.image_size
-            columns["covered"] = covered(places, candidates, env.scene, right, size)
+            is_covered = covered(notes["places"], candidates, env.scene, right, size)
+            columns["covered"] = is_covered
     return columns
 
 
-def _ever_within(
-    result: EpisodeResults, distance_m: float, angle_deg: float
-) -> np.ndarray:
+def _ever_wide_success(result: EpisodeResults, config: EvaluationConfig) -> Mask:
     """Return (N,) bool: success with the wider angle.
 
     Until an episode meets the wider threshold, both thresholds give the same steps.
     """
     steps = result.steps
-    near = (steps.distance <= distance_m) & (steps.angle <= angle_deg)
-    within = result.success.copy()
-    within[steps.episode[near]] = True
-    return within
+    wide = max(WIDE_ANGLE_DEG, config.angle_deg)
+    near = (steps.distance <= config.distance_m) & (steps.angle <= wide)
+    success = result.success.copy()
+    success[steps.episode[near]] = True
+    return success
 
 
 def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:
     """Draw the fixed episodes: equal shares of each evaluation seed, in order."""
     share = config.episodes // config.seeds
-    lists = [
-        evaluation_episodes(env.config, share, config.seed + i)
-        for i in range(config.seeds)
-    ]
-    columns = {}
-    for column in dataclasses.fields(Episodes):
-        columns[column.name] = np.concatenate(
-            [getattr(part, column.name) for part in lists]
-        )
-    return Episodes(**columns)
+    seeds = range(config.seed, config.seed + config.seeds)
+    lists = [evaluation_episodes(env.config, share, seed) for seed in seeds]
+    columns = zip(*[vars(part).values() for part in lists], strict=True)
+    return Episodes(*map(np.concatenate, columns))

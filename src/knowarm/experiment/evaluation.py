@@ -1,6 +1,6 @@
 """What is evaluated: episodes and thresholds, conditions of the test, and probes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -30,6 +30,7 @@ from knowarm.experiment.other_graphs import (
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
+from knowarm.measures import Columns
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.statistics import Interval, bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
@@ -41,6 +42,7 @@ from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks import task_probes
 from knowarm.world.tasks.probe import BaseProbe, Findings
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.state import NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +89,7 @@ class BaseTest:
         """Return the environment that was played as the summary stores it."""
         return env
 
-    def columns(
-        self, env: EnvConfig, episodes: Mapping[str, np.ndarray]
-    ) -> dict[str, np.ndarray]:
+    def columns(self, env: EnvConfig, episodes: Columns) -> NamedArrays:
         """Return further columns of the episodes that were played."""
         return {}
 
@@ -140,17 +140,16 @@ class SplitTest(BaseTest):
         if self.edited is not None:
             questions["edited"] = self.edited
         env = replace(subject.env, task=subject.env.task.asking(**questions))
-        edited_graph = env.task.asked.edited_graph(facets_of(env))
+        subject = replace(subject, env=env)
+        edited_graph = _edited_graph(env)
         if edited_graph is None or subject.config is None:
-            return replace(subject, env=env)
+            return subject
         check_graph(subject.config, env)
-        return replace(subject, env=env, graph=edited_graph)
+        return replace(subject, graph=edited_graph)
 
-    def columns(
-        self, env: EnvConfig, episodes: Mapping[str, np.ndarray]
-    ) -> dict[str, np.ndarray]:
+    def columns(self, env: EnvConfig, episodes: Columns) -> NamedArrays:
         """Where the graph is edited, return whether the chosen object answered before."""
-        if env.task.asked.edited_graph(facets_of(env)) is None:
+        if _edited_graph(env) is None:
             return {}
         before = answers_before_edit(env)
         chosen = zip(episodes["query"], episodes["chosen"], strict=True)
@@ -258,6 +257,11 @@ class ReasoningTest(BaseTest):
         return replace(subject, reasoning=self.by, unclear=self.unclear, level=level)
 
 
+def _edited_graph(env: EnvConfig) -> KnowledgeGraph | None:
+    """Return the graph that answers the questions of a task after an edit, if there is one."""
+    return env.task.asked.edited_graph(facets_of(env))
+
+
 AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest
 
 
@@ -277,7 +281,7 @@ class Played:
     seed: int
     is_trained: bool
     """Whether it is a trained agent, and not that of its initial weights."""
-    report: Callable[[str], None] = lambda line: None
+    report: Callable[[str], None]
     """Receives lines on the progress."""
 
     @property
@@ -293,8 +297,9 @@ class Played:
     def paths(self, rows: NDArray[np.intp]) -> list[Floats]:
         """Return the joint angles of some episodes by step, (T, J) [rad] each."""
         steps = self.result.steps
-        first = np.searchsorted(steps.episode, np.arange(len(self.episodes) + 1))
-        return [steps.joint_positions[first[i] : first[i + 1]] for i in rows]
+        first = np.searchsorted(steps.episode, np.arange(1, len(self.episodes)))
+        paths = np.split(steps.joint_positions, first)
+        return [paths[i] for i in rows]
 
 
 STEP_COLUMNS = {
@@ -369,17 +374,16 @@ class BlindProbe(BaseProbe):
         if not played.is_trained:
             return
         share = share_of(played.success)
+        first = played.episodes[: self.episodes]
         numbers: dict[str, dict[str, Any]] = {}
         gains = []
         for name, entry in BLIND_AGENTS.items():
             blind = entry.make(played.agent, played.env, played.seed)
-            chosen = played.episodes[: self.episodes]
-            played.report(f"Blind agent {name}: {len(chosen):,} episodes.")
-            success = play(blind, played.env, chosen).success
-            blind_share = share_of(success)
+            played.report(f"Blind agent {name}: {len(first):,} episodes.")
+            blind_share = share_of(play(blind, played.env, first).success)
             difference = share_difference(share, blind_share)
             numbers[name] = {
-                "episodes": float(len(success)),
+                "episodes": float(len(first)),
                 "success": blind_share,
                 "difference": difference,
             }
@@ -389,29 +393,27 @@ class BlindProbe(BaseProbe):
         findings.numbers["vision_gain"] = min(gains, key=lambda gain: gain.estimate)
         is_told = getattr(played.agent, "depends_on_rows", False)
         if is_told and "is_right_object" in played.result.infos:
-            self._measure_binding(played, findings)
+            self._measure_binding(played, first, findings)
 
-    def _measure_binding(self, played: Played, findings: Findings) -> None:
+    def _measure_binding(
+        self, played: Played, episodes: Episodes, findings: Findings
+    ) -> None:
         """Play the episodes with the questions of other visible objects."""
-        chosen = played.episodes[: self.episodes]
-        questions = other_questions(played.env, chosen, played.seed)
-        asked = np.flatnonzero(questions != "")
-        told = iter(questions[asked])
+        questions = other_questions(played.env, episodes, played.seed)
+        asked = np.flatnonzero(questions)
+        told = iter(questions[asked].tolist())
 
         def misinform(batch: Batch) -> Batch:
-            names = list(map(str, islice(told, batch.size)))
-            names += batch.names[
-                len(names) :
-            ].tolist()  # the last batch repeats its last episode
+            names = list(islice(told, batch.size))
+            names += batch.names[len(names) :].tolist()  # repeats of the last episode
             return replace(batch, names=np.array(names))
 
         if len(asked):
-            result = play(
-                InformedAgent(played.agent, misinform), played.env, chosen[asked]
-            )
+            agent = InformedAgent(played.agent, misinform)
+            result = play(agent, played.env, episodes[asked])
             right = played.result.infos["is_right_object"][asked].astype(float)
-            gain = right - result.infos["is_right_object"]
-            findings.numbers["binding"] = bootstrap(gain, repetitions=2_000)
+            loss = right - result.infos["is_right_object"]
+            findings.numbers["binding"] = bootstrap(loss, repetitions=2_000)
 
 
 def share_of(is_so: np.ndarray) -> Interval:

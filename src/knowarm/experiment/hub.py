@@ -6,6 +6,7 @@ evaluations, and a model card.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,14 @@ from knowarm.reading import one_line
 
 FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a grounding network, a packed study."""
+
+OFFLINE = "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone."
+REMEDIES = {
+    401: "Log in with `hf auth login`, or check the name.",
+    403: "Your token may not write there.",
+    404: "Check owner, name and revision.",
+}
+"""Remedies by the status of the Hub's answer."""
 
 
 def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str:
@@ -46,11 +55,7 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
     with _access(repo_id) as hub:
         api = hub.HfApi(library_name="knowarm")
         api.create_repo(repo_id, private=private, exist_ok=True)
-        operations = []
-        for name, content in contents.items():
-            operations.append(
-                hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=content)
-            )
+        operations = list(starmap(hub.CommitOperationAdd, contents.items()))
         commit = api.create_commit(
             repo_id, operations=operations, commit_message="Upload with KnowArm"
         )
@@ -69,9 +74,8 @@ def pull_from_hub(
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
     with _access(repo_id) as hub:
-        if (
-            to is not None
-        ):  # without a connection any folder that exists would be returned
+        if to is not None:
+            # Without a connection any folder that exists would be returned.
             hub.HfApi().repo_info(repo_id, revision=revision)
         single_files = [f"*{suffix}" for suffix in FILES]
         folder = hub.snapshot_download(
@@ -104,17 +108,9 @@ def _access(repo_id: str) -> Iterator[Any]:
         yield huggingface_hub
     except Exception as error:
         status = getattr(getattr(error, "response", None), "status_code", None)
-        remedy = {
-            401: "Log in with `hf auth login`, or check the name.",
-            403: "Your token may not write there.",
-            404: "Check owner, name and revision.",
-        }.get(
-            status or 0,
-            "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.",
-        )
-        first = (
-            str(error).strip().partition("\n")[0]
-        )  # what follows may repeat the token
+        remedy = REMEDIES.get(status or 0, OFFLINE)
+        # What follows the first line may repeat the token.
+        first = str(error).strip().partition("\n")[0]
         reason = one_line(Exception(first or type(error).__name__))
         raise UserError(
             f"The Hub did not serve {repo_id}: {reason}. {remedy}"
@@ -142,17 +138,22 @@ def _run_text(folder: RunFolder) -> str:
     ]
     for summary in folder.summaries():
         success = summary.interval("success")
-        low = f"{100 * success.low:.1f}"
-        high = f"{100 * success.high:.1f}"
+        low = _percent(success.low)
+        high = _percent(success.high)
         cells = [
             summary.label,
             f"{summary['episodes']:,.0f}",
-            f"{100 * success.estimate:.1f} [{low}, {high}]",
+            f"{_percent(success.estimate)} [{low}, {high}]",
         ]
         for control in ("open-loop", "blind"):
             cell = "-"
             if summary.of("blind", control):
-                cell = f"{100 * summary.interval('success', 'blind', control).estimate:.1f}"
+                blind = summary.interval("success", "blind", control)
+                cell = _percent(blind.estimate)
             cells.append(cell)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"

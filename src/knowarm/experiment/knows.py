@@ -6,6 +6,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -15,7 +16,6 @@ from knowarm.knowledge import (
     Embedding,
     KnowledgeConfig,
     KnowledgeGraph,
-    QueryEmbedding,
     query_embedding,
     read_graph,
     scene_embedding,
@@ -24,7 +24,7 @@ from knowarm.knowledge.config import Scope
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.config import FRAME, GroundingConfig
-from knowarm.questions import Condition, ObjectColour, Query, QuestionTable
+from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.tasks.task import Task
@@ -137,28 +137,15 @@ class Vector(KnowledgeConfig):
         env: EnvConfig,
         run_seed: int,
         *,
-        table: np.ndarray | None = None,
-        graph: KnowledgeGraph | None = None,
-        trained: EnvConfig | None = None,
-        **options: Any,
+        network: object = None,
+        reasoning: object = None,
+        **sources: Any,
     ) -> Knowledge:
-        """Embed what is known in a task.
+        """Embed what is known in a task; see `embedded` for the arguments.
 
-        Args:
-            env: the task.
-            run_seed: seed of the training.
-            table: in place of embedding anything, the knowledge table of the task.
-            graph: in place of the own graph.
-            trained: the task of the training, if another one is tested.
-            **options: those of `Grounded.known`, which do not matter.
+        Those of `Grounded.known`, ``network`` and ``reasoning``, do not matter.
         """
-        if table is not None:
-            return Knowledge(table)
-        if self.kind == "query":
-            return _describe_queries(self, env, run_seed, graph, trained)
-        facets = facets_of(env)
-        embedding = scene_embedding(self, facets, run_seed=run_seed, graph=graph)
-        return Knowledge(embedding.table(facets), embedding)
+        return embedded(self, env, run_seed, **sources)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,38 +168,30 @@ class Grounded(KnowledgeConfig):
         env: EnvConfig,
         run_seed: int,
         *,
-        table: np.ndarray | None = None,
-        graph: KnowledgeGraph | None = None,
-        trained: EnvConfig | None = None,
         network: "GroundingNetwork | None" = None,
         reasoning: Reasoning | None = None,
+        **sources: Any,
     ) -> Knowledge:
         """Embed the queries of a task; with a network, find grasp frames by them.
 
         Args:
             env: the task.
             run_seed: seed of the training.
-            table: in place of embedding anything, the knowledge table of the task.
-            graph: in place of the own graph.
-            trained: the task of the training, if another one is tested.
             network: the trained network.
             reasoning: which control of the answers of the graph it is, if any.
+            **sources: further arguments of `embedded`.
         """
-        if table is None:
-            knowledge = _describe_queries(self, env, run_seed, graph, trained)
-        else:
-            knowledge = Knowledge(table)
+        knowledge = embedded(self, env, run_seed, **sources)
         knowledge = replace(knowledge, is_grounded=True)
         if network is None:
             return knowledge
-        if self.kind == "grounded":
-            from knowarm.perception.agent import FrameRecognition
-
-            return replace(
-                knowledge, recognition=FrameRecognition(network, knowledge.table)
-            )
+        from knowarm.perception.agent import FrameRecognition
         from knowarm.perception.answering import AnswerGrounding
 
+        if self.kind == "grounded":
+            recognition = FrameRecognition(network, knowledge.table)
+            return replace(knowledge, recognition=recognition)
+        graph = sources.get("graph")
         facets = network.spec.facets
         answers = self.answers(env, run_seed, facets, graph=graph, reasoning=reasoning)
         return replace(knowledge, recognition=AnswerGrounding(network, answers))
@@ -236,21 +215,17 @@ class Grounded(KnowledgeConfig):
         """
         if graph is None:
             graph = read_graph(self.graph)
-        graph = self.source.change_graph(
-            graph, self.source.draw_seed(self.seed, run_seed)
-        )
+        draw_seed = self.source.draw_seed(self.seed, run_seed)
+        graph = self.source.change_graph(graph, draw_seed)
         queries = asked(env).queries
         if reasoning == "graph-shuffled":
             graph = shuffle_tails(graph, derive_seed(run_seed, "placebos"))
-        elif (
-            reasoning == "colours"
-        ):  # no facts are known: only a query's colour restricts
-            queries = tuple(Query(_seen_conditions(query)) for query in queries)
+        elif reasoning == "colours":  # no facts are known: only a colour restricts
+            queries = tuple(map(_seen_part, queries))
         is_known = described(graph, [name for name, _ in facets])
-        columns = np.flatnonzero(is_known)
         answers = np.zeros((len(queries), len(facets)), np.float32)
-        described_facets = [facets[column] for column in columns]
-        answers[:, columns] = QueryGraph(graph, described_facets).degrees(queries)
+        known = QueryGraph(graph, compress(facets, is_known))
+        answers[:, is_known] = known.degrees(queries)
         return answers
 
 
@@ -258,28 +233,43 @@ Knows = NoKnowledge | Vector | Grounded
 """What an agent knows, told apart by ``kind``."""
 
 
-def _describe_queries(
-    config: KnowledgeConfig,
+def embedded(
+    config: Vector | Grounded,
     env: EnvConfig,
     run_seed: int,
-    graph: KnowledgeGraph | None,
-    trained: EnvConfig | None,
+    *,
+    table: np.ndarray | None = None,
+    graph: KnowledgeGraph | None = None,
+    trained: EnvConfig | None = None,
 ) -> Knowledge:
-    """Embed the queries of a task: a slot per condition, from the subgraph around its value."""
-    queries = asked(env).queries
-    embedding: QueryEmbedding = query_embedding(
-        config,
-        queries,
-        run_seed=run_seed,
-        graph=graph,
-        trained_on=asked(trained or env).queries,
-    )
-    return Knowledge(embedding.table(queries), embedding)
+    """Embed the scene of a task, or its queries: a slot per condition, from its subgraph.
+
+    Args:
+        config: what is known, and the settings of the embedding.
+        env: the task.
+        run_seed: seed of the training.
+        table: in place of embedding anything, the knowledge table of the task.
+        graph: in place of the own graph.
+        trained: the task of the training, if another one is tested.
+    """
+    if table is not None:
+        return Knowledge(table)
+    if config.scope == "query":
+        queries = asked(env).queries
+        trained_on = asked(trained or env).queries
+        of_queries = query_embedding(
+            config, queries, run_seed=run_seed, graph=graph, trained_on=trained_on
+        )
+        return Knowledge(of_queries.table(queries), of_queries)
+    facets = facets_of(env)
+    embedding = scene_embedding(config, facets, run_seed=run_seed, graph=graph)
+    return Knowledge(embedding.table(facets), embedding)
 
 
-def _seen_conditions(query: Query) -> tuple[Condition, ...]:
-    """Return the conditions of a query that an image shows, without a graph."""
-    return tuple(condition for condition in query.conditions if condition.is_seen)
+def _seen_part(query: Query) -> Query:
+    """Return a query with the conditions alone that an image shows, without a graph."""
+    is_seen = [condition.is_seen for condition in query.conditions]
+    return Query(tuple(compress(query.conditions, is_seen)))
 
 
 def fits(knows: Knows, task: Task) -> bool:

@@ -15,6 +15,7 @@ from knowarm.experiment.config import ExperimentConfig, Which
 from knowarm.experiment.knows import Knowledge, row_names
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.learn import read_checkpoint
+from knowarm.learn.checkpoint import to_tensors
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.calibration import calibrated_threshold
 from knowarm.perception.grounding import GroundingNetwork
@@ -83,15 +84,16 @@ class TrainedAgent:
         Raises:
             UserError: no episodes have started, or another number; the image is another one.
         """
-        seen = (
-            observations["image"] if isinstance(observations, Mapping) else observations
-        )
-        images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
+        if isinstance(observations, Mapping):
+            observations = observations["image"]
+        shape = np.shape(observations)
+        images = np.asarray(observations).reshape(-1, *shape[-3:])
+        env = self.config.env
         if self._is_new:
             names = self._names
             if names is None:
-                names = np.repeat(row_names(self.config.env)[:1], len(images))
-            self.agent.reset(Batch(env=self.config.env, names=names))
+                names = np.repeat(row_names(env)[:1], len(images))
+            self.agent.reset(Batch(env=env, names=names))
             self._is_new = False
         started = 0 if self._is_new is None else len(self.agent.rows)
         if len(images) != started:
@@ -100,7 +102,7 @@ class TrainedAgent:
                 "reset(info) whenever environments are reset."
             )
         actions = self.agent.act({"image": images})
-        return actions.reshape(*np.shape(seen)[:-3], -1)
+        return actions.reshape(*shape[:-3], -1)
 
     def threshold(self, level: float) -> float:
         """Return the likelihood from which its network takes an object for a possible answer."""
@@ -153,9 +155,9 @@ def load_agent(
     config = folder.experiment()
     table = folder.knowledge()
     stored = folder.provenance().policy
-    checkpoint = (
-        None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
-    )
+    checkpoint = None
+    if which != "untrained":
+        checkpoint = read_checkpoint(folder.checkpoints / which)
     with reading(folder.provenance_path, "Restore the file."):
         choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
@@ -163,11 +165,8 @@ def load_agent(
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])
-        arrays = {
-            name: torch.from_numpy(value) for name, value in checkpoint.policy.items()
-        }
         try:
-            policy.load_state_dict(arrays)
+            policy.load_state_dict(to_tensors(checkpoint.policy))
         except RuntimeError as error:  # names or shapes differ
             raise UserError(
                 f"The checkpoint {folder.checkpoints / which} does not fit the policy of its run "
@@ -182,7 +181,7 @@ def load_agent(
             f"{latest_step:,}",
         )
     policy.eval()
-    network: GroundingNetwork | None = None
+    network = None
     if perception is not None:
         network = given_network(config, perception)
     elif config.knows.grounding is not None:

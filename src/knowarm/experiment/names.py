@@ -1,8 +1,8 @@
 """Names of experiments, such as ``irb120-full-fast``, and their configs."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
-from itertools import product
+from itertools import product, starmap
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,7 @@ class ExperimentName:
     algorithm: str
 
     def __post_init__(self) -> None:
-        is_file = self.robot.endswith(SUFFIX)
-        if not is_file and self.robot not in (*ROBOTS, *KNOWN_ARMS):
+        if not self.robot.endswith(SUFFIX) and self.robot not in _robots():
             raise unknown_robot(self.robot)
         for what, value, names in (
             ("task", self.task, combinations()),
@@ -56,8 +55,9 @@ class ExperimentName:
         ):
             if value not in names:
                 raise unknown_name(f"{what} of the experiment", value, names)
-        if not has_experiment(AGENTS[self.agent], find_task(self.task)):
-            tasks = ", ".join(tasks_of(AGENTS[self.agent]))
+        agent = AGENTS[self.agent]
+        if not has_experiment(agent, find_task(self.task)):
+            tasks = ", ".join(tasks_of(agent))
             raise UserError(
                 f"The agent {self.agent!r} has no experiment of the task {self.task!r}; it has "
                 f"those of {tasks}."
@@ -81,9 +81,7 @@ class ExperimentName:
 
         An error for a part that is missing or unknown lists the nearest names.
         """
-        robots = [
-            name for name in (*ROBOTS, *KNOWN_ARMS) if text.startswith(f"{name}-")
-        ]
+        robots = [name for name in _robots() if text.startswith(f"{name}-")]
         robot = max(robots, key=len, default=DEFAULT_ROBOT)
         after_robot = text.removeprefix(f"{robot}-")
         endings = [name for name in algorithms() if after_robot.endswith(f"-{name}")]
@@ -104,9 +102,7 @@ class ExperimentName:
         if not robots and agent not in AGENTS and tail.endswith(tuple(AGENTS)):
             robot = head  # one that is unknown
             agent = tail
-        name = cls(
-            robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm
-        )
+        name = cls(robot, task, agent, colours, algorithm)
         if str(name) not in (text, f"{robot}-{text}"):
             raise UserError(
                 f"The experiment {text!r} is named {str(name)!r}; give this name."
@@ -115,17 +111,17 @@ class ExperimentName:
 
     def config(self, **overrides: Any) -> ExperimentConfig:
         """Return the config of the experiment; overrides as in `experiment_config`."""
-        agent, algorithm = AGENTS[self.agent], algorithms()[self.algorithm]
+        agent = AGENTS[self.agent]
+        algorithm = algorithms()[self.algorithm]
         task = override(find_task(self.task), {"asked": agent.asked})
         knows = agent.knows
         policy = dict(algorithm.policy)
         if knows.grounding is not None:
             policy |= algorithm.grounded
-        if knows.scope == "query" and task.asked.graph is not None:
+        graph = task.asked.graph
+        if knows.scope == "query" and graph is not None:
             # described by the graph of the questions
-            knows = override(
-                knows, {"graph": task.asked.graph, "aliases": QUERY.aliases}
-            )
+            knows = override(knows, {"graph": graph, "aliases": QUERY.aliases})
         config = ExperimentConfig(
             name=str(self),
             agent=self.agent,
@@ -144,6 +140,11 @@ class ExperimentName:
         if "name" in overrides or config.env.robot == self.robot:
             return config
         return replace(config, name=str(replace(self, robot=config.env.robot)))
+
+
+def _robots() -> list[str]:
+    """Return the names of all robots."""
+    return [*ROBOTS, *KNOWN_ARMS]
 
 
 def tasks_of(agent: Agent) -> list[str]:
@@ -169,13 +170,14 @@ def colours_of(task: str) -> tuple[Colours, ...]:
 
 def experiment_names() -> list[str]:
     """List the names of all experiments of the shipped robots."""
-    names = []
+    names: list[str] = []
     for robot in ROBOTS:
         for agent, entry in AGENTS.items():
             for task in tasks_of(entry):
-                for colours, algorithm in product(colours_of(task), algorithms()):
-                    name = ExperimentName(robot, task, agent, colours, algorithm)
-                    names.append(str(name))
+                parts = product(
+                    [robot], [task], [agent], colours_of(task), algorithms()
+                )
+                names += map(str, starmap(ExperimentName, parts))
     return names
 
 
@@ -183,11 +185,10 @@ def _example(text: str) -> str:
     """Return a valid name with the parts that a text has."""
     words = (text, *text.split("-"))
 
-    def named_among(names: Iterable[str], default: str) -> str:
-        known = set(names)
-        return next((word for word in words if word in known), default)
+    def named_among(names: Collection[str], default: str) -> str:
+        return next((word for word in words if word in names), default)
 
-    robot = named_among([*ROBOTS, *KNOWN_ARMS], DEFAULT_ROBOT)
+    robot = named_among(_robots(), DEFAULT_ROBOT)
     agent = named_among(AGENTS, first_of_role("knowledge"))
     algorithm = named_among(algorithms(), next(iter(algorithms())))
     task = tasks_of(AGENTS[agent])[0]
@@ -251,20 +252,17 @@ def check_graphs(config: ExperimentConfig, set_fields: Collection[str]) -> None:
     ``set_fields`` are dotted names of the fields that the user has set.
     """
     questions = config.env.task.asked.graph
-    named = GRAPH_FIELDS.intersection(set_fields)
-    if len(named) != 1 or "graph" in set_fields:
-        return
     if questions is None or isinstance(config.knows, NoKnowledge):
         return
-    if config.knows.graph != questions:
-        graph = config.knows.graph if "knows.graph" in named else questions
+    sets_knowledge = "knows.graph" in set_fields
+    sets_questions = "env.task.asked.queries.graph" in set_fields
+    if sets_knowledge == sets_questions or "graph" in set_fields:
+        return
+    known = config.knows.graph
+    if known != questions:
         raise UserError(
             f"The questions are of the graph {questions}, and the knowledge is of another one. "
             "For both pass ",
-            Argument("graph", graph),
+            Argument("graph", known if sets_knowledge else questions),
             "; for two graphs name both: env.task.asked.queries.graph and knows.graph.",
         )
-
-
-GRAPH_FIELDS = {"knows.graph", "env.task.asked.queries.graph"}
-"""Fields that `check_graphs` compares."""

@@ -83,8 +83,10 @@ def train(
     if until_step is not None and until_step < 1:
         raise UserError(f"until_step must be at least 1, got {until_step}.")
     path = run_path(Path(runs), config)
+    resumed = None
     if resume:
-        different = other_fields(RunFolder.open(path), config)
+        resumed = RunFolder.open(path)
+        different = other_fields(resumed, config)
         different.pop("total_steps", None)
         if different:
             raise UserError(
@@ -92,63 +94,51 @@ def train(
                 f"{'; '.join(different.values())}. Resume without these overrides, or pass another "
                 "runs folder or seed to start a new run."
             )
-    network = network_for_training(
-        config, RunFolder(path) if resume else None, perception
-    )
+    network = network_for_training(config, resumed, perception)
     parts = build(config)
     if network is not None and not resume:
         check_network(config, network, parts.knowledge.table)
-    with lock_folder(
-        path, remedy="Wait until it ends, stop it, or pass another runs folder."
-    ):
-        return _train_locked(
-            config, parts, network, path, resume, should_stop, until_step
-        )
+    remedy = "Wait until it ends, stop it, or pass another runs folder."
+    with lock_folder(path, remedy=remedy):
+        folder = RunFolder.open(path) if resume else RunFolder.create(path)
+        return _train(config, parts, network, folder, resume, should_stop, until_step)
 
 
-def _train_locked(
+def _train(
     config: ExperimentConfig,
     parts: Parts,
     network: GroundingNetwork | None,
-    path: Path,
+    folder: RunFolder,
     resume: bool,
     should_stop: Callable[[], bool],
     until_step: int | None,
 ) -> Run:
     """Train in a run folder that no other process writes to; see `train`."""
-    folder = RunFolder.open(path) if resume else RunFolder.create(path)
+    last = config.total_steps
+    knowledge = parts.knowledge
     continued = resume and folder.has_checkpoint
     if resume:
         folder.write_experiment(config)
     if continued:
-        parts = replace(
-            parts, knowledge=replace(parts.knowledge, table=folder.knowledge())
-        )
+        knowledge = replace(knowledge, table=folder.knowledge())
+        parts = replace(parts, knowledge=knowledge)
     policy = parts.new_policy(config.seed)
 
-    last = config.total_steps
-    pause = last if until_step is None else min(until_step, last)
-
     def should_end() -> bool:
-        is_paused = pause <= trainer.step < last
-        return (
-            is_paused
-            or should_stop()
-            or folder.ended_early_at(config.stop_when) is not None
-        )
+        if until_step is not None and until_step <= trainer.step < last:
+            return True
+        return should_stop() or folder.ended_early_at(config.stop_when) is not None
 
-    with TrainingProgress(
-        f"{config.name}/{config.seed}", config.total_steps
-    ) as progress:
+    with TrainingProgress(f"{config.name}/{config.seed}", last) as progress:
         for line in announcements(parts, policy):
             progress.line(line)
         grounding = config.knows.grounding
-        embedding = parts.knowledge.embedding
+        embedding = knowledge.embedding
         if grounding is not None and embedding is not None and network is None:
             folder.write_experiment(config)  # can resume
             network = train_grounding(
                 config.env,
-                parts.knowledge.table,
+                knowledge.table,
                 embedding.slots_per_row,
                 grounding,
                 seed=config.seed,
@@ -162,7 +152,7 @@ def _train_locked(
                 return Run(folder, stopped)
         logs = RunLogs(folder, progress)
         knowledge = config.knows.known(
-            config.env, config.seed, table=parts.knowledge.table, network=network
+            config.env, config.seed, table=knowledge.table, network=network
         )
         trainer = make_trainer(
             config,
@@ -188,8 +178,8 @@ def _train_locked(
             if changes:
                 progress.line(f"provenance.json records what has changed: {changes}")
             keep_to_step = trainer.step
-            more = trainer.step < config.total_steps or trainer.lacks_evaluation
-            if more and not should_end():
+            goes_on = trainer.step < last or trainer.lacks_evaluation
+            if goes_on and not should_end():
                 folder.set_evaluations_aside(trainer.step)
         else:
             # Written after the trainer is built: a config that this machine cannot train leaves
@@ -200,7 +190,7 @@ def _train_locked(
                 keep_to_step = BEFORE_FIRST_STEP
         logs.open(keep_to_step=keep_to_step, pending=trainer.pending_evaluations.keys())
         try:
-            result = trainer.train(config.total_steps)
+            result = trainer.train(last)
         finally:
             logs.close()
         step = folder.ended_early_at(config.stop_when)
@@ -219,8 +209,7 @@ def announcements(parts: Parts, policy: Policy) -> list[str]:
     embedding = parts.knowledge.embedding
     numbers = parts.knowledge.table.shape[1]
     if embedding is None or numbers == 0:
-        lines.append("no knowledge vector")
-        return lines
+        return [*lines, "no knowledge vector"]
     lines.append(f"knowledge: {numbers} numbers, norm {embedding.norm:.3f}")
     if embedding.constant:
         lines.append(
@@ -240,9 +229,8 @@ def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
     """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
     choices = to_dict(policy.resolved_config)
     del choices["wide"]
-    del choices[
-        "actor_gain"
-    ]  # of the initial weights only; checkpoints of before do not name it
+    # Of the initial weights only; checkpoints of before do not name it.
+    del choices["actor_gain"]
     return {
         "robot": config.env.robot,
         "agent": config.agent,

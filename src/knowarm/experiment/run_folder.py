@@ -123,9 +123,8 @@ class RunFolder:
     @property
     def has_checkpoint(self) -> bool:
         """Whether training can resume; a damaged checkpoint counts."""
-        return any(
-            (self.checkpoints / name).is_dir() for name in ("latest", "previous")
-        )
+        latest = self.checkpoints / "latest"
+        return latest.is_dir() or (self.checkpoints / "previous").is_dir()
 
     def evaluation(self, label: str) -> Path:
         """Folder of one post-training evaluation."""
@@ -166,15 +165,14 @@ class RunFolder:
         begun = read_json(self.config_path) if self.config_path.exists() else {}
         names: dict[str, str] = {}  # of the originals, by copy
         with_inputs(begun, lambda name: names.setdefault(str(self._copy(name)), name))
-        values = with_inputs(
-            to_dict(config), lambda name: self._keep(names.get(name, name))
-        )
-        write_json(self.config_path, {"format": FORMAT, **values})
 
-    def _keep(self, name: str) -> str:
-        """Copy a graph or description, unless there is a copy; return its name."""
-        copy_input(name, self._copy(name))
-        return name
+        def kept(name: str) -> str:
+            name = names.get(name, name)
+            copy_input(name, self._copy(name))
+            return name
+
+        values = with_inputs(to_dict(config), kept)
+        write_json(self.config_path, {"format": FORMAT, **values})
 
     def _copy(self, name: str) -> Path:
         """Where the copy of an input is; inputs of one name lie in folders of their own."""
@@ -214,11 +212,9 @@ class RunFolder:
         """Environment steps that a run took of those it was to take; all, if it does not say."""
         config = self.experiment()
         total = config.total_steps
-        return (
-            total
-            if config.stop_when
-            else min(total, self.checkpoint_fact("step", total))
-        )
+        if config.stop_when:
+            return total
+        return min(total, self.checkpoint_fact("step", total))
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""
@@ -249,9 +245,8 @@ class RunFolder:
         if different:
             resumed = (*stored.resumed, {"step": step, **now})
             write_json(self.provenance_path, to_dict(replace(stored, resumed=resumed)))
-        return "; ".join(
-            f"{name} {old} | {new}" for name, (old, new) in different.items()
-        )
+        pairs = different.items()
+        return "; ".join(f"{name} {old} | {new}" for name, (old, new) in pairs)
 
     def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""
@@ -268,11 +263,8 @@ class RunFolder:
         remedy = "Restore the file or train again."
         with reading(self.knowledge_path, remedy):
             table = read_arrays(self.knowledge_path, remedy=remedy)["table"]
-            if (
-                table.ndim != 2
-                or table.dtype != np.float32
-                or not np.isfinite(table).all()
-            ):
+            is_matrix = table.ndim == 2 and table.dtype == np.float32
+            if not is_matrix or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
 
@@ -303,15 +295,13 @@ def check_network(
 
     One that is given the answers of a graph compares none.
     """
-    if answers_by_graph(config.knows) or np.array_equal(
-        network.knowledge.numpy(), table
-    ):
-        return
-    raise UserError(
-        "The given grounding network was trained with other knowledge of the queries than the "
-        f"agent {config.agent!r} has. Give one of the same agent and graph, or leave perception "
-        "out."
-    )
+    is_same = np.array_equal(network.knowledge.numpy(), table)
+    if not is_same and not answers_by_graph(config.knows):
+        raise UserError(
+            "The given grounding network was trained with other knowledge of the queries than the "
+            f"agent {config.agent!r} has. Give one of the same agent and graph, or leave "
+            "perception out."
+        )
 
 
 def given_network(config: ExperimentConfig, path: Path | str) -> GroundingNetwork:

@@ -31,10 +31,8 @@ def input_files(name: str) -> dict[str, Path | bytes]:
     path = Path(name)
     if name.endswith(SUFFIX):
         return description_files(path)
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    return {
-        str(file.relative_to(path.parent)): file for file in files if file.is_file()
-    }
+    files = filter(Path.is_file, [path, *sorted(path.rglob("*"))])
+    return {str(file.relative_to(path.parent)): file for file in files}
 
 
 def copy_input(name: str, copy: Path) -> None:

@@ -27,6 +27,8 @@ WIDE_ANGLE_DEG = 20.0
 
 Number = float | Interval
 Numbers = dict[str, Number]
+Described = Mapping[str, tuple[str, str]]
+"""Type and meaning of columns, by name."""
 
 
 STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
@@ -74,6 +76,7 @@ def _asks(episodes: Columns) -> Interval:
 
 
 _failure: dict[str, Any] = {
+    "column": "distance_m",
     "format": "number3",
     "among": lambda episodes: ~episodes["success"],
 }
@@ -94,27 +97,13 @@ MEASURES = (
         "length_std", "std of steps", "length", "std", format="number1", detail=True
     ),
     Measure(
-        "failure_distance_mean",
-        "failure dist. [m]",
-        "distance_m",
-        "average",
-        **_failure,
+        "failure_distance_mean", "failure dist. [m]", statistic="average", **_failure
     ),
     Measure(
-        "failure_distance_std",
-        "its std [m]",
-        "distance_m",
-        "std",
-        **_failure,
-        detail=True,
+        "failure_distance_std", "its std [m]", statistic="std", detail=True, **_failure
     ),
     Measure(
-        "failure_distance_max",
-        "its max [m]",
-        "distance_m",
-        "max",
-        **_failure,
-        detail=True,
+        "failure_distance_max", "its max [m]", statistic="max", detail=True, **_failure
     ),
     Measure(
         "distance_mean",
@@ -220,8 +209,8 @@ def summarize(
         for value in np.unique(episodes[group]):
             has_value = episodes[group] == value
             members = {name: column[has_value] for name, column in episodes.items()}
-            numbers = _numbers(members, of_queries if group == "query" else measures)
-            groups[group][str(value)] = numbers
+            stored = of_queries if group == "query" else measures
+            groups[group][str(value)] = _numbers(members, stored)
     return _numbers(episodes, measures), groups
 
 
@@ -308,9 +297,9 @@ class Summary:
     def interval(self, name: str, group: str = "", value: str = "") -> Interval:
         """Return a number with its interval over episodes, of no width if it has none."""
         number = self.of(group, value)[name]
-        return (
-            number if isinstance(number, Interval) else Interval(number, number, number)
-        )
+        if isinstance(number, Interval):
+            return number
+        return Interval(number, number, number)
 
     @classmethod
     def read(cls, folder: Path) -> "Summary":
@@ -318,10 +307,9 @@ class Summary:
         path = folder / "summary.json"
         values = read_json(path, remedy=AGAIN)
         with reading(path, AGAIN):
-            if values.get("format") != FORMAT:
-                raise ValueError(
-                    f"format {values.get('format')!r}, this version reads {FORMAT}"
-                )
+            version = values.get("format")
+            if version != FORMAT:
+                raise ValueError(f"format {version!r}, this version reads {FORMAT}")
             return from_dict(cls, values)
 
 
@@ -367,9 +355,7 @@ MAX_FRAMES = 10_000
 """Most images of a film that is read; an episode has at most a few hundred steps."""
 
 
-def episode_types(
-    episodes: Mapping[str, np.ndarray], meanings: Mapping[str, str]
-) -> dict[str, tuple[str, str]]:
+def episode_types(episodes: Columns, meanings: Mapping[str, str]) -> Described:
     """Return type and meaning of the columns of ``episodes.parquet``.
 
     Args:
@@ -385,21 +371,14 @@ def episode_types(
     return types
 
 
-def write_table(
-    path: Path,
-    columns: Mapping[str, np.ndarray],
-    described: Mapping[str, tuple[str, str]],
-) -> None:
+def write_table(path: Path, columns: Columns, described: Described) -> None:
     """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
     fields = []
     arrays = []
     for name, (kind, meaning) in described.items():
-        is_text = kind == "string"
-        arrow = (
-            pa.dictionary(pa.int32(), pa.string())
-            if is_text
-            else pa.type_for_alias(kind)
-        )
+        arrow = pa.type_for_alias(kind)
+        if kind == "string":
+            arrow = pa.dictionary(pa.int32(), arrow)
         fields.append(pa.field(name, arrow, metadata={"meaning": meaning}))
         arrays.append(pa.array(columns[name]).cast(arrow))
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))

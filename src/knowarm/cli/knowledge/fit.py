@@ -3,12 +3,12 @@
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes
 
 from knowarm.cli.knowledge.options import GraphOptions
-from knowarm.cli.tables import TableCommand, check_out, is_terminal
+from knowarm.cli.tables import TableCommand, Values, check_out, is_terminal
 from knowarm.knowledge.kge import KgeConfig
 
 SILENT_S = 10.0
@@ -26,7 +26,7 @@ class Fit(GraphOptions, TableCommand):
     out: Path | None = None
     """Write the model: FILE.safetensors, for `embed --source FILE.safetensors`."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Split, train with a line of progress that a terminal overwrites, and write."""
         # They import torch, which takes seconds.
         from knowarm.knowledge.kge.train import hold_out, save_model, train

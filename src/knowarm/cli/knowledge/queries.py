@@ -1,10 +1,10 @@
 """`knowarm knowledge queries` and `subgraph`: questions, answers, splits, and one subgraph."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import compress, islice
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from knowarm.cli.knowledge.options import (
     ObjectOptions,
     short_names,
 )
-from knowarm.cli.tables import TableCommand, check_out, print_table
+from knowarm.cli.tables import TableCommand, Values, check_out, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS
@@ -33,6 +33,7 @@ from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.questions import QuestionTable
 from knowarm.reading import read_text, replacing
 
+Names = dict[str, list[str]]  # lists of names by what they are of
 MOST_TRIPLES = 60  # most triples that are printed
 MOST_HELD = 12  # most held-out pairs or new triples that are printed
 
@@ -60,7 +61,7 @@ class Queries(ObjectOptions, TableCommand):
         check_values(self)
         at_least(self, 1, "objects_per_episode")
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Read the graph, make the tables and print them."""
         graph = self.read()
         facets = self.facets(graph)
@@ -83,11 +84,14 @@ class Queries(ObjectOptions, TableCommand):
         print_table(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
         return {"split": self.split, "questions": questions}
 
-    def _print_agreement(self, agent: str, query_graph: QueryGraph) -> dict[str, Any]:
-        known = [name for name, entry in AGENTS.items() if entry.knows.scope == "query"]
+    def _print_agreement(self, agent: str, query_graph: QueryGraph) -> Values:
+        known = {}
+        for name, entry in AGENTS.items():
+            if entry.knows.scope == "query":
+                known[name] = entry.knows
         if agent not in known:
             raise unknown_name("agent with knowledge of queries", agent, known)
-        knows = cast(KnowledgeConfig, AGENTS[agent].knows)
+        knows = cast(KnowledgeConfig, known[agent])
         correlation = query_agreement(knows, query_graph, run_seed=self.seed)
         text = "undefined: all conditions are equally similar"
         if correlation is not None:
@@ -98,7 +102,7 @@ class Queries(ObjectOptions, TableCommand):
         return {"agent": agent, "rank_correlation": correlation}
 
 
-def _print_overview(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
+def _print_overview(query_graph: QueryGraph, splits: QuerySplits) -> Values:
     conditions = _print_conditions(query_graph, len(splits.train.queries))
     sizes = _print_sizes(splits, conditions)
     for name, reason in splits.reasons.items():
@@ -118,16 +122,14 @@ def _print_overview(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, A
     }
 
 
-def _print_conditions(
-    query_graph: QueryGraph, query_count: int
-) -> dict[str, list[str]]:
+def _print_conditions(query_graph: QueryGraph, query_count: int) -> Names:
     """Print the objects that satisfy each condition, and return them by its name."""
     queries = query_graph.queries("none")
-    objects = np.array([name for name, _ in query_graph.facets])
     conditions = {}
     rows = []
     for query, is_answer in zip(queries, query_graph.answers(queries), strict=True):
-        names = list(dict.fromkeys(objects[is_answer].tolist()))
+        facets = dict(compress(query_graph.facets, is_answer))
+        names = list(facets)
         conditions[query.name] = names
         is_all = len(names) == len(query_graph.objects)
         rows.append([query.name, "all" if is_all else ", ".join(names)])
@@ -136,9 +138,7 @@ def _print_conditions(
     return conditions
 
 
-def _print_sizes(
-    splits: QuerySplits, conditions: Collection[str]
-) -> dict[str, dict[str, int]]:
+def _print_sizes(splits: QuerySplits, conditions: Names) -> dict[str, dict[str, int]]:
     """Print the size of each split, and return them; ``conditions`` name queries of one."""
     sizes = {}
     rows = []
@@ -156,22 +156,23 @@ def _print_sizes(
     return sizes
 
 
-def _held_out(query_graph: QueryGraph, splits: QuerySplits) -> dict[str, list[str]]:
+def _held_out(query_graph: QueryGraph, splits: QuerySplits) -> Names:
     """Return what training leaves out, and what is new in the edited graph, by split."""
     held = splits.held_out
     pairs = [f"{name}: {condition.name}" for condition, name in held.pairs]
-    names: dict[str, list[str]] = {"S2": sorted(pairs), "S3": []}
-    for split, objects in held.new.items():
-        names[split] = sorted(objects)
-    names["S4"] = sorted(held.values)
     edits = set(splits.edited or ()) - set(query_graph.graph)
-    names["S5"] = sorted(map(" ".join, edits))
-    return names
+    return {
+        "S2": sorted(pairs),
+        "S3": [],
+        **{split: sorted(objects) for split, objects in held.new.items()},
+        "S4": sorted(held.values),
+        "S5": sorted(map(" ".join, edits)),
+    }
 
 
-def _questions(table: QuestionTable) -> dict[str, dict[str, list[str]]]:
+def _questions(table: QuestionTable) -> dict[str, Names]:
     """Return the targets of every query that a table asks: colours by object."""
-    questions: dict[str, dict[str, list[str]]] = {}
+    questions: dict[str, Names] = {}
     for query, facet in np.argwhere(table.askable):
         name, colour = table.facets[facet]
         colours = questions.setdefault(table.queries[query].name, {})
@@ -245,7 +246,7 @@ class Subgraph(SelectionOptions, TableCommand):
     out: Path | None = None
     """Write the result: .ttl, .nt, .rdf, .jsonld, .csv or .tsv."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Select, print and write."""
         check_out(self.out, "graphs", tuple(WRITERS))
         graph = self.read()
@@ -268,7 +269,7 @@ class Subgraph(SelectionOptions, TableCommand):
 
     def _print_answers(
         self, columns: Sequence[str], answers: Sequence[Sequence[str]]
-    ) -> dict[str, Any]:
+    ) -> Values:
         if self.out is not None:
             raise UserError(
                 "--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT."
@@ -284,7 +285,7 @@ def _text(query: str) -> str:
     return read_text(Path(query), remedy="Give a file of one SPARQL query in UTF-8.")
 
 
-def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
+def _print_triples(graph: KnowledgeGraph) -> Values:
     title = f"{len(graph):,} triples, {len(graph.nodes):,} entities"
     print_table(
         title, ["head", "relation", "tail"], short_names(islice(graph, MOST_TRIPLES))
@@ -294,17 +295,13 @@ def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
     return {"facts": list(graph)}
 
 
-def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
+def _print_statistics(graph: KnowledgeGraph) -> Values:
     statistics = graph_statistics(graph)
     values = statistics._asdict()
     counts = [(name, value) for name, value in values.items() if isinstance(value, int)]
     print_table("Graph", ["what", "count"], counts)
-    relations = [
-        (local_name(name), count) for name, count in statistics.by_relation.items()
-    ]
-    print_table("Relations", ["relation", "triples"], relations)
-    hubs = [(local_name(name), count) for name, count in statistics.hubs]
-    print_table("Hubs", ["entity", "edges"], hubs)
+    _print_counts("Relations", ["relation", "triples"], statistics.by_relation.items())
+    _print_counts("Hubs", ["entity", "edges"], statistics.hubs)
     for relation, entities in statistics.cycles:
         names = ", ".join(map(local_name, entities))
         print(f"Cycle along {local_name(relation)}: {names}.")
@@ -313,3 +310,11 @@ def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
             f"The label {label!r} belongs to {len(owners)} entities: {', '.join(owners)}."
         )
     return values
+
+
+def _print_counts(
+    title: str, columns: Sequence[str], counts: Iterable[tuple[str, int]]
+) -> None:
+    """Print a table of entities or relations with a count of each."""
+    rows = [(local_name(name), count) for name, count in counts]
+    print_table(title, columns, rows)

@@ -1,15 +1,14 @@
 """`knowarm knowledge show`, `embed` and `probe`: sentences and vectors of a scene's objects."""
 
 from dataclasses import dataclass
-from math import isnan
+from itertools import repeat
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from safetensors.numpy import save_file
 
 from knowarm.cli.knowledge.options import SceneOptions, short_names
-from knowarm.cli.tables import check_out, counted, print_table
+from knowarm.cli.tables import Values, check_out, counted, print_table
 from knowarm.config import to_dict
 from knowarm.knowledge import (
     SceneEmbedding,
@@ -25,7 +24,7 @@ from knowarm.reading import replacing
 class KnowledgeShow(SceneOptions):
     """Show the facts of the graph about objects, as triples, sentences and a vector."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
         config, facets, seed = self.scene()
         embedding = scene_embedding(config, facets, run_seed=seed)
@@ -37,12 +36,11 @@ class KnowledgeShow(SceneOptions):
         print_table("Sentences", ["slot", "sentence"], sentences.items())
         described = embedding.describe()
         dim = embedding.slot_dim
-        norms = zip(described.slots, described.slot_norms, strict=True)
         print_table(
             f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
             f"source {config.source.short_name}, scope {config.scope}",
             ["slot", "numbers", "norm"],
-            [[name, dim, norm] for name, norm in norms],
+            zip(described.slots, repeat(dim), described.slot_norms, strict=False),
         )
         coverage = described.coverage
         if coverage["labels"]:
@@ -80,7 +78,7 @@ class Embed(SceneOptions):
     out: Path | None = None
     """Write the slots, (S, D) float32: .npy, or .safetensors, which names them."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Embed, print and write."""
         check_out(self.out, "vectors", (".npy", ".safetensors"))
         config, facets, seed = self.scene()
@@ -113,19 +111,17 @@ def _write(embedding: SceneEmbedding, path: Path) -> None:
 class ProbeCommand(SceneOptions):
     """Test whether facets can be distinguished and their facts recovered from the vectors."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Values:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
         config, facets, seed = self.scene()
         separation = probe(config, facets, run_seed=seed)
         columns = ["", "facet"]
-        rows: list[list[Any]] = []
-        for name, cosines in zip(
-            separation.slots, separation.cosine.tolist(), strict=True
-        ):
-            number = str(len(rows) + 1)
-            columns.append(number)
-            cells = [None if isnan(cosine) else cosine for cosine in cosines]
-            rows.append([number, name, *cells])
+        rows = []
+        cells = separation.cosine.astype(object)
+        cells[np.isnan(separation.cosine)] = None
+        for number, name in enumerate(separation.slots, start=1):
+            columns.append(str(number))
+            rows.append([str(number), name, *cells[number - 1]])
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
         print_table(title, columns, rows)
         if separation.recovered:
