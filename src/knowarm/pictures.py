@@ -3,6 +3,7 @@
 import base64
 import io
 from collections.abc import Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,7 @@ def animation(
 ) -> bytes:
     """Return a WebP file that repeats images; ``last_ms`` is the display time of the last one."""
     frames = [Image.fromarray(image) for image in images]
-    durations = [frame_ms] * len(frames)
-    durations[-1] = last_ms
+    durations = [*repeat(frame_ms, len(frames) - 1), last_ms]
     return encode(
         frames[0],
         "WEBP",

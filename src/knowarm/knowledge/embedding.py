@@ -269,7 +269,7 @@ def _embed(
     source = config.source
     coverage = Coverage()
     matrix = np.zeros((len(slots), config.dim), np.float32)
-    sentences = [""] * len(slots)
+    sentences = ["" for _ in slots]
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
         if graph is None:
