@@ -57,13 +57,26 @@ def commands_in(group, *words):
             yield from commands_in(command, *words, name)
 
 
-def test_every_command_has_a_help(capsys):
+def options_without_text(shown):
+    """Return the options in a help that say no more than their values and default."""
+    bare = []
+    for option in re.split(r"\n *(?=--\w)", re.sub("[│╭╰╮╯─]", " ", shown))[1:]:
+        block = re.split(r"\n *\n", option)[0]
+        name, *words = re.sub(r"\(default:.*?\)|\(required\)|\{.*?\}", "", block).split()
+        if all(word.isupper() for word in words):
+            bare.append(name)
+    return bare
+
+
+def test_every_command_has_a_help_with_a_text_for_each_option(capsys):
     for name in [*COMMANDS, *DOORS]:
         for words in commands_in(find_command(name), name):
             with pytest.raises(SystemExit) as ended:
                 main([*words, "--help"])
             assert ended.value.code in (0, None), words
-            assert f"usage: knowarm {' '.join(words)}" in capsys.readouterr().out
+            shown = capsys.readouterr().out
+            assert f"usage: knowarm {' '.join(words)}" in shown
+            assert not options_without_text(shown), words
 
 
 def test_a_typing_error_in_a_command_imports_nothing_heavy():
