@@ -114,9 +114,8 @@ def main() -> None:
     found = []
     for seed in arguments.seeds:
         parts = build(replace(config, env=env_config, seed=seed))
-        shape = replace(
-            parts.policy_shape, joints=2, levels=1
-        )  # x and y instead of actions
+        # X and y instead of actions
+        shape = replace(parts.policy_shape, joints=2, levels=1)
         env = ArmVectorEnv(env_config, 512, 1)
         starts = draw_starts(
             env, parts.knowledge.table, arguments.images + TEST_IMAGES, seed

@@ -14,7 +14,6 @@ angles = np.array(contract["joints"]["home"])  # yours: the measured joint angle
 for _ in range(contract["max_episode_steps"]):
     image = np.zeros((64, 64, 3), np.uint8)  # yours: the camera's image, RGB
     observation = {"observation/image": image, "observation/state": angles}
-    angles = policy.infer(observation)["actions"][
-        0
-    ]  # yours: command these joint angles
+    # Yours: command these joint angles
+    angles = policy.infer(observation)["actions"][0]
 print("Last joint targets [rad]:", angles.round(3))

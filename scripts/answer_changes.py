@@ -25,9 +25,8 @@ ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
 
 MEASURES = ("success", "return_mean", "entropy")
-Variant = dict[
-    str, np.ndarray
-]  # measures of a variant by name, one number per training seed
+# Measures of a variant by name, one number per training seed
+Variant = dict[str, np.ndarray]
 
 TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study
 `a3c` with changes towards `a3c-tuned`, which has all of them; {{runs}} runs. Success and return:

@@ -53,11 +53,12 @@ PAGE = RESULTS / "answer.md"
 CHANGES = RESULTS / "a3c-changes"
 ALL_DONE = "None failed."
 """What the page says of a study whose runs are all done."""
+# Of a cell that two have, the first counts
 STUDIES = (
     "answer",
     "answer-tiago",
     "paper",
-)  # of a cell that two have, the first counts
+)
 
 
 def saving(task: TaskData, agent: str) -> float | None:

@@ -117,9 +117,8 @@ def build(
     left, values, _ = svds(matrix.astype(np.float64), k=dim, v0=start)
     order = np.argsort(-values)
     left, values = left[:, order], values[order]
-    left *= np.sign(
-        left[np.abs(left).argmax(axis=0), np.arange(dim)]
-    )  # the SVD leaves signs open
+    # The SVD leaves signs open
+    left *= np.sign(left[np.abs(left).argmax(axis=0), np.arange(dim)])
     vectors = left * values**power
     vectors /= np.linalg.norm(vectors, axis=1).mean()  # a typical word has norm 1
     # safetensors writes the buffer as it lies: the columns taken in order left it column-major

@@ -62,9 +62,8 @@ def main() -> None:
         frames = record_episode(trained.agent, env, episodes[i : i + 1])
         images += [draw(frame, frame is frames[-1]) for frame in frames]
         durations += [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    every = np.concatenate(
-        [np.asarray(image) for image in images[::4]]
-    )  # colours of all episodes
+    # Colours of all episodes
+    every = np.concatenate([np.asarray(image) for image in images[::4]])
     palette = Image.fromarray(every).quantize(192)
     small = [
         image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images

@@ -82,9 +82,8 @@ def other_questions(env, infos):
         [name for name, _ in env.facets],
     )
     first = np.array([names.index(name) for name in targets])
-    answers = table.satisfies[
-        :, first[infos["objects"]] + infos["object_colours"]
-    ]  # (Q, n, m)
+    # (Q, n, m)
+    answers = table.satisfies[:, first[infos["objects"]] + infos["object_colours"]]
     only = answers[..., 1] & (answers.sum(2) == 1)
     assert only.any(0).all()
     return {"query": [table.queries[row].name for row in only.argmax(0)]}

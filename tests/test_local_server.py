@@ -35,10 +35,11 @@ def test_names_of_this_machine_are_answered(host):
         ("/state", {"Host": "localhost:8080", "Origin": "http://evil.example"}),
         ("/state", {"Host": "localhost:8080", "Origin": "null"}),
         ("/ui", {"Host": "localhost:8080", "Origin": "http://localhost:3000"}),
+        # An image
         (
             "/?q=usedFor",
             {"Host": "localhost:8080", "Sec-Fetch-Site": "cross-site"},
-        ),  # an image
+        ),
         ("/", {"Host": "localhost:8080", "Sec-Fetch-Site": "same-site"}),
         ("/", {"Host": "[::1"}),
         ("//[", {"Host": "localhost:8080"}),

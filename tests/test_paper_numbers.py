@@ -125,9 +125,8 @@ def test_episodes_start_where_the_paper_says(robot, scene):
     assert not largest[2:].any()
     assert (largest[:2] <= START_OFFSETS[robot]).all()
     shares = np.bincount(drawn.target, minlength=3) / 4_000
-    np.testing.assert_allclose(
-        shares, 1 / 3, atol=0.03
-    )  # one of three targets, uniformly
+    # One of three targets, uniformly
+    np.testing.assert_allclose(shares, 1 / 3, atol=0.03)
     np.testing.assert_allclose(drawn.colour.mean(), 0.5, atol=0.03)
 
 

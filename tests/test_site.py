@@ -92,9 +92,8 @@ def test_every_snippet_is_run_or_says_why_not():
     found = [
         f"{page}: {line}"
         for page, text in pages.items()
-        if not page.startswith(
-            ("docs/lab-notes", "docs/notebooks")
-        )  # run by `make docs`
+        # Run by `make docs`
+        if not page.startswith(("docs/lab-notes", "docs/notebooks"))
         for line in unrun(page, text)
     ]
     assert not found, "\n".join(found)
@@ -110,9 +109,8 @@ def test_a_snippet_that_nothing_runs_is_found():
 
 
 def test_the_study_files_of_the_documentation_can_be_read(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(
-        str(ROOT / "examples" / "own_algorithm")
-    )  # one names it
+    # One names it
+    monkeypatch.syspath_prepend(str(ROOT / "examples" / "own_algorithm"))
     monkeypatch.setitem(ALGORITHMS, "a2c", import_module("a2c").A2C)
     studies = [
         block

@@ -25,9 +25,8 @@ OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet an
 PART = "."  # Joins the names of an object and its part: "mug.handle"
 AT_ONCE = 4096  # Questions whose distractors are found at once
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
-ObjectColour = tuple[
-    str, str
-]  # A facet: an object or part, and one of its colours, by name
+# A facet: an object or part, and one of its colours, by name
+ObjectColour = tuple[str, str]
 
 
 class Condition(NamedTuple):

@@ -87,9 +87,8 @@ def test_the_section_has_a_table_for_each_number_of_steps(tmp_path):
         "without-batch": [0.4] * 3,
         "rewards_pixels": [0.1] * 3,
     }
-    write_runs(
-        runs, 5_000_000, larger | {"without-pixels": [0.45]}
-    )  # too few for the table
+    # Too few for the table
+    write_runs(runs, 5_000_000, larger | {"without-pixels": [0.45]})
     a3c_changes.pack(runs, packs)
     text = "\n\n".join(changes_section(packs))
     assert "46 runs" in text

@@ -58,9 +58,8 @@ def test_the_frozen_questions_have_their_frozen_answers(name):
 @pytest.mark.parametrize("name", ["choose-v1", "reach-v1"])
 def test_the_fixed_lists_still_reach_what_they_reached(name):
     for cell in list(read_suite(name).cells.values())[::6]:
-        env = ArmVectorEnv(
-            replace(cell.env, image_size=8), 100
-        )  # a list reads no image
+        # A list reads no image
+        env = ArmVectorEnv(replace(cell.env, image_size=8), 100)
         played = run_agent(entrant("open-loop").make(cell, env), env, cell.episodes)
         assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01
 
@@ -345,10 +344,11 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
         ("oracle", 1),
         ("zero <b>", 2),
     ]
+    # Zero sees nothing
     assert [line["is_ranked"] for line in table["lines"]] == [
         True,
         False,
-    ]  # zero sees nothing
+    ]
     html, markdown = write_leaderboard(
         read_rows(stored.parent), stored.parent / "page.html"
     )
@@ -512,9 +512,8 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
         )
         == 0
     )
-    assert (
-        main(["benchmark", "verify", str(row)]) == 2
-    )  # a row must not choose code to import
+    # A row must not choose code to import
+    assert main(["benchmark", "verify", str(row)]) == 2
     assert main(["benchmark", "verify", str(row), "--no-play"]) == 0
     assert main(["benchmark", "verify", str(row), "--policy", "my_policy:Random"]) == 0
     assert main(["benchmark", "table", str(row.parent), "--out", str(page)]) == 0

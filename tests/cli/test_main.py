@@ -57,13 +57,28 @@ def commands_in(group, *words):
             yield from commands_in(command, *words, name)
 
 
-def test_every_command_has_a_help(capsys):
+def options_without_text(shown):
+    """Return the options in a help that say no more than their values and default."""
+    bare = []
+    for option in re.split(r"\n *(?=--\w)", re.sub("[│╭╰╮╯─]", " ", shown))[1:]:
+        block = re.split(r"\n *\n", option)[0]
+        name, *words = re.sub(
+            r"\(default:.*?\)|\(required\)|\{.*?\}", "", block
+        ).split()
+        if all(word.isupper() for word in words):
+            bare.append(name)
+    return bare
+
+
+def test_every_command_has_a_help_with_a_text_for_each_option(capsys):
     for name in [*COMMANDS, *DOORS]:
         for words in commands_in(find_command(name), name):
             with pytest.raises(SystemExit) as ended:
                 main([*words, "--help"])
             assert ended.value.code in (0, None), words
-            assert f"usage: knowarm {' '.join(words)}" in capsys.readouterr().out
+            shown = capsys.readouterr().out
+            assert f"usage: knowarm {' '.join(words)}" in shown
+            assert not options_without_text(shown), words
 
 
 def test_a_typing_error_in_a_command_imports_nothing_heavy():
@@ -118,17 +133,15 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, col
         shown("--help-all"),
     )
     assert len(first) == 10
-    assert shown(
-        "--help", *re.findall(r"--help (\w+) ", USAGE)
-    )  # the group of the usage
+    # The group of the usage
+    assert shown("--help", *re.findall(r"--help (\w+) ", USAGE))
     assert {"seed", "total-steps", "graph"} < set(first)
     assert all(name.startswith("env.") for name in group)
     assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)
     assert {*first, *group} < set(everything)
-    assert not [
-        name for name in everything if name.endswith(".kind")
-    ]  # tags of alternatives
+    # Tags of alternatives
+    assert not [name for name in everything if name.endswith(".kind")]
     assert main(["train", "irb120-full-fast", "--help", "polcy"]) == 2
     assert "Did you mean 'policy'" in capsys.readouterr().err
 
@@ -338,10 +351,11 @@ def test_an_environment_that_does_not_work_ends_in_one_line(tmp_path, shell):
         "agents",
     ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    # What is imported decides whether the folder matters
     assert done.returncode in (
         0,
         2,
-    )  # what is imported decides whether the folder matters
+    )
     assert done.stderr.count("\n") == done.returncode // 2
 
 

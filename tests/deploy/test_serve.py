@@ -296,9 +296,8 @@ def test_a_message_of_a_gigabyte_is_refused_by_its_header(parts, server):
             b"\xff" + (1 << 30).to_bytes(8, "big"),
             bytes(4),
         )
-        connection.socket.sendall(
-            binary + masked_length + mask
-        )  # and not one byte of content
+        # And not one byte of content
+        connection.socket.sendall(binary + masked_length + mask)
         with pytest.raises(ConnectionClosed) as closed:
             connection.recv(timeout=60)
         assert closed.value.rcvd.code == 1009

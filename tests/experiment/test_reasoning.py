@@ -117,9 +117,8 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
     named = dataclasses.replace(test[0], names={"mug": "CoffeeCup"})
     again = evaluate(trained, test=(named, test[1]), **BRIEF)
     assert again.summary.numbers == result.summary.numbers
-    assert (
-        again.summary.env == result.summary.env
-    )  # the given graph, not a copy with names
+    # The given graph, not a copy with names
+    assert again.summary.env == result.summary.env
     assert again.summary.config.test[0] == named
     with pytest.raises(UserError, match="has an entity 'vase' of its own"):
         evaluate(

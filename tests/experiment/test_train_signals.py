@@ -59,10 +59,11 @@ def interrupted(arguments, folder, tmp_path, number):
 def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
     folder = RunFolder(tmp_path / "runs" / "irb120-bm-ppo" / "0")
     algorithm = [f"--algorithm.{name}={value}" for name, value in ALGORITHM.items()]
+    # None on the way
     numbers = [
         "--total-steps=10000000",
         "--checkpoint-every-steps=10000000",
-    ]  # none on the way
+    ]
     command = [
         "train",
         "irb120-bm-ppo",

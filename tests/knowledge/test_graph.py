@@ -84,9 +84,8 @@ def test_statistics():
     assert found.components == 3
     assert found.hubs[0] == ("y", 4)
     assert found.by_relation == {"isNextTo": 4, "isA": 3}
-    assert found.cycles == (
-        ("isA", ("a", "b", "c")),
-    )  # isNextTo is symmetric, not a cycle
+    # IsNextTo is symmetric, not a cycle
+    assert found.cycles == (("isA", ("a", "b", "c")),)
 
 
 def test_labels():

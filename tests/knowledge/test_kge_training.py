@@ -52,14 +52,14 @@ def test_ranks_by_hand():
     ranks = filtered_ranks(model, triple, triple)
     assert ranks.tolist() == [3.5, 5.0]  # two above and one equal; the head 4 is last
     known = np.array([[4, 0, 2], [4, 0, 0], [4, 0, 3], [1, 0, 0]])
-    assert (
-        filtered_ranks(model, triple, known)[0] == 2.0
-    )  # 0 and 3 are true too, so only 1 counts
+    # 0 and 3 are true too, so only 1 counts
+    assert filtered_ranks(model, triple, known)[0] == 2.0
     flat = Fixed([0.0] * 5, 1)
+    # The middle, not the first
     assert filtered_ranks(flat, triple, triple).tolist() == [
         3.0,
         3.0,
-    ]  # the middle, not the first
+    ]
 
 
 def test_reciprocal():

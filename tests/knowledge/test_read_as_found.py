@@ -189,9 +189,8 @@ def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
     for kept in (edited(graph, ["+ bottle holds tea", "- mug usedFor drinking"]),
                  union(graph_of([BOTTLE]), graph), graph.with_triples(graph.triples)):  # fmt: skip
         assert kept.own_confidence() == DOUBTED
-    assert (
-        union(graph_of(DOUBTED), graph).own_confidence() == {}
-    )  # the other graph is certain
+    # The other graph is certain
+    assert union(graph_of(DOUBTED), graph).own_confidence() == {}
     write_graph(graph, tmp_path / "b.tsv")
     assert read_graph(tmp_path / "b.tsv") == graph
     assert read_graph(tmp_path / "b.tsv") != graph_of(graph)

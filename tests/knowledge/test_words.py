@@ -179,9 +179,8 @@ def test_a_random_vector_depends_on_the_word_and_the_file_only(vectors):
         return find(lookup, "zyx")[0].vectors
 
     alone = found("zyx")
-    assert np.linalg.norm(alone) == pytest.approx(
-        np.sqrt(3)
-    )  # of 1, 1, 1, sqrt 3, 2, 2, 2
+    # Of 1, 1, 1, sqrt 3, 2, 2, 2
+    assert np.linalg.norm(alone) == pytest.approx(np.sqrt(3))
     assert (found("zyx", "mug") == alone).all()
     assert (found("zyx", "color", "box") == alone).all()
 

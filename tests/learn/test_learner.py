@@ -51,9 +51,8 @@ def test_loss_and_gradient_of_two_processes_are_those_of_one(auxiliary):
         learner = noisy_learner(processes, auxiliary=auxiliary)
         with learner.running():
             terms = learner.compute_gradient(env_ids)
-            learner.compute_gradient(
-                env_ids
-            )  # a second call does not add to the first one's
+            # A second call does not add to the first one's
+            learner.compute_gradient(env_ids)
         results.append((values(terms), learner.gradient.clone()))
         assert ("auxiliary_loss" in terms) == bool(auxiliary)
     assert results[0][1].abs().max() > 0

@@ -72,11 +72,12 @@ def test_the_probability_of_an_action_is_the_product_over_joints():
         (0.72, 2.0, 0.75 / 0.72),  # inside the range: ratio times advantage
         (0.5, 2.0, 1.2),  # nothing is gained beyond it, at ratio 1.5,
         (0.99, -2.0, 0.8),  # nor below it, at ratio .758
+        # A good step below it and a bad one beyond are corrected
         (
             0.99,
             2.0,
             0.75 / 0.99,
-        ),  # a good step below it and a bad one beyond are corrected
+        ),
         (0.5, -2.0, 1.5),
     ],
 )

@@ -169,9 +169,8 @@ def test_arm_without_gripper_gets_a_tcp_in_front_of_its_end() -> None:
 def test_flange_whose_mesh_extends_backward() -> None:
     back = '<geom type="box" size=".02 .02 .05" pos="0 0 -.06"/><body name="flange" pos="0 0 .02"/>'
     gripper = find_gripper(hand(inside=back))
-    assert (
-        gripper.fields["tcp_position_m"][2] > 0.05
-    )  # in front, where the wrist goes on
+    # In front, where the wrist goes on
+    assert gripper.fields["tcp_position_m"][2] > 0.05
 
 
 def test_file_without_an_arm_is_refused() -> None:

@@ -199,10 +199,11 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     robot = replace(
         robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2)
     )
+    # Enough; the best of all
     trials = (
         ([0.4, 0.7, 0.95], -135.0),
         ([0.4, 0.7, 0.6, 0.5], 180.0),
-    )  # enough; the best of all
+    )
     for shares, yaw in trials:
         monkeypatch.setattr(draft_area, "oracle_success", Mock(side_effect=shares))
         area, text = draft_area.find_area(robot, lambda file, areas: "", Lift())

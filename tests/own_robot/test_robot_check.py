@@ -98,9 +98,8 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
     config = EnvConfig(
         robot=str(file), targets=("bottle",), success_angle_deg=90.0, ignore_roll=True
     )
-    GoalTable(
-        ArmVectorEnv(config, 1).running
-    )  # The teacher of imitation takes such poses too.
+    # The teacher of imitation takes such poses too.
+    GoalTable(ArmVectorEnv(config, 1).running)
     assert "teacher reaches" not in caplog.text
 
 

@@ -318,9 +318,8 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(
     assert {"encoder", "frame", "key", "query"} <= differing(first, untrained)
     assert differing(train(table), first) == set()
     assert all("read from" in line for line in lines[-3:])
-    assert (
-        train(table, should_stop=lambda: True) is not None
-    )  # nothing is left to train
+    # Nothing is left to train
+    assert train(table, should_stop=lambda: True) is not None
     for file in empty_cache.iterdir():
         file.write_bytes(b"damaged")
     assert differing(train(table), first) == set()

@@ -85,12 +85,13 @@ def some(*agents: str) -> dict[str, float]:
         ),
         (EQUAL | {"full": 0.4}, "worse", {"bm"}, set()),
         (NOTHING, "no advantage", {"bm"}, set()),
+        # Registered
         (
             some("bm", "full"),
             "size not excluded",
             {"wide", "zeros"},
             set(),
-        ),  # registered
+        ),
         (
             some("bm", "full", "wide", "zeros"),
             "meaning not tested",

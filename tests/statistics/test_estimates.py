@@ -175,9 +175,8 @@ def test_few_runs_have_an_interval_as_wide_as_students_t_and_as_their_own():
         return Interval(value, value - half, value + half)
 
     found = mean_of_runs([run(0.91, 0.02), run(0.95, 0.02)])
-    half = (
-        12.706 * 0.02
-    )  # quantile of t with 1 degree of freedom, standard error of the mean
+    # Quantile of t with 1 degree of freedom, standard error of the mean
+    half = 12.706 * 0.02
     assert (found.low, found.high) == pytest.approx(
         (0.93 - half, 0.93 + half), rel=1e-3
     )

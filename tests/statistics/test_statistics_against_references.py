@@ -97,9 +97,8 @@ def test_power(effect):
     for count in (3, 10, 40):
         for alpha in (0.05, 0.05 / 6):
             expected = power.power(effect, count, alpha)
-            expected = (
-                1.0 if np.isnan(expected) else expected
-            )  # near 1, with SciPy before 1.17
+            # Near 1, with SciPy before 1.17
+            expected = 1.0 if np.isnan(expected) else expected
             assert power_of_two_samples(effect, count, alpha) == pytest.approx(
                 expected, abs=1e-9
             )
@@ -120,9 +119,8 @@ def test_restricted_mean(seed, until):
     waiting = reference.surv_prob[inside]
     areas = waiting * np.diff(times)
     right = areas[::-1].cumsum()[::-1]
-    terms = np.diff(
-        (reference.surv_prob_se[inside] / waiting) ** 2, prepend=0.0
-    )  # Greenwood's
+    # Greenwood's
+    terms = np.diff((reference.surv_prob_se[inside] / waiting) ** 2, prepend=0.0)
     ours = restricted_mean_steps(steps, reached, until)
     assert ours.estimate == pytest.approx(times[0] + areas.sum())
     error = np.sqrt((right**2 * terms).sum())

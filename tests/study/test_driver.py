@@ -206,9 +206,8 @@ def test_other_studies_and_changed_runs_are_refused(finished):
     ):
         with pytest.raises(UserError, match=words):
             driver.check_folder(study, finished)
-    driver.check_folder(
-        tiny(seeds=(0, 1, 2)), finished
-    )  # more seeds are no other study
+    # More seeds are no other study
+    driver.check_folder(tiny(seeds=(0, 1, 2)), finished)
 
 
 def test_a_silent_run_that_another_process_holds_is_not_waited_for(

@@ -69,9 +69,8 @@ def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="camera_fovy_deg"):
         read_description(write_robot(tmp_path, camera_fovy_deg=""), Robot)
     drive = read_description(write_robot(tmp_path, mjcf="'C:/arms/a.xml'"), Robot)
-    assert drive.mjcf.as_posix().endswith(
-        "C:/arms/a.xml"
-    )  # a path, not a Python package C
+    # A path, not a Python package C
+    assert drive.mjcf.as_posix().endswith("C:/arms/a.xml")
     with pytest.raises(UserError, match="Convert it: knowarm doctor --robot"):
         load_scene(str(write_robot(tmp_path, mjcf='"a.urdf"')), ("bottle",))
     with pytest.raises(UserError, match=r"is a model file\. Draft a description"):

@@ -135,9 +135,8 @@ def test_a_missing_file_and_broken_mjcf_are_named(tmp_path: Path) -> None:
 
 
 def test_what_only_compiling_the_whole_scene_reveals_is_no_traceback() -> None:
-    added = replace(
-        IRB120, tcp_body="link_6", tcp_site="tcp"
-    )  # which the file has already
+    # Which the file has already
+    added = replace(IRB120, tcp_body="link_6", tcp_site="tcp")
     with pytest.raises(
         UserError, match=r"robot 'irb120' with mug does not compile: .*repeated"
     ):

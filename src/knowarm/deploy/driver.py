@@ -37,13 +37,20 @@ FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 class Safety:
     """Rules that hold before a joint target is sent, beside limits, speed and workspace."""
 
-    max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
-    patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
-    wait_s: float = 60.0  # The same before the first step: robot and camera start [s]
-    following_steps: float = 4.0  # Largest distance of a target from the angle, in MPI
-    confirm_steps: int = 5  # First steps that a person confirms one by one
-    max_steps: int | None = None  # Length of the episode; None: that of the training
-    dry_run: bool = False  # Print the steps and send nothing
+    max_age_s: float = 0.3
+    """Age of image or joint angles from which nothing moves [s]."""
+    patience_s: float = 5.0
+    """Length of a hold after which the episode ends [s]."""
+    wait_s: float = 60.0
+    """The same before the first step: robot and camera start [s]."""
+    following_steps: float = 4.0
+    """Largest distance of a target from the angle, in MPI."""
+    confirm_steps: int = 5
+    """First steps that a person confirms one by one."""
+    max_steps: int | None = None
+    """Length of the episode; None: that of the training."""
+    dry_run: bool = False
+    """Print the steps and send nothing."""
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -56,13 +63,20 @@ class Safety:
 class Topics:
     """Names of the ROS topics."""
 
-    image: str = "/camera/image_raw"  # sensor_msgs/Image: rgb8, bgr8, rgba8 or bgra8
-    compressed: bool = False  # Images are sensor_msgs/CompressedImage: JPEG or PNG
-    joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
-    trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
-    positions: str = ""  # Instead of trajectories, std_msgs/Float64MultiArray to it
-    stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
-    use_clock: bool = False  # Take the time from /clock, as simulators publish it
+    image: str = "/camera/image_raw"
+    """sensor_msgs/Image: rgb8, bgr8, rgba8 or bgra8."""
+    compressed: bool = False
+    """Images are sensor_msgs/CompressedImage: JPEG or PNG."""
+    joint_states: str = "/joint_states"
+    """sensor_msgs/JointState, matched by name."""
+    trajectory: str = "/joint_trajectory_controller/joint_trajectory"
+    """trajectory_msgs/JointTrajectory."""
+    positions: str = ""
+    """Instead of trajectories, std_msgs/Float64MultiArray to it."""
+    stop: str = "/knowarm/stop"
+    """std_msgs/Empty; any message ends the episode."""
+    use_clock: bool = False
+    """Take the time from /clock, as simulators publish it."""
 
 
 class Driver:

@@ -76,9 +76,8 @@ def export_onnx(
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """
     batch = torch.export.Dim("batch", min=2)  # of the trace; ONNX plays 1 as well
-    log = logging.getLogger(
-        "torch.onnx"
-    )  # warns of torchvision's operators, which no model has
+    # Warns of torchvision's operators, which no model has
+    log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)
     try:

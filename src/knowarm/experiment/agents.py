@@ -228,9 +228,8 @@ AGENTS: dict[str, Agent] = {
         "ANALOGY embeddings of the values of the query",
         replace(_WORDS, source=_ANALOGY, centring=False),
         policy=_FIXED,
-        asks=(
-            "choose",
-        ),  # the graph of the purpose task has no colours and objects to embed
+        # The graph of the purpose task has no colours and objects to embed
+        asks=("choose",),
         colour="c-navy",
     ),
     "query-zeros": _zeros(

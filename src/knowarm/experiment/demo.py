@@ -20,9 +20,10 @@ def demo(
     folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]
 ) -> list[Path] | None:
     """Train, resume and evaluate both agents; return the run folders, or None if stopped."""
+    # Imports torch, which takes seconds
     from knowarm.experiment.evaluate import (
         evaluate,
-    )  # imports torch, which takes seconds
+    )
     from knowarm.experiment.load import load_agent
     from knowarm.experiment.run import run_path, train
     from knowarm.experiment.run_folder import RunFolder

@@ -41,9 +41,8 @@ class TrainedAgent:
     which: (
         Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
     )
-    _is_new: bool | None = field(
-        default=None, init=False
-    )  # whether the next step is the first
+    # Whether the next step is the first
+    _is_new: bool | None = field(default=None, init=False)
     _names: np.ndarray | None = field(default=None, init=False)
 
     def reset(self, batch: Batch | Mapping[str, Any]) -> None:

@@ -69,9 +69,8 @@ def _version(package: str) -> str | None:
 
 def _commit() -> str | None:
     try:
-        _git(
-            "ls-files", "--error-unmatch", Path(__file__).name
-        )  # else another project's
+        # Else another project's
+        _git("ls-files", "--error-unmatch", Path(__file__).name)
         commit = _git("rev-parse", "HEAD")
         has_changes = _git("status", "--porcelain", "-uno")
     except (OSError, subprocess.CalledProcessError):

@@ -96,9 +96,8 @@ class StopRequest:
     def __enter__(self) -> "StopRequest":
         """Install the handlers."""
         numbers = [signal.SIGINT, signal.SIGTERM]
-        hangup = getattr(
-            signal, "SIGHUP", None
-        )  # Windows has none, and nohup ignores it
+        # Windows has none, and nohup ignores it
+        hangup = getattr(signal, "SIGHUP", None)
         if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
             numbers.append(hangup)
         for number in numbers:

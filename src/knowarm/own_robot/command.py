@@ -113,9 +113,10 @@ class Doctor(TableCommand):
             return f"objects of robot {robot}", self._check_robot(robot)
         if self.robot is not None:
             return f"robot {robot}", self._check_robot(robot)
+        # Imports torch
         from knowarm.experiment.installation_check import (
             check_installation,
-        )  # imports torch
+        )
 
         self._refuse("--robot", *DRAFT_OPTIONS, "image", "targets")
         return "installation", check_installation(self.runs)

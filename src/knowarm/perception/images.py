@@ -122,9 +122,8 @@ def axes_of(matrices: np.ndarray) -> np.ndarray:
 def pixels_of(scene: Scene, positions: np.ndarray, image_size: int) -> Tensor:
     """Return where objects at x and y (..., 2) [m] stand in the image, (..., 2) float32 [px]."""
     raised = target_places(scene, positions) + np.array([0, 0, HEIGHT_M])
-    point = project(
-        scene, raised.reshape(-1, 3)
-    )  # right and up from the centre, in half widths
+    # Right and up from the centre, in half widths
+    point = project(scene, raised.reshape(-1, 3))
     pixels = (1 + point * [1, -1]) / 2 * image_size
     return _float(pixels.reshape(positions.shape))
 

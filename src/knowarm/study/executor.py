@@ -215,7 +215,6 @@ def _gpus() -> list[str]:
     import torch  # takes a second to import
 
     names = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    visible = list(
-        takewhile(lambda name: name and not name.startswith("-"), names)
-    )  # as CUDA
+    # As CUDA
+    visible = list(takewhile(lambda name: name and not name.startswith("-"), names))
     return visible or [str(i) for i in range(torch.cuda.device_count())]

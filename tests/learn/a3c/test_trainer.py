@@ -276,7 +276,6 @@ def test_a_killed_worker_is_replaced_and_continues_the_curriculum(caplog):
     assert trainer.restarts == 1
     assert "The worker 0 was killed by signal 9; restarting it" in caplog.text
     assert not psutil.pid_exists(killed[0])
-    assert factors[0] == pytest.approx(
-        2.98
-    )  # after the first update, in which all succeeded
+    # After the first update, in which all succeeded
+    assert factors[0] == pytest.approx(2.98)
     assert factors == sorted(factors, reverse=True)

@@ -40,9 +40,8 @@ def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     reach = "knowarm.world.tasks.skills.reach:Reach"
     monkeypatch.setenv(VARIABLE, reach)
     found = register_task("hover:Hover")
-    assert (
-        os.environ[VARIABLE] == f"{reach},hover:Hover"
-    )  # child processes know it, too
+    # Child processes know it, too
+    assert os.environ[VARIABLE] == f"{reach},hover:Hover"
     monkeypatch.setenv(VARIABLE, "")
     yield found
     sys.modules.pop("hover", None)

@@ -57,9 +57,8 @@ class ObjectOptions(GraphOptions):
         names = self.objects
         if not names:
             roots = map(graph.names.short, np.setdiff1d(graph.heads, graph.tails))
-            named = [
-                name for name in roots if not name.startswith("_:")
-            ]  # but blank nodes
+            # But blank nodes
+            named = [name for name in roots if not name.startswith("_:")]
             names = tuple(name for name in named if name not in self.colours)
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets: list[tuple[str, str]] = []

@@ -61,9 +61,8 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
         open_bytes(path) as file,
         warnings.catch_warnings(),
     ):
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # values without a type are read as text
+        # Values without a type are read as text
+        warnings.simplefilter("ignore", UserWarning)
         network = getattr(networkx, f"read_{kind}")(file)
     if not network.is_directed():
         raise UserError(

@@ -57,9 +57,8 @@ class Coverage:
     # By label: "word", "joined", "words", "form", "alias", "part" (some words only), "hash",
     # "missing", or "entity" for graph embeddings
     how: dict[str, str] = field(default_factory=dict)
-    missing: set[str] = field(
-        default_factory=set
-    )  # Words that were not found in any form
+    # Words that were not found in any form
+    missing: set[str] = field(default_factory=set)
 
     @property
     def share(self) -> float:

@@ -69,9 +69,8 @@ def process_context(*preload: str) -> BaseContext:
 def _run_child(
     run: Callable[..., None], arguments: tuple[Any, ...], connection: Connection
 ) -> None:
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # signals are left to the parent process
+    # Signals are left to the parent process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     torch.set_num_threads(1)

@@ -116,9 +116,8 @@ def _play(
     varied = chain.varied
     episodes, count = joints.shape
     steps = moves.shape[0]
-    first_axis = (
-        2 if ignore_roll else 0
-    )  # Of the gripper; the angle is that of z alone, or of all
+    # Of the gripper; the angle is that of z alone, or of all
+    first_axis = 2 if ignore_roll else 0
     end = joints.copy()
     same = joints[0].copy()
     cosines = np.empty(count)

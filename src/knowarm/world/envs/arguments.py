@@ -1,4 +1,4 @@
-"""Checks of the arguments of ``step``, ``reset`` and ``set_state``."""
+"""Checks of the arguments of ``reset`` and ``set_state``."""
 
 from typing import Any
 
@@ -8,38 +8,13 @@ from numpy.typing import ArrayLike
 from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.world.tasks.sampling import Words
-from knowarm.world.tasks.state import ACTION_LEVELS, Array, Indices, NamedArrays
+from knowarm.world.tasks.state import Indices, NamedArrays
 
 Seeds = int | list[int | None] | None
 """Seed of the first environment, one per environment, or none."""
 
 Options = dict[str, Any]
 """Options of an environment or of its reset, by name."""
-
-
-def checked_actions(
-    actions: ArrayLike, shape: tuple[int, int], is_continuous: bool
-) -> Array:
-    """Return actions of a shape (n, J): numbers of levels, or continuous ones."""
-    kinds = "iu"
-    lowest = 0
-    highest = len(ACTION_LEVELS) - 1
-    allowed = f"integers from 0 to {highest}"
-    if is_continuous:
-        kinds = "f"
-        lowest = -1
-        highest = 1
-        allowed = "floats from -1 to 1 (in units of the maximum position increment)"
-    array = np.asarray(actions)
-    if array.shape != shape or array.dtype.kind not in kinds:
-        got = f"{array.dtype} of shape {array.shape}"
-    elif not ((lowest <= array) & (array <= highest)).all():
-        got = f"{array.min()} to {array.max()}"
-    else:
-        return array
-    raise UserError(
-        f"actions must be {allowed} of shape {shape} (environments, joints), got {got}."
-    )
 
 
 def check_state(mine: NamedArrays, state: NamedArrays) -> None:

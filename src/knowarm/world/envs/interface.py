@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.arguments import checked_actions
-from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays
+from knowarm.world.tasks.state import ACTION_LEVELS, Array, NamedArrays
 
 Action = Literal["levels", "continuous"]
 """Integers that index ``ACTION_LEVELS``; or joint steps in units of the MPI, -1 to 1."""
@@ -83,7 +82,7 @@ class Interface:
             UserError: actions of the wrong shape or type, or out of range.
         """
         shape = (num_envs, *self.action_space.shape)  # type: ignore[misc]
-        checked = checked_actions(actions, shape, self._is_continuous)
+        checked = _checked_actions(actions, shape, self._is_continuous)
         if self._is_continuous:
             return checked.astype(np.float64) * increments[1]
         return increments[checked]
@@ -117,3 +116,28 @@ def _checked_table(
             f"{table.shape}. Leave 'knowledge' out of observe to do without."
         )
     return table
+
+
+def _checked_actions(
+    actions: ArrayLike, shape: tuple[int, int], is_continuous: bool
+) -> Array:
+    """Return actions of a shape (n, J): numbers of levels, or continuous ones."""
+    kinds = "iu"
+    lowest = 0
+    highest = len(ACTION_LEVELS) - 1
+    allowed = f"integers from 0 to {highest}"
+    if is_continuous:
+        kinds = "f"
+        lowest = -1
+        highest = 1
+        allowed = "floats from -1 to 1 (in units of the maximum position increment)"
+    array = np.asarray(actions)
+    if array.shape != shape or array.dtype.kind not in kinds:
+        got = f"{array.dtype} of shape {array.shape}"
+    elif not ((lowest <= array) & (array <= highest)).all():
+        got = f"{array.min()} to {array.max()}"
+    else:
+        return array
+    raise UserError(
+        f"actions must be {allowed} of shape {shape} (environments, joints), got {got}."
+    )

@@ -87,7 +87,7 @@ def _named(name: str) -> "Task | Asking | Skill":
         return part
     kinds = combinations()
     if name not in kinds:
-        raise unknown_name("task", name, [*task_names(), *kinds])
+        raise unknown_name("task", name, kinds)
     asked, skill = kinds[name]
     return Task(asked=ASKED.type_of(asked)(), skill=SKILLS.type_of(skill)())
 

@@ -168,9 +168,8 @@ def test_names_have_probabilities_by_attributes_alone(recognized):
     torch.testing.assert_close(objects.exp().sum((1, 2)), one)  # of name and place
     torch.testing.assert_close(colours.exp().sum(1), one[:, None].expand(2, 120))
     assert look_of("jug-18")[1:] == look_of("vase-11")[1:]
-    torch.testing.assert_close(
-        objects[:, 0], objects[:, 1]
-    )  # one of them may be of a new kind
+    # One of them may be of a new kind
+    torch.testing.assert_close(objects[:, 0], objects[:, 1])
     assert not torch.allclose(objects[:, 0], objects[:, 2])
 
 

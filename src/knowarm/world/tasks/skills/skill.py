@@ -146,7 +146,11 @@ class Skill(BaseTaskPart):
         return is_success(distance, angle, *state.limits)
 
     def success(self, state: EpisodeState) -> Mask:
-        """Return which episodes are solved, (n,) bool; a solved one ends."""
+        """Return which episodes are solved, (n,) bool; a solved one ends.
+
+        Where it asks less or more than `done_to`, override both: a wrong object is lost by
+        ``done_to``.
+        """
         return is_success(state.distance, state.angle, *state.thresholds)
 
     def failure(self, state: EpisodeState) -> Mask | None:

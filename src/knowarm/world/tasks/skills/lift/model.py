@@ -326,9 +326,8 @@ def _set_mass(body: MjsBody, mass_kg: float, own_kg: float) -> None:
     """Scale the masses of a body, of which its file gives ``own_kg`` together."""
     for geom in body.geoms:
         geom.density = geom.density * mass_kg / own_kg
-        geom.mass = (
-            geom.mass * mass_kg / own_kg
-        )  # not a number where the density is given
+        # Not a number where the density is given
+        geom.mass = geom.mass * mass_kg / own_kg
     body.mass = body.mass * mass_kg / own_kg  # of bodies that give it themselves
     body.inertia = body.inertia * (mass_kg / own_kg)
     body.fullinertia = body.fullinertia * (mass_kg / own_kg)
