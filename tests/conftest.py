@@ -4,6 +4,7 @@ import os
 import random
 import re
 import shutil
+import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ if MEMORY_DISK.is_dir() and shutil.disk_usage(MEMORY_DISK).free > NEEDED_BYTES:
     folder = MEMORY_DISK / f"knowarm-tests-{os.getuid()}"
     folder.mkdir(exist_ok=True)
     os.environ.setdefault("TMPDIR", str(folder))
+    tempfile.tempdir = None  # pytest's capture has asked for it before
 
 REMEDIES = {
     "Chromium": ("apt-get install chromium", r"chromium"),

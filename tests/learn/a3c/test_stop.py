@@ -103,7 +103,8 @@ def test_a_checkpoint_is_at_most_one_interval_and_one_update_old(tmp_path, worke
     progress.write_text("0")
 
     def should_stop():
-        progress.write_text(str(min(trainer._worker_steps) // UPDATE))
+        steps = [trainer._worker_steps[worker] for worker in range(workers)]
+        progress.write_text(str(min(steps) // UPDATE))
         if trainer.step > moved[-1][0]:
             moved.append((trainer.step, time.monotonic()))
         is_stuck = time.monotonic() > moved[-1][1] + 300
