@@ -4,7 +4,6 @@ import os
 import random
 import re
 import shutil
-import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,15 +12,6 @@ import pytest
 
 # Two test processes share two cores; more threads would wait for each other. Before torch is read.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-# Checkpoints wait for the disk to hold them: in memory the suite takes a third less time.
-MEMORY_DISK = Path("/dev/shm")
-NEEDED_BYTES = 4 * 2**30
-if MEMORY_DISK.is_dir() and shutil.disk_usage(MEMORY_DISK).free > NEEDED_BYTES:
-    folder = MEMORY_DISK / f"knowarm-tests-{os.getuid()}"
-    folder.mkdir(exist_ok=True)
-    os.environ.setdefault("TMPDIR", str(folder))
-    tempfile.tempdir = None  # pytest's capture has asked for it before
 
 REMEDIES = {
     "Chromium": ("apt-get install chromium", r"chromium"),
