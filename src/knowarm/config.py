@@ -7,7 +7,6 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
-from itertools import filterfalse
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
@@ -319,23 +318,17 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
     """
     if value is None and type(None) in args:
         return None
-    kinds = [kind for kind in args if kind is not type(None)]
-    configs = list(filterfalse(_is_plain, kinds))
-    tagged: dict[tuple[str, str], Any] = {}
-    for kind in kinds:
-        tagged |= dict.fromkeys(_tags(kind), kind)
-    if isinstance(value, Mapping):
+    kinds, tagged, only_config = _alternatives(args)
+    if isinstance(value, Mapping) and only_config is not None:
+        return from_dict(only_config, value, where=path)
+    if isinstance(value, Mapping) and tagged:
         for (field, tag), kind in tagged.items():
             if value.get(field) == tag:
                 return from_dict(kind, value, where=path)
-        if tagged:
-            field, _ = next(iter(tagged))
-            tags = [tag for _, tag in tagged]
-            unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
-            raise UserError(f"{unknown}{remedy}")
-        if len(configs) == 1 and dataclasses.is_dataclass(configs[0]):
-            # its fields tell it apart from numbers and texts
-            return from_dict(typing.cast(Any, configs[0]), value, where=path)
+        field, _ = next(iter(tagged))
+        tags = [tag for _, tag in tagged]
+        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), tags)
+        raise UserError(f"{unknown}{remedy}")
     if tagged and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(
@@ -347,8 +340,27 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
             return _reader(kind)(value, path)
         except UserError as error:
             errors.append(str(error))
-    where = f"{path}: " if len(errors) > 1 else ""
-    raise UserError(where + " Or: ".join(errors))
+    if len(errors) == 1:
+        raise UserError(errors[0])
+    raise UserError(f"{path}: " + " Or: ".join(errors))
+
+
+@cache
+def _alternatives(
+    args: tuple[Any, ...],
+) -> tuple[list[Any], dict[tuple[str, str], Any], Any]:
+    """Return a union's types, those with tags by tag, and the only config if none has tags.
+
+    The fields of the only config tell it apart from numbers and texts.
+    """
+    kinds = [kind for kind in args if kind is not type(None)]
+    tagged: dict[tuple[str, str], Any] = {}
+    for kind in kinds:
+        tagged |= dict.fromkeys(_tags(kind), kind)
+    configs = [kind for kind in kinds if not _is_plain(kind)]
+    if not tagged and len(configs) == 1 and dataclasses.is_dataclass(configs[0]):
+        return kinds, tagged, configs[0]
+    return kinds, tagged, None
 
 
 @cache

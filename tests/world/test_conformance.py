@@ -283,10 +283,18 @@ def test_wrong_actions_are_refused(
         env.step(face.actions(actions))
 
 
+def test_seeds_may_be_integers_of_numpy(face: Face) -> None:
+    env = shared_env(face, "irb120")
+    expected = host(env.reset(seed=[3, 4, 5, 6, 7, 8])[0]).copy()
+    for seed in (np.int64(3), np.arange(3, 9), [*np.arange(3, 9, dtype=np.int32)]):
+        np.testing.assert_array_equal(host(env.reset(seed=seed)[0]), expected)
+
+
 def test_wrong_seeds_masks_and_counts_are_refused(face: Face) -> None:
     env = shared_env(face, "irb120")
-    with pytest.raises(UserError, match="seed must be an integer or a list of 6"):
-        env.reset(seed=[1, 2, 3])
+    for seed in ([1, 2, 3], 1.5, "1", [1, 2, 3, 4, 5, 6.5]):
+        with pytest.raises(UserError, match="seed must be an integer or a list of 6"):
+            env.reset(seed=seed)
     with pytest.raises(UserError, match="seed must not be negative"):
         env.reset(seed=-1)
     with pytest.raises(UserError, match="reset_mask"):

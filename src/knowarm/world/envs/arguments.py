@@ -1,5 +1,6 @@
 """Checks of the arguments of ``reset`` and ``set_state``."""
 
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -54,14 +55,16 @@ def spread_seeds(seed: Seeds, num_envs: int) -> tuple[Mask, Words]:
         seeds = np.full(num_envs, None)
     elif isinstance(seed, int | np.integer):
         seeds = range(int(seed), int(seed) + num_envs)
-    if len(seeds) != num_envs:
-        raise UserError(
-            f"seed must be an integer or a list of {num_envs} (one per environment), got "
-            f"{len(seeds)}."
-        )
-    values = np.array(seeds, object)
+    values = np.atleast_1d(np.array(seeds, object))
     is_seeded = np.not_equal(values, np.array(None))
     values[~is_seeded] = 0
-    if (values < 0).any():
+    allowed = f"an integer or a list of {num_envs} (one per environment)"
+    try:
+        integers = np.array([*map(index, values)], object)
+    except TypeError:
+        raise UserError(f"seed must be {allowed}, got {seed!r}.") from None
+    if len(integers) != num_envs:
+        raise UserError(f"seed must be {allowed}, got {len(integers)}.")
+    if (integers < 0).any():
         raise UserError(f"seed must not be negative, got {seed}.")
-    return is_seeded, (values % 2**64).astype(np.uint64)
+    return is_seeded, (integers % 2**64).astype(np.uint64)
