@@ -23,6 +23,7 @@ COLOUR_RELATION = (
 )
 OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet answers it
 PART = "."  # Joins the names of an object and its part: "mug.handle"
+SURE = 0.5  # Probability from which a facet counts as an answer
 AT_ONCE = 4096  # Questions whose distractors are found at once
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
 # A facet: an object or part, and one of its colours, by name

@@ -96,7 +96,7 @@ def test_evidence_is_what_makes_an_answer_true():
         ("mug", "red"): (
             "mug usedFor drinking",
             "drinking relatedTo tea",
-            "not stated: hasColor blue",
+            "the image shows red",
         )
     }
     counted = answer(GRAPH, FACETS, "count hasPart > 1").evidence["lamp", "blue"]

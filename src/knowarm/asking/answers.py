@@ -1,18 +1,15 @@
 """Answers to questions in words or SPARQL, with their evidence."""
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from knowarm.asking.expressions import (
-    Colour,
-    Evidence,
-    Part,
-    QuestionReader,
-    Reason,
-)
+from knowarm.asking.expressions import QuestionReader
+from knowarm.asking.judgements import Evidence, Individual, Judgement, Part, surest
+from knowarm.asking.lexicon import tokens
 from knowarm.asking.plain_words import read_plain
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
@@ -32,12 +29,73 @@ NamesInGraph = Mapping[str, str]
 """The graph's names for objects."""
 
 
-class Answers(NamedTuple):
+Place = tuple[float, float]
+"""Column and row in the image, in units of its size."""
+
+
+@dataclass(frozen=True)
+class Answers:
     """The answers to a question among F facets."""
 
     question: str
-    satisfies: np.ndarray  # Whether each facet answers, (F,) bool
-    evidence: dict[ObjectColour, Evidence]  # Why, by answering facet
+    facets: Facets
+    judgements: Mapping[ObjectColour, Judgement]
+    """The judgement on each facet that answers, or may answer."""
+    part: Part
+    """What the question says of an individual."""
+    individuals: Callable[[ObjectColour], Sequence[Individual]]
+    """What each facet may be in the graph."""
+    has_places: bool = False
+    """Whether the places in a scene decide: `within` says who answers there."""
+
+    @property
+    def evidence(self) -> dict[ObjectColour, Evidence]:
+        """Why each facet answers."""
+        return {
+            facet: judgement.evidence for facet, judgement in self.judgements.items()
+        }
+
+    @property
+    def satisfies(self) -> np.ndarray:
+        """Whether each facet answers, (F,) bool."""
+        return np.array(list(map(self.judgements.__contains__, self.facets)))
+
+    @property
+    def degrees(self) -> np.ndarray:
+        """Probability that each facet answers, by the confidence of facts, (F,) float."""
+        return self._probabilities(is_stated=False)
+
+    @property
+    def stated(self) -> np.ndarray:
+        """As `degrees`, of those alone whose answer does not rest on what is not stated, (F,)."""
+        return self._probabilities(is_stated=True)
+
+    def _probabilities(self, is_stated: bool) -> np.ndarray:
+        """Return the probability of each facet that answers, or of those that are stated, (F,)."""
+        probabilities = np.zeros(len(self.facets))
+        for index, facet in enumerate(self.facets):
+            judgement = self.judgements.get(facet)
+            if judgement is not None and judgement.is_stated >= is_stated:
+                probabilities[index] = judgement.probability
+        return probabilities
+
+    def within(self, scene: Mapping[ObjectColour, Place]) -> "Answers":
+        """Return the answers among what stands at places of a scene, if places decide."""
+        if not self.has_places:
+            return self
+        shown: list[Individual] = []  # what each of them is seen beside
+        placed: dict[ObjectColour, list[Individual]] = {}
+        for facet, place in scene.items():
+            placed[facet] = []
+            for individual in self.individuals(facet):
+                placed[facet].append(replace(individual, place=place, scene=shown))
+            shown += placed[facet]
+        judgements = {}
+        for facet, individuals in placed.items():
+            judgement = surest(map(self.part, individuals))
+            if judgement.answers:
+                judgements[facet] = judgement
+        return replace(self, judgements=judgements)
 
 
 def answer(
@@ -61,14 +119,10 @@ def answer(
         DataWarning: the graph has several entities with the name of an object.
     """
     answering = _Answering(graph, facets, names)
-    text = answering.read(text)
-    evidence = answering.evidence(answering.part(text))
-    if not evidence:
-        raise UserError(
-            f"No object of the task answers the question {text!r}. Ask another one, or add the "
-            "missing triple to the graph."
-        )
-    return Answers(text, np.array([facet in evidence for facet in facets]), evidence)
+    answers = answering.answers(answering.read(text))
+    if not answers.judgements:
+        raise answering.no_answer(answers)
+    return answers
 
 
 def reading(
@@ -155,51 +209,78 @@ class _Answering:
         return entities
 
     def read(self, text: str) -> str:
-        """Return a question as it is if it can be read, or plain English as conditions."""
+        """Return a question as it is if it is one in conditions, or plain English as conditions."""
         if _SPARQL.match(text):
             return text
-        reader = QuestionReader(text, self.graph, self.colours)
-        exact = None
+        reader = self.reader(text)
         try:
-            if self.evidence(reader.whole()):
-                return text
+            reader.whole()
+            return text
         except AmbiguousNameError:
             raise
         except UserError as error:
             exact = error
-        known = list(self.entities.values())
-        vocabulary = Vocabulary(self.graph, known, self.colours, self.objects)
         try:
-            plain = read_plain(text, vocabulary, self.holders)
+            plain = read_plain(text, self.vocabulary, self.holders)
         except UserError as error:
-            if exact is None:
-                return text
             raise exact if reader.has_relation else error from None
-        if exact is None:
-            return plain if self.holders(plain) else text
         if reader.has_relation and not self.holders(plain):
             raise exact  # it names the values that there are
         return plain
 
-    def part(self, text: str) -> Part:
-        """Read a question in SPARQL or conditions."""
-        if _SPARQL.match(text):
-            return _sparql(self.graph, text)
-        return QuestionReader(text, self.graph, self.colours).whole()
+    @cached_property
+    def vocabulary(self) -> Vocabulary:
+        """What can be asked in plain English."""
+        known = list(self.entities.values())
+        return Vocabulary(self.graph, known, self.colours, self.objects)
 
-    def evidence(self, part: Part) -> dict[ObjectColour, Evidence]:
-        """Return why facets answer a question, of those that do."""
-        evidence = {}
-        for name, colour in self.facets:
-            if name in self.entities:
-                reason = part(self.entities[name], colour)
-                if reason is not None:
-                    evidence[name, colour] = reason
-        return evidence
+    def reader(self, text: str) -> QuestionReader:
+        """Return a reader of a question in conditions."""
+        return QuestionReader(text, self.graph, self.colours, self.objects)
+
+    def individuals(self, facet: ObjectColour) -> list[Individual]:
+        """Return what an object may be in the graph; none of its entities if it has none."""
+        name, colour = facet
+        return [Individual(self.entities.get(name), name, colour)]
+
+    def answers(self, text: str) -> Answers:
+        """Answer a question in SPARQL or conditions."""
+        has_places = False
+        if _SPARQL.match(text):
+            part = _sparql(self.graph, text)
+        else:
+            reader = self.reader(text)
+            part = reader.whole()
+            has_places = reader.has_places
+        judgements = {}
+        for facet in self.facets:
+            judgement = surest(map(part, self.individuals(facet)))
+            if judgement.answers:
+                judgements[facet] = judgement
+        return Answers(
+            text, self.facets, judgements, part, self.individuals, has_places
+        )
 
     def holders(self, text: str) -> set[int]:
         """Return the entities of the objects that answer a question."""
-        return {self.entities[name] for name, _ in self.evidence(self.part(text))}
+        names = {name for name, _ in self.answers(text).judgements}
+        return {self.entities[name] for name in names if name in self.entities}
+
+    def no_answer(self, answers: Answers) -> UserError:
+        """Return the error of a question that no object answers: what denies it, what is near."""
+        denied: list[str] = []
+        for facet in self.facets:
+            judgement = surest(map(answers.part, self.individuals(facet)))
+            if judgement.is_stated and facet[0] in self.entities:
+                denied += judgement.evidence
+        text = f"No object of the task answers the question {answers.question!r}."
+        if denied:
+            text += f" What speaks against it: {'; '.join(list(dict.fromkeys(denied))[:4])}."
+        if not _SPARQL.match(answers.question):
+            text += f" {self.vocabulary.nearest(tokens(answers.question))}"
+        return UserError(
+            f"{text} Ask another one, or add the missing triple to the graph."
+        )
 
 
 def words(
@@ -234,8 +315,11 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     ids = graph.relation_names.find_local(COLOUR_RELATION)
     relations = {COLOUR_RELATION, *map(graph.relation_names.__getitem__, ids)}
 
-    def evidence(entity: int, colour: Colour) -> Reason:
-        name = graph.names[entity]
+    def judgement(individual: Individual) -> Judgement:
+        if individual.entity is None:
+            return Judgement(False, is_unsettled=True)
+        name = graph.names[individual.entity]
+        colour = individual.colour
         shown = []
         if colour is not None:
             shown = [graph.names[i] for i in graph.alike(colour)] or [colour]
@@ -251,13 +335,14 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
         for row in result.rows:
             values = dict(zip(result.columns, row, strict=True))
             if values["object"] == name and _in_colour(values, colour):
-                return tuple(f"?{key} = {local_name(values[key])}" for key in values)
-        return None
+                reasons = [f"?{key} = {local_name(values[key])}" for key in values]
+                return Judgement(True, tuple(reasons))
+        return Judgement(False, is_stated=False)
 
-    return evidence
+    return judgement
 
 
-def _in_colour(values: Mapping[str, str], colour: Colour) -> bool:
+def _in_colour(values: Mapping[str, str], colour: str | None) -> bool:
     """Return whether all colours that a row selects are the one that is shown."""
     for name, value in values.items():
         is_colour = name != "object" and value != ""

@@ -20,9 +20,10 @@ from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.perception.answering import AnswerGrounding, SeenAnswers
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.perception.grounding import centres
-from knowarm.perception.images import first_facets
+from knowarm.perception.images import first_facets, pixels_of
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -35,6 +36,8 @@ IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
+SCENES_WITH_PLACES = 400
+"""Those of them that are tried for a question on where things stand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +45,9 @@ class Asked:
     """A question, its answers, where the network sees them, and what the arm did."""
 
     answers: Answers
-    """The answers in the graph."""
+    """The answers in the graph; where places decide, among what the network names."""
+    truth: Answers
+    """The same among what stands in the scene; they differ if the network is mistaken."""
     known: Mapping[str, int]
     """Number of colours in which the network knows each object."""
     scene: int
@@ -73,7 +78,7 @@ class Asked:
     @property
     def right(self) -> bool:
         """Whether the arm ended nearest to an object that answers."""
-        return self.reached in self.answers.evidence
+        return self.reached in self.truth.evidence
 
     @property
     def outcome(self) -> str:
@@ -85,9 +90,9 @@ class Asked:
         if self.stopped:
             return "The arm stayed: it sees no answer."
         what = "reached" if self.within else "did not arrive; it ended nearest to"
-        verdict = "which answers" if self.right else "which does not answer"
+        judgement = "which answers" if self.right else "which does not answer"
         outcome = (
-            f"The arm {what} the {name}, {verdict}, after {self.film[-1].step} steps: "
+            f"The arm {what} the {name}, {judgement}, after {self.film[-1].step} steps: "
             f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp."
         )
         if len(self.candidates) > 1:
@@ -235,16 +240,15 @@ class Asker:
         Raises:
             UserError: there is none.
         """
-        satisfies = np.array([each.satisfies for each in answers])
-        satisfies = satisfies[:, self._shown]  # (a, N, m)
+        satisfies = np.array(list(map(self._satisfied, answers)))  # (a, N, m)
         has_one = satisfies.sum(2) == 1
         fits = has_one.all(0) & (satisfies.sum(0) <= 1).all(1)
         if not fits.any():
             fits = has_one[-1] & (satisfies != satisfies[-1]).any((0, 2))
         if fits.any():
             return int(fits.argmax())
-        question, _, evidence = answers[-1]
-        names = sorted({name for name, _ in evidence})
+        question = answers[-1].question
+        names = sorted({name for name, _ in answers[-1].judgements})
         if not set(names) & set(self.seen):
             raise UserError(
                 f"No scene shows what answers {question!r}: {', '.join(names)}. The scenes show "
@@ -258,6 +262,62 @@ class Asker:
             "Ask a question with other answers, or give the number of a scene."
         )
 
+    def _satisfied(self, answers: Answers) -> np.ndarray:
+        """Return whether what stands in each scene answers, (N, m) bool.
+
+        Where places decide, only the first `SCENES_WITH_PLACES` are looked at.
+        """
+        if not answers.has_places:
+            return np.asarray(answers.satisfies[self._shown])
+        satisfies = np.zeros(self._shown.shape, bool)
+        for scene in range(min(SCENES_WITH_PLACES, len(satisfies))):
+            satisfies[scene] = self._truth(answers, scene).satisfies[self._shown[scene]]
+        return satisfies
+
+    def _truth(self, answers: Answers, scene: int) -> Answers:
+        """Return the answers by where the objects of a scene stand in truth."""
+        if not answers.has_places:
+            return answers
+        size = self._spec.image_size
+        pixels = pixels_of(self._env.scene, self._scenes.positions[scene], size)
+        places = map(tuple, (pixels / size).tolist())
+        return answers.within(
+            dict(zip(self._named(self._shown[scene]), places, strict=True))
+        )
+
+    def _decide(
+        self, answers: Answers, image: torch.Tensor
+    ) -> tuple[Answers, np.ndarray]:
+        """Return the answers in an image (1, H, W, 3), and how much each facet is wanted, (F,).
+
+        What the network names is where it sees it. Answers that the graph states are wanted before
+        those that rest on what it does not say, if one of them is seen.
+        """
+        if answers.has_places:
+            seen = self._see(image, np.ones(len(self.facets)))
+            named = self._named(seen.named[0].numpy())
+            points = map(tuple, self._points(seen).tolist())
+            answers = answers.within(dict(zip(named, points, strict=True)))
+        stated = answers.stated
+        if stated.any() and (stated < answers.degrees).any():
+            seen = self._see(image, stated)
+            if seen.candidates(self.threshold).any():
+                return answers, stated
+        return answers, answers.degrees
+
+    def _see(self, image: torch.Tensor, wanted: np.ndarray) -> SeenAnswers:
+        """Find what is wanted (F,) in an image (1, H, W, 3)."""
+        rows = wanted[None].astype(np.float32)
+        recognition = self.trained.answering(rows).recognition
+        assert isinstance(recognition, AnswerGrounding)
+        with torch.inference_mode():
+            return recognition.see(image, torch.from_numpy(rows))
+
+    def _points(self, seen: SeenAnswers) -> np.ndarray:
+        """Return where the network sees what it names, column and row, (m, 2) of 0 to 1."""
+        size = self._spec.image_size
+        return np.asarray(centres(size)[seen.places[0]] / size)
+
     def play(
         self,
         answers: Answers,
@@ -269,14 +329,18 @@ class Asker:
         _check_scene(scene)
         if unclear not in get_args(Unclear):
             raise unknown_name("value of unclear", unclear, get_args(Unclear))
+        truth = self._truth(answers, scene)
         shown = self._shown[scene]
-        order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
+        order = np.argsort(~truth.satisfies[shown], kind="stable")  # an answer first
         shown = shown[order]
         episode = self._scenes[scene : scene + 1]
         by_object = ("objects", "names", "colours", "positions")
         ordered = {name: vars(episode)[name][:, order] for name in by_object}
         episode = replace(episode, **ordered)
-        wanted = answers.satisfies
+        images, _ = self._env.reset(options={"episodes": episode})
+        image = torch.from_numpy(images)
+        answers, wanted = self._decide(answers, image)
+        seen = self._see(image, wanted)
         if picked is not None:
             wanted = np.array([facet == picked for facet in self.facets])
             unclear = "guess"
@@ -289,21 +353,17 @@ class Asker:
         is_reached = infos["objects"] == infos["reached_object"][:, None]
         nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
-        image = torch.as_tensor(film[0].policy)[None]
-        satisfies = torch.from_numpy(answers.satisfies[None])
-        with torch.inference_mode():
-            seen = agent.recognition.see(image, satisfies)
         named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.threshold)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
-        size = self._spec.image_size
         return Asked(
             answers=answers,
+            truth=truth,
             known=Counter(name for name, _ in self.facets),
             scene=scene,
             shown=self._named(shown),
             named=named,
-            points=(centres(size)[seen.places[0]] / size).numpy(),
+            points=self._points(seen),
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
             stopped=not agent.moves[0],

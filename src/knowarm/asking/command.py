@@ -101,11 +101,13 @@ class Ask(TableCommand):
         if self.page is not None:
             write_page(Path(self.page), asked, self.question, self.edit)
             print(f"Wrote {self.page}")
-        question, _, evidence = asked.answers
         end = asked.film[-1]
+        answers = {}
+        for facet, evidence in asked.answers.evidence.items():
+            answers["/".join(facet)] = list(evidence)
         return {
-            "question": question,
-            "answers": {"/".join(facet): list(why) for facet, why in evidence.items()},
+            "question": asked.answers.question,
+            "answers": answers,
             "scene": asked.scene,
             "shown": list(map("/".join, asked.shown)),
             "named": list(map("/".join, asked.named)),

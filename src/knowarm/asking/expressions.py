@@ -1,4 +1,4 @@
-"""Questions in words: facts, chains, counts, comparisons, "and", "or" and "not".
+"""Questions in conditions: facts, chains, counts, comparisons, "and", "or" and "not".
 
     usedFor drinking and not hasColor blue
     hasPart spout or (isMadeOf wood and isLocatedIn garden)
@@ -6,6 +6,8 @@
     count hasPart >= 3                         objects with three parts or more
     count contains (isA beverage) = 1
     price < 6 and made >= 2020-01-01           numbers and dates
+    is mug and hasColor red                    an object by its name or class
+    leftOf (is vase) or rightmost              where it stands in the image
 
 "not" binds tighter than "and", and that tighter than "or". A value reaches to the next keyword or
 bracket; in double quotes it may hold any of them.
@@ -15,28 +17,38 @@ import operator
 import re
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from knowarm.asking.judgements import (
+    Individual,
+    Judgement,
+    Part,
+    conjunction,
+    disjunction,
+    negated,
+    settled,
+    surest,
+)
+from knowarm.asking.lexicon import FAMILIES
+from knowarm.asking.places import (
+    DISTANCES,
+    ENDS,
+    SIDES,
+    Superlative,
+    at_end,
+    beside,
+    by_distance,
+)
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.denials import opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import local_name, name_key
+from knowarm.knowledge.graph.terms import RDF_TYPE, label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
-
-Evidence = tuple[str, ...]
-"""Why something answers: triples of the graph, what the image shows, and what is not stated."""
-
-Colour = str | None
-"""The colour in which an entity is shown, None of one that is not shown."""
-
-Reason = Evidence | None
-"""Why a part of a question is true, None if it is not."""
-
-Part = Callable[[int, Colour], Reason]
-"""Part of a question: why it is true of an entity in the colour that is shown."""
 
 SIGNS: dict[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge,
@@ -70,16 +82,17 @@ def _quantity(text: str) -> _Quantity | None:
     return None
 
 
-def _anything(entity: int, colour: Colour) -> Reason:
-    """Return no reason, as of a value that counts whatever it is."""
-    return ()
+def _anything(individual: Individual) -> Judgement:
+    """Return that a value counts, whatever it is."""
+    return Judgement(True)
 
 
 class _Relation(NamedTuple):
-    """A relation of a question: its name, and its ids in the graph."""
+    """A relation of a question: its name, and its ids and those that deny it in the graph."""
 
     name: str
     ids: list[int]
+    opposed: list[int]
 
 
 class QuestionReader:
@@ -88,17 +101,24 @@ class QuestionReader:
     Attributes:
         taken: number of words that were read.
         has_relation: whether a relation was read; no sentence begins with one.
+        has_places: whether the answers depend on where things stand.
     """
 
     def __init__(
-        self, text: str, graph: KnowledgeGraph, colours: Collection[str]
+        self,
+        text: str,
+        graph: KnowledgeGraph,
+        colours: Collection[str],
+        objects: Collection[str],
     ) -> None:
         self.text = text
         self.graph = graph
         self.colours = colours
+        self.objects = objects
         self.words = [*_TOKEN.findall(text), ""]
         self.taken = 0
         self.has_relation = False
+        self.has_places = False
         deep = self.words.count("(") + self.words.count("not")
         count = len(self.words) - 1
         if deep > MOST_NESTED or count > MOST_WORDS:
@@ -118,6 +138,11 @@ class QuestionReader:
     def next(self) -> str:
         """The next word, which is not taken; empty at the end."""
         return self.words[self.taken]
+
+    @property
+    def after_next(self) -> str:
+        """The word behind the next one; empty at the end."""
+        return self.words[min(self.taken + 1, len(self.words) - 1)]
 
     def take(self, *words: str) -> str:
         """Take the next word if it is one of some, or return ""."""
@@ -146,39 +171,45 @@ class QuestionReader:
         parts = [self.both()]
         while self.take("or"):
             parts.append(self.both())
-
-        def evidence(entity: int, colour: Colour) -> Reason:
-            for part in parts:
-                reason = part(entity, colour)
-                if reason is not None:
-                    return reason
-            return None
-
-        return evidence
+        if len(parts) == 1:
+            return parts[0]
+        return lambda individual: disjunction(part(individual) for part in parts)
 
     def both(self) -> Part:
-        """Read parts joined by "and"."""
+        """Read parts joined by "and"; superlatives compare what all the others are true of."""
         parts = [self.one()]
         while self.take("and"):
             parts.append(self.one())
+        if len(parts) == 1:
+            return parts[0]
+        superlatives = [part for part in parts if isinstance(part, Superlative)]
+        others = [part for part in parts if not isinstance(part, Superlative)]
 
-        def evidence(entity: int, colour: Colour) -> Reason:
-            reasons: Evidence = ()
-            for part in parts:
-                reason = part(entity, colour)
-                if reason is None:
-                    return None
-                reasons += reason
-            return reasons
+        def plain(individual: Individual) -> Judgement:
+            return conjunction(part(individual) for part in others)
 
-        return evidence
+        def judgement(individual: Individual) -> Judgement:
+            judgements = [plain(individual)]
+            if superlatives:
+                scene = individual.scene
+                rivals = [rival for rival in scene if plain(rival).answers]
+                judgements += [part.among(individual, rivals) for part in superlatives]
+            return conjunction(judgements)
+
+        return judgement
 
     def one(self) -> Part:
-        """Read a negation, a bracket, a count, a chain or a fact."""
+        """Read a negation, a bracket, a place, a name, a count, a chain or a fact."""
         if self.take("not"):
-            return self.negation()
+            part = self.one()
+            return lambda individual: negated(part(individual))
         if self.next == "(":
             return self.bracket()
+        is_place = self.next in (*SIDES, *DISTANCES) and self.after_next == "("
+        if is_place or self.next in ENDS:
+            return self.place()
+        if self.next == "is" and self.after_next not in (*_NO_NAMES, ""):
+            return self.kind()
         is_count = self.take("count")
         relation = self.relation()
         if is_count:
@@ -186,30 +217,80 @@ class QuestionReader:
         if self.next in SIGNS:
             return self.comparison(relation)
         if self.next == "(":
-            return self.chain(relation, self.bracket())
+            begin = self.taken
+            bracket = self.bracket()
+            text = f"{relation.name} {self.text_from(begin)}"
+            return self.chain(relation, bracket, text)
         return self.fact(relation)
 
-    def negation(self) -> Part:
-        """Read what is negated."""
+    def text_from(self, begin: int) -> str:
+        """Return the words that were taken from one on."""
+        text = " ".join(self.words[begin : self.taken])
+        return text.replace("( ", "(").replace(" )", ")")
+
+    def place(self) -> Part:
+        """Read a condition on where something stands in the image."""
+        self.has_places = True
         begin = self.taken
-        part = self.one()
-        missing = f"not stated: {' '.join(self.words[begin : self.taken])}"
+        name = self.take(self.next)
+        if name in ENDS:
+            return at_end(name)
+        of = self.bracket()
+        text = self.text_from(begin)
+        if name in SIDES:
+            return beside(text, SIDES[name], of)
+        return by_distance(text, name, of)
 
-        def evidence(entity: int, colour: Colour) -> Reason:
-            if part(entity, colour) is None:
-                return (missing,)
-            return None
+    def kind(self) -> Part:
+        """Read what something is: its name, or a class that the graph puts it into."""
+        self.take("is")
+        self.has_relation = True
+        value = self.value("a name or class")
+        kinds = self.kinds()
+        key = name_key(value)
+        ids = set(self.graph.values(value))
+        names = {name for name in self.objects if name_key(name) == key}
+        classes = self.tails(kinds)
+        if not names and ids.isdisjoint(classes):
+            known = {*self.objects, *map(self.name, classes)}
+            raise unknown_name("object or class", value, known)
+        by_graph = self.leading_to(kinds, ids, f"is {value}")
 
-        return evidence
+        def judgement(individual: Individual) -> Judgement:
+            if individual.name in names or individual.entity in ids:
+                return Judgement(True, (f"it is {value}",))
+            if not ids:
+                return Judgement(False, (f"it is {individual.name}",), 0.0)
+            return by_graph(individual)
 
-    def fact(self, relation: _Relation) -> Part:
-        """Read a value; the colour of what is shown is seen, not looked up."""
+        return judgement
+
+    def kinds(self) -> _Relation:
+        """Return the relations that state classes, as one, with those that deny them."""
+        names = self.graph.relation_names
+        labels = self.graph.labels
+        ids = []
+        denying = {*opposed(self.graph, RDF_TYPE), *opposed(self.graph, "subClassOf")}
+        for index, name in enumerate(names):
+            is_kind = re.search(FAMILIES["type"].relations, label_of(name, labels))
+            if is_kind and not stance(name, labels.get(name, "")).denies:
+                ids.append(index)
+                denying.update(opposed(self.graph, name))
+        return _Relation("is", ids, sorted(denying))
+
+    def value(self, expected: str) -> str:
+        """Read a value: all words to the next keyword or bracket."""
         names = []
         while name := self.take_name():
             names.append(name.strip('"'))
         value = " ".join(names)
         if not value:
-            raise self.wrong(f"a value of {relation.name}")
+            raise self.wrong(expected)
+        return value
+
+    def fact(self, relation: _Relation) -> Part:
+        """Read a value; the colour of what is shown is seen, not looked up."""
+        value = self.value(f"a value of {relation.name}")
         is_colour = relation.name == COLOUR_RELATION
         colours: Collection[str] = ()
         if is_colour:
@@ -221,18 +302,18 @@ class QuestionReader:
         if not ids and value not in colours:
             known = set(map(self.name, self.tails(relation)))
             raise unknown_name(f"value of {relation.name}", value, known.union(colours))
-        stated = self.leading_to(relation, ids)
+        stated = self.leading_to(relation, ids, f"{relation.name} {value}")
         if not is_colour:
             return stated
 
-        def evidence(entity: int, colour: Colour) -> Reason:
+        def judgement(individual: Individual) -> Judgement:
+            colour = individual.colour
             if colour is None:
-                return stated(entity, colour)
-            if colour == value:
-                return (f"the image shows {value}",)
-            return None
+                return stated(individual)
+            is_it = colour == value
+            return Judgement(is_it, (f"the image shows {colour}",), float(is_it))
 
-        return evidence
+        return judgement
 
     def values(self, relation: _Relation, value: str) -> set[int]:
         """Return the ids of what a value names, and of numbers and dates equal to it."""
@@ -244,22 +325,29 @@ class QuestionReader:
                     ids.add(tail)
         return ids
 
-    def chain(self, relation: _Relation, of: Part) -> Part:
+    def chain(self, relation: _Relation, of: Part, text: str) -> Part:
         """Return the part that is true where a relation leads to something of which one is."""
 
-        def evidence(entity: int, colour: Colour) -> Reason:
-            return next(self.reasons(entity, colour, relation, of), None)
+        def judgement(individual: Individual) -> Judgement:
+            if individual.entity is None:
+                reason = f"the graph does not describe {individual.name}"
+                return Judgement(False, (reason,), 0.0, is_unsettled=True)
+            stated = self.evidence(individual, relation.ids, of)
+            denied = self.evidence(individual, relation.opposed, of)
+            return settled(stated, denied, text)
 
-        return evidence
+        return judgement
 
-    def leading_to(self, relation: _Relation, ids: Collection[int]) -> Part:
+    def leading_to(self, relation: _Relation, ids: Collection[int], text: str) -> Part:
         """Return the part that is true where a relation leads to one of some entities."""
-        return self.chain(relation, lambda tail, colour: () if tail in ids else None)
+        return self.chain(relation, lambda tail: Judgement(tail.entity in ids), text)
 
     def comparison(self, relation: _Relation) -> Part:
         """Read a comparison with a number or a date."""
-        compare = SIGNS[self.take(*SIGNS)]
-        wanted = _quantity(self.take_name())
+        sign = self.take(*SIGNS)
+        compare = SIGNS[sign]
+        wanted_text = self.take_name()
+        wanted = _quantity(wanted_text)
         if wanted is None:
             raise self.wrong("a number or a date")
         kind, limit = wanted
@@ -271,7 +359,19 @@ class QuestionReader:
             raise UserError(
                 f"The question {self.text!r}: the graph states no {kind} by {relation.name}."
             )
-        return self.leading_to(relation, {tail for tail in fits if fits[tail]})
+        text = f"{relation.name} {sign} {wanted_text}"
+        fitting = {tail for tail in fits if fits[tail]}
+        is_fitting = self.leading_to(relation, fitting, text)
+        others = self.leading_to(relation, fits.keys() - fitting, text)
+
+        def judgement(individual: Individual) -> Judgement:
+            fitting = is_fitting(individual)
+            another = others(individual)
+            if another.holds and not fitting.is_stated:
+                return negated(another)
+            return fitting
+
+        return judgement
 
     def tails(self, relation: _Relation) -> list[int]:
         """Return the ids of what a relation leads to."""
@@ -299,13 +399,15 @@ class QuestionReader:
         if not number.isdecimal() or len(number) > 9:
             raise self.wrong("a comparison such as >= 2")
 
-        def evidence(entity: int, colour: Colour) -> Reason:
-            reasons = list(self.reasons(entity, colour, relation, of))
-            if not SIGNS[sign](len(reasons), int(number)):
-                return None
-            return (*chain.from_iterable(reasons), f"counted: {len(reasons)}")
+        def judgement(individual: Individual) -> Judgement:
+            if individual.entity is None:
+                return Judgement(False, is_unsettled=True)
+            facts = list(self.facts(individual, relation.ids, of))
+            evidence = tuple(chain.from_iterable(fact.evidence for fact in facts))
+            is_it = SIGNS[sign](len(facts), int(number))
+            return Judgement(is_it, (*evidence, f"counted: {len(facts)}"), float(is_it))
 
-        return evidence
+        return judgement
 
     def bracket(self) -> Part:
         """Read a part in brackets."""
@@ -321,26 +423,64 @@ class QuestionReader:
         if not word:
             raise self.wrong("a relation")
         names = self.graph.relation_names
+        denying: list[int] = []
         if name_key(local_name(word)) in _COLOUR:
             # the image answers it, whoever else states it
             ids = names.find_local(COLOUR_RELATION)
             name = COLOUR_RELATION
         else:
-            ids = [self.graph.relation_id(word)]
-            name = local_name(names[ids[0]])
+            relation = self.graph.find_relation(word)
+            name = word if relation is None else names[relation]
+            ids = [] if relation is None else [relation]
+            denying = opposed(self.graph, name)
+            if not ids and not denying:
+                self.graph.relation_id(word)  # which raises the error
+            name = local_name(name)
         self.has_relation = True
-        return _Relation(name, ids)
+        return _Relation(name, ids, denying)
 
-    def reasons(
-        self, entity: int, colour: Colour, relation: _Relation, of: Part
-    ) -> Iterator[Evidence]:
-        """Yield each triple of a relation whose head is an entity, and why its tail fits."""
+    def evidence(
+        self, individual: Individual, relations: Collection[int], of: Part
+    ) -> Judgement | None:
+        """Return what says that one of some relations leads to something of which a part is true.
+
+        None without; of several facts the most probable one is the evidence.
+        """
+        facts = list(self.facts(individual, relations, of))
+        if not facts:
+            return None
+        is_false = 1.0
+        for fact in facts:
+            is_false *= 1 - fact.probability
+        return replace(surest(facts), probability=1 - is_false)
+
+    def facts(
+        self, individual: Individual, relations: Collection[int], of: Part
+    ) -> Iterator[Judgement]:
+        """Yield each triple of relations whose tail a part is true of, with its probability."""
         graph = self.graph
-        for row in graph.out_rows(entity):
-            if graph.relations[row] not in relation.ids:
+        assert individual.entity is not None
+        for row in graph.out_rows(individual.entity):
+            relation = graph.relations[row]
+            if relation not in relations:
                 continue
             tail = int(graph.tails[row])
-            reason = of(tail, colour if tail == entity else None)
-            if reason is not None:
-                fact = f"{self.name(entity)} {relation.name} {self.name(tail)}"
-                yield fact, *reason
+            told = Individual(tail)
+            if tail == individual.entity:
+                told = individual
+            fits = of(told)
+            if not fits.answers:
+                continue
+            triple = (
+                graph.names[graph.heads[row]],
+                graph.relation_names[relation],
+                graph.names[tail],
+            )
+            sure = graph.confidence.get(triple, 1.0)
+            if sure == 0:
+                continue
+            text = " ".join(map(local_name, triple))
+            if sure < 1:
+                text += f" ({sure:.2g})"
+            evidence = (text, *fits.evidence)
+            yield Judgement(True, evidence, sure * fits.probability)

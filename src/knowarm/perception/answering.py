@@ -17,7 +17,7 @@ from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import BATCH
 from knowarm.policy import Policy, PolicyAgent
-from knowarm.questions import number_objects, number_parts
+from knowarm.questions import SURE, number_objects, number_parts
 
 
 class SeenAnswers(NamedTuple):
@@ -64,7 +64,7 @@ class AnswerGrounding(FrameRecognition):
         is_other = part[:, None] != part[named][:, None]  # of another part, (n, F, m)
         likelihoods = at_place.masked_fill(is_other, -torch.inf).softmax(1)
         likelihood = (likelihoods * knowledge[:, :, None]).sum(1)
-        answering = knowledge.gather(1, named) >= 0.5
+        answering = knowledge.gather(1, named) >= SURE
         return SeenAnswers(frames, scores, named, places, answering, likelihood)
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:

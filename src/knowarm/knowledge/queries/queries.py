@@ -10,6 +10,7 @@ import numpy as np
 
 from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
@@ -17,6 +18,7 @@ from knowarm.questions import (
     AND,
     COLOUR_RELATION,
     OBJECT_RELATION,
+    SURE,
     Condition,
     ObjectColour,
     Query,
@@ -89,7 +91,7 @@ class QueryGraph:
         colours = {Condition(COLOUR_RELATION, colour) for _, colour in self.facets}
         objects = {Condition(OBJECT_RELATION, name) for name in whole}
         conditions = chain(sorted(stated), sorted(colours), sorted(objects))
-        return tuple(c for c in conditions if self._holders(c).any())
+        return tuple(c for c in conditions if (self._holders(c) >= SURE).any())
 
     def queries(self, pairs: Pairs = "colour") -> tuple[Query, ...]:
         """Return the queries that some facets answer and others do not.
@@ -100,7 +102,7 @@ class QueryGraph:
             raise unknown_name("value of pairs", pairs, get_args(Pairs))
         rows = dict[Condition, Mask]()
         for condition in self.conditions:
-            row = self._holders(condition) > 0
+            row = self._holders(condition) >= SURE
             if not row.all():
                 rows[condition] = row
         if not rows:
@@ -121,12 +123,12 @@ class QueryGraph:
         return tuple(queries)
 
     def answers(self, queries: Sequence[Query]) -> Mask:
-        """Return whether each facet answers each query, (Q, F) bool.
+        """Return whether each facet answers each query more probably than not, (Q, F) bool.
 
         A condition on the colour, or on the object of a part, is answered by the facet itself, any
         other by the graph's triples about the facet's object or part.
         """
-        return self.degrees(queries) > 0
+        return self.degrees(queries) >= SURE
 
     def degrees(self, queries: Sequence[Query]) -> Degrees:
         """Return the probability that each facet answers each query, (Q, F) float32.
@@ -181,13 +183,22 @@ class QueryGraph:
         if relation is None:  # an edited graph may lack what another one knows
             return np.zeros(len(names), bool)
         values = graph.values(condition.value)
-        is_stated = (graph.relations == relation) & np.isin(graph.tails, values)
+        stated = self._stated([relation], values)
+        denying = opposed(graph, graph.relation_names[relation])
+        # What the graph both states and denies does not count
+        is_denied = self._stated(denying, values) >= SURE
+        return np.where(is_denied, 0, stated)[self.owner]
+
+    def _stated(self, relations: Sequence[int], values: Sequence[int]) -> Degrees:
+        """Return the probability that relations lead from each object to a value, (n,)."""
+        graph = self.graph
+        has_relation = np.isin(graph.relations, relations)
+        is_stated = has_relation & np.isin(graph.tails, values)
         triples = graph.rows(np.flatnonzero(is_stated))
-        held = np.isin(self._ids, triples.heads).astype(float)
-        if graph.confidence:
-            # Probability that no triple about an object holds
-            wrong = np.ones(len(held))
-            for head, triple in zip(triples.heads, triples, strict=True):
-                wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
-            held = 1 - wrong
-        return np.asarray(held[self.owner])
+        if not graph.confidence:
+            return np.isin(self._ids, triples.heads).astype(float)
+        # Probability that no triple about an object holds
+        wrong = np.ones(len(self._ids))
+        for head, triple in zip(triples.heads, triples, strict=True):
+            wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
+        return 1 - wrong

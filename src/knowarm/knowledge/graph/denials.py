@@ -1,0 +1,108 @@
+"""Denials: relations whose names negate, such as notUsedFor, doesNotContain and unsafeFor.
+
+A triple of such a relation denies the fact of the relation without the negation.
+"""
+
+import re
+import tomllib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import (
+    RDF,
+    RDF_TYPE,
+    RDFS,
+    label_of,
+    local_name,
+    name_key,
+)
+
+_ENGLISH = tomllib.loads(Path(__file__).with_name("negation.toml").read_text("utf-8"))
+_NEGATIONS = frozenset[str](_ENGLISH["negations"])
+_LACKING = frozenset[str](_ENGLISH["lacking"])
+_OPPOSING = frozenset[str](_ENGLISH["opposing"])
+_SILENT = frozenset[str](_ENGLISH["silent"])
+_PREFIXED = re.compile("|".join(_ENGLISH["prefixed"]))
+_SUFFIXED = re.compile(_ENGLISH["suffixed"])
+_WORDS = re.compile(r"[^\W_]+")
+_STANDARD = (RDF, RDFS, "http://www.w3.org/2002/07/owl#")
+
+
+class Stance(NamedTuple):
+    """What a relation speaks of, alike in all spellings, and whether it denies it."""
+
+    subject: tuple[str, ...]
+    denies: bool
+
+
+def stance(name: str, label: str = "") -> Stance:
+    """Return the stance of a relation by its name, or by its label where it has one."""
+    return _stance(label or label_of(name, {}))
+
+
+def negative_words(words: Sequence[str]) -> set[str]:
+    """Return which words of a relation's name turn its sense: {"unsafe"} of unsafe, for."""
+    negative = {*_NEGATIONS, *_LACKING, *_OPPOSING}.intersection(words)
+    for word in words:
+        if _affirmed(word) != word or _SUFFIXED.fullmatch(word):
+            negative.add(word)
+    return negative
+
+
+def denial(relation: str) -> str:
+    """Return the name of the relation that denies a relation: notUsedFor of usedFor.
+
+    It has the namespace of the relation, but for the vocabularies of RDF and OWL, which are not
+    extended.
+    """
+    if relation == RDF_TYPE:
+        return "isNotA"
+    local = local_name(relation)
+    denying = f"not{local[:1].upper()}{local[1:]}"
+    if relation == local or relation.startswith(_STANDARD):
+        return denying
+    return relation.removesuffix(local) + denying
+
+
+def opposed(graph: KnowledgeGraph, relation: str) -> list[int]:
+    """Return the ids of the relations of a graph that deny a relation, or that it denies."""
+    wanted = stance(relation, graph.labels.get(relation, ""))
+    ids = []
+    for index, name in enumerate(graph.relation_names):
+        subject, denies = stance(name, graph.labels.get(name, ""))
+        if subject == wanted.subject and denies != wanted.denies:
+            ids.append(index)
+    return ids
+
+
+@lru_cache(maxsize=100_000)
+def _stance(label: str) -> Stance:
+    subject: list[str] = []
+    denies = False
+    has_none = False
+    for word in _WORDS.findall(label.replace("'", "").replace("’", "").casefold()):
+        if word in _NEGATIONS:
+            denies = not denies
+            has_none = word == "no" and not subject
+        elif word in _LACKING:
+            denies = not denies
+            has_none = True
+        elif word in _SILENT:
+            has_none = False
+        else:
+            affirmed = _affirmed(word)
+            denies ^= affirmed != word
+            if has_none and affirmed not in ("has", "have"):
+                subject.append("has")
+            has_none = False
+            subject.append("has" if affirmed == "have" else name_key(affirmed))
+    return Stance(tuple(subject), denies)
+
+
+def _affirmed(word: str) -> str:
+    """Return a word without the syllable that negates it: "safe" of "unsafe"."""
+    match = _PREFIXED.fullmatch(word)
+    return match[match.lastindex or 0] if match else word
