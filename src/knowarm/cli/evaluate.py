@@ -40,6 +40,7 @@ from knowarm.experiment.evaluation import (
     HeldOutTest,
     Reasoning,
     ReasoningTest,
+    SeenTest,
     SplitTest,
     StepsProbe,
 )
@@ -112,6 +113,9 @@ class ConditionOptions:
     """Seed of which triples are damaged, and of the repair."""
     repair: Literal["analogy", "complex"] | None = None
     """Complete the graph that the agent knows by link prediction, after the damage."""
+    seen: bool = False
+    """Let inverse kinematics with known joint angles move to the frame that a grounding network
+    sees, in place of the policy: what a practitioner would try first."""
 
     def test(self) -> list[BaseTest]:
         """Return the conditions in the order in which they apply."""
@@ -139,6 +143,8 @@ class ConditionOptions:
                 repair=self.repair,
             )
             conditions.append(damage)
+        if self.seen:
+            conditions.append(SeenTest())
         return conditions
 
 

@@ -31,6 +31,7 @@ from knowarm.experiment.summary import (
 )
 from knowarm.measures import Measure
 from knowarm.perception.calibration import covered
+from knowarm.perception.solving import SolvingAgent
 from knowarm.policy import PolicyAgent
 from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
@@ -251,6 +252,8 @@ def agent_for_test(
         return cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
     informed = known_in_test(trained, subject)
     check_fits(trained, env, knows_task=informed is not trained.agent)
+    if subject.solves:
+        return SolvingAgent(informed, subject.env)
     return informed
 
 

@@ -60,6 +60,8 @@ class Subject:
     """What it does if it sees no answer, or several."""
     level: float | None = None
     """How often the right object is to be among those that count as answers; None: by name."""
+    solves: bool = False
+    """Whether inverse kinematics act in place of the policy, to the frame that the network sees."""
 
     @property
     def trained(self) -> ExperimentConfig:
@@ -257,12 +259,28 @@ class ReasoningTest(BaseTest):
         return replace(subject, reasoning=self.by, unclear=self.unclear, level=level)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SeenTest(BaseTest):
+    """Let inverse kinematics act in place of the policy: see the grasp frame, then solve the way.
+
+    It needs joint angles and a kinematic model, without which the policy does.
+    """
+
+    kind: Literal["seen"] = "seen"
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent solve."""
+        return replace(subject, solves=True)
+
+
 def _edited_graph(env: EnvConfig) -> KnowledgeGraph | None:
     """Return the graph that answers the questions of a task after an edit, if there is one."""
     return env.task.asked.edited_graph(facets_of(env))
 
 
-AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest
+AnyCondition = (
+    HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest | SeenTest
+)
 
 
 def _label(*words: str) -> str:
