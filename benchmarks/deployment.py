@@ -50,8 +50,10 @@ class Watched(Driver):
         super().see(image, stamp_s)
         self.images += 1
 
-    def feel(self, names: Any, positions: Any, stamp_s: float) -> None:
-        super().feel(names, positions, stamp_s)
+    def feel(
+        self, names: Any, positions: Any, stamp_s: float, source: str = ""
+    ) -> None:
+        super().feel(names, positions, stamp_s, source)
         self.states += 1
 
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from knowarm.cli.main import main
+from knowarm.deploy import watch
 from knowarm.deploy.driver import Driver, Safety, decoded, decompressed
 from knowarm.deploy.runner import Runner
+from knowarm.deploy.watch import Publisher, unheard
 from knowarm.errors import UserError
 from knowarm.pictures import encode
 from tests.source_tree import ROOT
@@ -62,14 +64,20 @@ class Robot:
         self.driver.clock = lambda: self.now
 
     def tick(
-        self, image=IMAGE, joints=(0.0, 0.5), names=NAMES, late=0.0, state_late=0.0
+        self,
+        image=IMAGE,
+        joints=(0.0, 0.5),
+        names=NAMES,
+        late=0.0,
+        state_late=0.0,
+        source="",
     ):
         """Let a period pass; images and states arrive unless they are None."""
         self.now += 0.1
         if image is not None:
             self.driver.see(image, self.now - late)
         if joints is not None:
-            self.driver.feel(names, joints, self.now - state_late)
+            self.driver.feel(names, joints, self.now - state_late, source)
         return self.driver.tick(self.now)
 
 
@@ -249,6 +257,109 @@ def test_two_robots_with_the_same_joints_move_nothing():
     robot.tick()
     assert robot.tick(joints=(0.15, 0.5)) is None
     assert robot.tick(joints=(0.15, 0.5)) is not None, "one jump passes"
+
+
+@pytest.mark.parametrize("steps", [1.0, 0.25], ids=["steps of MPI", "short steps"])
+@pytest.mark.parametrize("images", [1, 2, 3, 5])
+@pytest.mark.parametrize("follows", [True, False], ids=["arm follows", "arm stands"])
+def test_old_images_end_a_motion_to_and_fro(images, steps, follows):
+    """The images repeat, and the commands change without going far."""
+    robot, joints, sent = Robot(patience_s=1), np.array([0.0, 0.5]), 0
+    runner = robot.driver._runner
+
+    def act(observations):
+        sign = 1 if runner.targets[0, 0] < 0.01 else -1
+        runner.targets = runner.targets + sign * steps * 0.05
+
+    runner.act = act
+    for number in range(60):
+        targets = robot.tick(IMAGE + np.uint8(number % images), joints)
+        sent += targets is not None
+        if follows and targets is not None:
+            joints = targets
+    assert sent <= 12 + images
+    assert "the image is the same as before the arm moved" in robot.driver.end
+
+
+def test_a_policy_that_waits_may_see_the_same_image():
+    robot = Robot(step=[0.0, 0.5], max_steps=40)
+    assert sum(robot.tick() is not None for _ in range(40)) == 40
+
+
+@pytest.mark.parametrize("apart", [0.001, 0.02, 0.08, 0.3])
+@pytest.mark.parametrize("every", [1, 2, 7, 15], ids="every {} periods".format)
+def test_joints_of_two_programs_move_nothing(apart, every):
+    robot, sent = Robot(patience_s=1, following_steps=1000), []
+    for number in range(60):
+        if number % every == 0:
+            angles = (apart, 0.5)
+            robot.driver.feel(NAMES, angles, robot.now + 0.1, "second")
+        sent.append(robot.tick(IMAGE + np.uint8(number), source="first") is not None)
+    assert not any(sent)
+    words = ("joint angles of shoulder come from 2 programs", "joint angles jump")
+    assert any(text in robot.driver.status for text in words)
+
+
+def test_one_joint_of_a_second_program_suffices_and_other_joints_do_not_matter():
+    robot = Robot(patience_s=1)
+    robot.driver.feel(["finger", "elbow"], (0.0, 0.5), robot.now, "gripper")
+    assert robot.tick(source="arm") is None
+    assert "joint angles of elbow come from 2 programs" in robot.driver.status
+    robot = Robot()
+    robot.driver.feel(["finger"], (0.0,), robot.now, "gripper")
+    assert robot.tick(source="arm") is not None
+
+
+def test_a_second_program_that_left_before_the_start_is_forgotten():
+    robot = Robot(patience_s=1, wait_s=60)
+    robot.driver.feel(NAMES, (0.0, 0.5), robot.now, "before the restart")
+    moved = [robot.tick(source="after it") is not None for _ in range(25)]
+    assert moved[:15] == [False] * 15
+    assert moved[-1]
+
+
+@pytest.mark.parametrize(
+    ("names", "joints", "words"),
+    [
+        ([*NAMES, "elbow"], (0.0, 0.5, 0.9), "name elbow twice"),
+        ([*NAMES, "elbow"], (0.0, 0.5, 0.5), "name elbow twice"),
+        (["shoulder", *NAMES], (0.0, 0.0, 0.5), "name shoulder twice"),
+        (["elbow", "elbow"], (0.5, 0.5), "name elbow twice"),
+        (("shoulder", "elbow", "elbow"), (0.0, 0.5), "name elbow twice"),
+        (NAMES, (0.0, 0.5, 0.1), "more numbers than names"),
+    ],
+)
+def test_joint_states_that_contradict_themselves_hold(names, joints, words):
+    robot = Robot()
+    assert robot.tick(names=names, joints=joints) is None
+    assert words in robot.driver.status
+    assert robot.tick() is not None
+    assert (
+        robot.tick(names=["finger", "finger", *NAMES], joints=(9, 8, 0.0, 0.5))
+        is not None
+    )
+
+
+BOOL = "std_msgs/msg/Bool"
+EMPTY = "std_msgs/msg/Empty"
+
+
+def test_a_publisher_that_cannot_be_heard_is_named():
+    heard = Publisher(EMPTY)
+    assert unheard("/stop", EMPTY, []) == unheard("/stop", EMPTY, [heard, heard]) == ""
+    for other in (BOOL, "std_msgs/msg/String", "std_srvs/srv/Empty", "", "Empty"):
+        problem = unheard("/stop", EMPTY, [heard, Publisher(other)])
+        assert f"publishes {other} to /stop" in problem
+    problem = unheard("/stop", EMPTY, [Publisher(EMPTY, connects=False)])
+    assert "quality of service" in problem
+
+
+def test_few_images_are_remembered(monkeypatch):
+    monkeypatch.setattr(watch, "MOST_IMAGES", 3)
+    images = watch.ImageWatch(0.05)
+    for number in range(9):
+        images.problem(IMAGE + np.uint8(number), np.zeros(2))
+    assert len(images._poses) == 3
 
 
 def test_the_first_steps_are_confirmed_one_by_one():

@@ -1,6 +1,7 @@
 """Real ROS 2 nodes on the loopback: a simulated robot is driven; what must not move does not."""
 
 import io
+import itertools
 import os
 import subprocess
 import sys
@@ -13,10 +14,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Empty, Header
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CompressedImage, Image, JointState
+from std_msgs.msg import Bool, Empty, Header, String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.deployment import by_ros
@@ -31,10 +33,16 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.source_tree import ROOT
 
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # other tests are other robots
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 RUN = ROOT / "zoo" / "tiago-full-fast"
 TOPICS = Topics()
+NUMBERS = itertools.count(os.getpid())
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch):
+    """A domain of ROS for each test: others are other robots, some of which are about to end."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + next(NUMBERS) % 100))
 
 
 @pytest.fixture(autouse=True)
@@ -91,6 +99,25 @@ class Cell:
         self.received, self.driver, self._over = [], None, False
         self._controllers, self._stop_qos = controllers, stop_qos
         self.then = lambda: None
+        self._others = {}
+
+    def publisher(self, kind, topic, qos=1):
+        """Return a second publisher of a topic, made when it is first used."""
+        return self._once(topic, lambda: self.other.create_publisher(kind, topic, qos))
+
+    def call(self, kind, name):
+        """Call a service."""
+        self._once(name, lambda: self.other.create_client(kind, name))
+
+    def listen(self, kind, topic):
+        """Subscribe to a topic with a type of message."""
+        take = self.received.append
+        self._once(topic, lambda: self.other.create_subscription(kind, topic, take, 1))
+
+    def _once(self, name, make):
+        if name not in self._others:
+            self._others[name] = make()
+        return self._others[name]
 
     def drive(self, **safety):
         """Run `drive` beside the cell; return the driver."""
@@ -126,6 +153,9 @@ class Cell:
                 JointTrajectory, TOPICS.trajectory, self.received.append, 1
             )
         self.node = node
+        context_of_others = rclpy.Context()
+        rclpy.init(context=context_of_others)
+        self.other = rclpy.create_node("other", context=context_of_others)
         joints = self.parts.contract["joints"]
         while not self._over:
             image = {
@@ -145,8 +175,9 @@ class Cell:
             states.publish(JointState(header=Header(**stamp), **state))
             executor.spin_once(timeout_sec=0.02)
             self.then()
-        node.destroy_node()
-        context.shutdown()
+        for one in (node, self.other):
+            one.destroy_node()
+            one.context.shutdown()
 
 
 def test_a_robot_that_stands_still_receives_trajectories(parts):
@@ -206,6 +237,95 @@ def test_the_stop_topic_ends_the_episode(parts, qos):
     with pytest.raises(UserError, match="stopped by /knowarm/stop"):
         cell.drive(max_steps=500, following_steps=1000)
     assert len(cell.received) < 100
+
+
+@pytest.mark.parametrize("kind", [Bool, String, Header], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "qos",
+    [
+        1,
+        qos_profile_sensor_data,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    ],
+    ids=["reliable", "best effort", "latched"],
+)
+def test_a_stop_of_another_type_ends_the_episode(parts, kind, qos):
+    cell = Cell(parts)
+    cell.then = lambda: cell.received and cell.publisher(kind, TOPICS.stop, qos)
+    with pytest.raises(
+        UserError, match=f"publishes .*/msg/{kind.__name__} to /knowarm/stop"
+    ):
+        cell.drive(max_steps=500, following_steps=1000)
+    assert len(cell.received) < 40
+
+
+def test_a_stop_of_another_type_before_the_start_moves_nothing(parts):
+    cell = Cell(parts)
+    cell.then = lambda: cell.publisher(Bool, TOPICS.stop)
+    with pytest.raises(UserError, match="publishes std_msgs/msg/Bool"):
+        cell.drive(max_steps=500, following_steps=1000)
+    assert not cell.received
+
+
+def test_a_stop_that_is_called_as_a_service_ends_the_episode(parts):
+    cell = Cell(parts)
+    cell.then = lambda: cell.received and cell.call(GetParameters, TOPICS.stop)
+    with pytest.raises(UserError, match="calls /knowarm/stop as a service"):
+        cell.drive(max_steps=500, following_steps=1000)
+    assert len(cell.received) < 40
+
+
+def test_the_episode_ends_with_the_program_that_could_stop_it(parts):
+    cell = Cell(parts)
+
+    def leave():
+        cell.stop.destroy()
+        return True
+
+    cell.then = lambda: cell.received and cell._once("gone", leave)
+    with pytest.raises(UserError, match="could publish to /knowarm/stop has left"):
+        cell.drive(max_steps=500, following_steps=1000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "words"),
+    [
+        (Image, TOPICS.image, "2 programs publish to /camera/image_raw"),
+        (CompressedImage, TOPICS.image, "publishes sensor_msgs/msg/CompressedImage to"),
+        (String, TOPICS.joint_states, "publishes std_msgs/msg/String to /joint_states"),
+    ],
+    ids=["two cameras", "image of another type", "joints of another type"],
+)
+def test_a_second_source_of_an_input_moves_nothing(parts, kind, topic, words):
+    cell = Cell(parts)
+    cell.then = lambda: cell.publisher(kind, topic)
+    with pytest.raises(UserError, match=words):
+        cell.drive()
+    assert not cell.received
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.02, 0.08])
+def test_two_programs_with_the_same_joints_move_nothing(parts, apart):
+    cell, joints = Cell(parts), parts.contract["joints"]
+
+    def publish():
+        stamp = cell.node.get_clock().now().to_msg()
+        angles = (np.array(joints["home"]) + apart).tolist()
+        state = JointState(name=list(joints["names"]), position=angles)
+        state.header.stamp = stamp
+        cell.publisher(JointState, TOPICS.joint_states).publish(state)
+
+    cell.then = publish
+    with pytest.raises(UserError, match=r"come from 2 programs|joint angles jump"):
+        cell.drive(max_steps=500, following_steps=1000)
+    assert len(cell.received) < 50, "only until the other one is discovered"
+
+
+def test_a_controller_of_another_type_moves_nothing(parts):
+    cell = Cell(parts, controllers=0)
+    cell.then = lambda: cell.listen(String, TOPICS.trajectory)
+    with pytest.raises(UserError, match="no controller"):
+        cell.drive()
 
 
 def test_a_dry_run_sends_nothing(parts):

@@ -114,6 +114,27 @@ def test_an_arm_in_degrees_is_served_as_one_in_radians(trained, tmp_path):
     )
 
 
+def test_a_frozen_camera_moves_no_arm_until_an_image_is_new(parts, server):
+    def look(number, **more):
+        image = IMAGE + np.uint8(number)
+        seen = observation(parts, **{"observation/image": image}, **more)
+        answer = unpack(ask(connection, seen))
+        return answer["hold"], answer["actions"].tolist()
+
+    for images in (1, 2, 4):
+        with client(server) as connection:
+            connection.recv()
+            answers = [look(number % images) for number in range(60)]
+            assert not answers[0][0]
+            assert "the image is the same as before the arm moved" in answers[-1][0]
+            assert len({str(targets) for _, targets in answers[30:]}) == 1
+            assert not look(9)[0]
+    with client(server) as connection:
+        connection.recv()
+        assert not any(look(number)[0] for number in range(40))
+        assert not any(look(0, reset=True)[0] for _ in range(40))
+
+
 def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
     with client(server) as one, client(server) as two:
         for connection in (one, two):

@@ -19,6 +19,7 @@ from PIL import Image
 from knowarm.arrays import Floats, Mask
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.deploy.runner import Runner, Start
+from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
 from knowarm.pictures import central_square
 from knowarm.reading import one_line
@@ -30,7 +31,6 @@ SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
 JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
 ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8")
 """Encodings of ROS that are read; they begin with the order of a pixel's channels."""
-FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class Topics:
     positions: str = ""
     """Instead of trajectories, std_msgs/Float64MultiArray to it."""
     stop: str = "/knowarm/stop"
-    """std_msgs/Empty; any message ends the episode."""
+    """std_msgs/Empty; any message ends the episode, and so does a publisher of another type."""
     use_clock: bool = False
     """Take the time from /clock, as simulators publish it."""
 
@@ -134,7 +134,9 @@ class Driver:
         self._sent_at = -np.inf
         self._held_since = np.inf
         self._felt: tuple[Targets, float] | None = None  # last angles and their stamp
-        self._seen: dict[int, Targets] = {}  # hash of every image, and its first angles
+        self._images = ImageWatch(self._mpi)
+        # A second source ends the episode before it is forgotten.
+        self._sources = SourceWatch(self.joint_names, 2 * safety.patience_s)
         rows = contract["knowledge"]["rows"]
         is_needed = knowledge is not None or len(rows) > 1
         if is_needed and knowledge not in rows:
@@ -161,12 +163,27 @@ class Driver:
         return image, stamp_s
 
     def feel(
-        self, names: Sequence[str], positions: Sequence[float], stamp_s: float
+        self,
+        names: Sequence[str],
+        positions: Sequence[float],
+        stamp_s: float,
+        source: str = "",
     ) -> None:
-        """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored."""
+        """Take what the real arm reads by name, measured at ``stamp_s``; others are ignored.
+
+        ``source`` tells the programs apart that send readings: two of one joint hold.
+        """
+        self._sources.tell(names, source, self.clock())
+        twice = [name for name in self.joint_names if list(names).count(name) > 1]
+        if twice:
+            self._inputs["joint angles"] = f"name {twice[0]} twice in one message"
+            return
         readings = dict(zip(names, positions, strict=False))
         if readings.keys().isdisjoint(self._map.moved):
             return  # of a gripper or another robot
+        if len(positions) > len(names):
+            self._inputs["joint angles"] = "are more numbers than names"
+            return
         values = [readings.get(name, np.nan) for name in self.joint_names]
         angles = self._map.from_real(values)
         is_unknown = ~np.isfinite(angles)
@@ -212,7 +229,7 @@ class Driver:
             # What is confirmed must be what is seen now.
             vars(self._runner).update(self._before)
             self._proposal = None
-        problem = obstacle or self._old_input(now_s) or self._frozen()
+        problem = obstacle or self._old_input(now_s) or self._doubtful_input(steady)
         if not problem:
             image, _ = self._inputs["image"]
             angles, _ = self._inputs["joint angles"]
@@ -265,6 +282,8 @@ class Driver:
         self.status = f"dry run, {self.status}" if is_dry else "moving"
         self._runner.targets = targets[None].copy()
         self._proposal = None
+        if not is_dry:
+            self._images.commanded(targets)
         self._sent_at = steady
         self.steps += 1
         if self.steps == self.max_steps:
@@ -287,13 +306,14 @@ class Driver:
                 return f"{name} more than {most:g} s {when}"
         return ""
 
-    def _frozen(self) -> str:
-        """Say whether the image equals one, to the byte, from before the arm moved."""
+    def _doubtful_input(self, steady: float) -> str:
+        """Say whether joint angles come from two programs, or the image does not change."""
         image, _ = self._inputs["image"]
         angles, _ = self._inputs["joint angles"]
-        before = self._seen.setdefault(hash(image.tobytes()), angles)
-        frozen = abs(angles - before).max() > FROZEN * self._mpi
-        return "the image is the same as before the arm moved" if frozen else ""
+        problem = self._sources.problem(steady)
+        if problem:
+            return f"joint angles {problem}"
+        return self._images.problem(image, angles)
 
     def _check(self, targets: Targets) -> None:
         """Raise `ValueError` for targets (J,) that no intact policy computes."""

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from knowarm.deploy.driver import Driver, Topics, decoded, decompressed
+from knowarm.deploy.watch import Publisher, unheard
 from knowarm.errors import UserError, packages_of
 from knowarm.reading import one_line
 
@@ -16,8 +17,14 @@ with packages_of("ros", "Driving a robot"):
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
-    from rclpy.qos import QoSProfile, qos_profile_sensor_data
+    from rclpy.qos import (
+        QoSCompatibility,
+        QoSProfile,
+        qos_check_compatible,
+        qos_profile_sensor_data,
+    )
     from rclpy.signals import SignalHandlerOptions
+    from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import CompressedImage, Image, JointState
     from std_msgs.msg import Empty, Float64MultiArray
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -41,7 +48,12 @@ class DriverNode(Node):
         images = CompressedImage if topics.compressed else Image
         self.create_subscription(images, topics.image, self._see, latest)
         self.create_subscription(JointState, topics.joint_states, self._feel, latest)
-        stop = f"stopped by {topics.stop}"
+        # Message type and most publishers of every input; joints are counted one by one.
+        self._inputs = {topics.image: (images, 1), topics.joint_states: (JointState, 0)}
+        if topics.use_clock:
+            self._inputs["/clock"] = (Clock, 1)
+        self._stop = topics.stop
+        self._stoppers = 0
         # A reliable subscription receives nothing from a best-effort publisher; a best-effort one
         # may lose a message on a bad network.
         quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
@@ -49,7 +61,7 @@ class DriverNode(Node):
             self.create_subscription(
                 Empty,
                 topics.stop,
-                lambda _: driver.stop(stop),
+                lambda _: driver.stop(f"stopped by {topics.stop}"),
                 qos,
                 event_callbacks=quiet,
             )
@@ -81,18 +93,55 @@ class DriverNode(Node):
             )
         self.driver.see(pixels, _stamp(image))
 
-    def _feel(self, state: Any) -> None:
-        self.driver.feel(state.name, state.position, _stamp(state))
+    def _feel(self, state: Any, info: Any) -> None:
+        source = str(info["publisher_gid"])
+        self.driver.feel(state.name, state.position, _stamp(state), source)
+
+    def _unheard(self, topic: str, kind: Any) -> tuple[int, str]:
+        """Count the publishers of a topic; say which of them cannot be heard, if there is one."""
+        publishers = []
+        for info in self.get_publishers_info_by_topic(topic):
+            fit, _ = qos_check_compatible(info.qos_profile, qos_profile_sensor_data)
+            connects = fit != QoSCompatibility.ERROR
+            publishers.append(Publisher(info.topic_type, connects))
+        package = kind.__module__.split(".")[0]
+        problem = unheard(topic, f"{package}/msg/{kind.__name__}", publishers)
+        return len(publishers), problem
+
+    def _check_stop(self) -> None:
+        """End the episode if a program could stop it and would not be heard."""
+        stoppers, problem = self._unheard(self._stop, Empty)
+        if self.count_clients(self._stop):
+            problem = f"a program calls {self._stop} as a service, and it is a topic"
+        if stoppers < self._stoppers:
+            problem = f"a program that could publish to {self._stop} has left"
+        self._stoppers = stoppers
+        if problem:
+            self.driver.stop(f"stopped: {problem}")
+
+    def _obstacle(self) -> str:
+        """Say what is wrong with the programs that publish inputs or receive targets."""
+        for topic, (kind, most) in self._inputs.items():
+            publishers, problem = self._unheard(topic, kind)
+            if problem:
+                return problem
+            if 0 < most < publishers:
+                return f"{publishers} programs publish to {topic}"
+        if self._out is None:
+            return ""
+        if self.count_publishers(self._topic) > 1:
+            return f"another program publishes to {self._topic}"
+        if (
+            not self._out.get_subscription_count()
+        ):  # of this type and quality of service
+            return f"no controller at {self._topic}"
+        return ""
 
     def _tick(self) -> None:
+        self._check_stop()
         if time.monotonic() < self._from or not self._seconds():  # no /clock yet
             return
-        obstacle = ""
-        if self._out is not None and self.count_publishers(self._topic) > 1:
-            obstacle = f"another program publishes to {self._topic}"
-        elif self._out is not None and not self.count_subscribers(self._topic):
-            obstacle = f"no controller at {self._topic}"
-        targets = self.driver.tick(self._seconds(), obstacle)
+        targets = self.driver.tick(self._seconds(), self._obstacle())
         if targets is not None and self._out is not None:
             self._out.publish(self._command(targets.tolist()))
         self.show()

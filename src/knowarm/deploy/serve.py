@@ -24,6 +24,7 @@ from knowarm.deploy.contract import play_once
 from knowarm.deploy.driver import shrunk
 from knowarm.deploy.messages import pack, unpack
 from knowarm.deploy.runner import Runner, Start
+from knowarm.deploy.watch import ImageWatch
 from knowarm.errors import UserError, packages_of
 from knowarm.local_server import LOOPBACK, refusal
 
@@ -253,11 +254,14 @@ class Episode:
     def __init__(self, runner: Runner, resize: bool = False) -> None:
         self.runner = runner
         self._resize = resize
+        self._images: ImageWatch
         self._prompt: Any = None
         self.question: Any = None
 
     def answer(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to one observation: joint targets (1, R), and how it was read.
+
+        With an image of a frozen camera the targets stay, and ``hold`` says why.
 
         Raises:
             ValueError: the observation lacks something or does not fit the contract.
@@ -278,9 +282,14 @@ class Episode:
             self.question = question
         if starts:
             runner.reset(Start(self._angles(observation.get(STATE, ())), self.question))
-        runner.act({"image": image[None]})
-        actions = runner.joint_map.to_real(runner.targets)
-        return {"actions": actions, "episode_start": starts, "reading": self.question}
+            self._images = ImageWatch(runner.contract["joints"]["mpi"])
+        hold = self._images.problem(image, runner.targets[0])
+        if not hold:
+            runner.act({"image": image[None]})
+            self._images.commanded(runner.targets[0])
+        answer = {"actions": runner.joint_map.to_real(runner.targets)}
+        about = {"episode_start": starts, "reading": self.question, "hold": hold}
+        return answer | about
 
     def _read(self, prompt: Any) -> Any:
         """Return the row of knowledge that a prompt means; the only one where there is one."""
