@@ -111,10 +111,17 @@ def one_line(error: BaseException) -> str:
     return text
 
 
+def read_bytes(path: Path, *, remedy: str) -> bytes:
+    """Read a file."""
+    with reading(path, remedy):
+        return path.read_bytes()
+
+
 def read_text(path: Path, *, remedy: str) -> str:
     """Read a UTF-8 text file, without its byte order mark."""
+    data = read_bytes(path, remedy=remedy)
     with reading(path, remedy):
-        return path.read_bytes().decode("utf-8-sig")
+        return data.decode("utf-8-sig")
 
 
 def read_json(

@@ -4,6 +4,7 @@ The folders are as `git clone` or unzip leave them: any file, and symbolic links
 """
 
 import json
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.report import write_report
 from knowarm.study.config import StudyConfig, read_study, write_study
+from knowarm.world.description import trust
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import find_robot
 from tests.source_tree import ROOT
@@ -139,6 +141,93 @@ def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
         load_agent(run)
     assert main(["evaluate", "oracle", f"--env.{field}", name, "--episodes", "1"]) == 0
     assert name in str(RunFolder.open(run).experiment().env)
+
+
+def leak(model):
+    """Let a model name a file of the user, as a stranger may."""
+    asset = '<asset><mesh name="leak" file="/etc/hostname"/></asset></mujoco>'
+    model.write_text(model.read_text().replace("</mujoco>", asset))
+
+
+def own_robot(folder):
+    """A robot with an included file, an attached model, a mesh and a texture of its own."""
+    shutil.copytree(ROOT / "examples" / "own_robot", folder)
+    model = folder / "scara.xml"
+    assets = """<asset><mesh name="extra" file="extra.obj"/>
+      <texture name="extra" type="2d" file="extra.png"/><model name="extra" file="extra.xml"/>
+      </asset><include file="included.xml"/></mujoco>"""
+    model.write_text(model.read_text().replace("</mujoco>", assets))
+    (folder / "included.xml").write_text("<mujoco><worldbody/></mujoco>")
+    (folder / "extra.xml").write_text("<mujoco><worldbody/></mujoco>")
+    (folder / "extra.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n")
+    (folder / "extra.png").write_bytes(b"png")
+    return folder / "scara.toml"
+
+
+CHANGES = {
+    "model": lambda folder: leak(folder / "scara.xml"),
+    "description": lambda folder: (
+        (folder / "scara.toml").open("a").write("\n# git pull")
+    ),
+    "included": lambda folder: leak(folder / "included.xml"),
+    "attached": lambda folder: leak(folder / "extra.xml"),
+    "mesh": lambda folder: (folder / "extra.obj").write_text("v 0 0 1\n"),
+    "texture": lambda folder: (folder / "extra.png").write_bytes(b"gnp"),
+    "mesh removed": lambda folder: (folder / "extra.obj").unlink(),
+    "another robot": lambda folder: shutil.copy(
+        folder / "bowl.toml", folder / "scara.toml"
+    ),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_trust_in_a_robot_ends_with_a_change_of_any_of_its_files(run, tmp_path, change):
+    robot = own_robot(tmp_path / "own")
+    edit(run, "env", robot=str(robot))
+    with pytest.raises(UserError, match="you have not used it on this machine"):
+        RunFolder.open(run)
+    trust([str(robot)])
+    RunFolder.open(run)
+    times = {file: file.stat() for file in robot.parent.iterdir()}
+    CHANGES[change](robot.parent)
+    for file in set(robot.parent.iterdir()) & set(times):  # as unpacking sets them
+        os.utime(file, ns=(times[file].st_atime_ns, times[file].st_mtime_ns))
+    with pytest.raises(
+        UserError, match="has changed since you used it on this machine"
+    ):
+        RunFolder.open(run)
+    trust([str(robot)])
+
+
+def test_another_robot_at_the_path_of_a_trusted_one_is_not_trusted(run, tmp_path):
+    """The run was deleted, and that of a stranger unpacked at its path."""
+    robot = own_robot(tmp_path / "own")
+    edit(run, "env", robot=str(robot))
+    trust([str(robot)])
+    shutil.rmtree(robot.parent)
+    with pytest.raises(UserError, match="has changed"):
+        RunFolder.open(run)
+    own_robot(tmp_path / "own")
+    RunFolder.open(run)
+    shutil.rmtree(robot.parent)
+    robot.parent.mkdir()
+    robot.parent.joinpath("scara.toml").symlink_to(
+        ROOT / "examples/own_robot/scara.toml"
+    )
+    with pytest.raises(UserError, match="trusted like code"):
+        RunFolder.open(run)
+
+
+def test_a_robot_that_cannot_be_used_is_not_trusted(run, tmp_path):
+    robot = own_robot(tmp_path / "own")
+    model = robot.parent / "scara.xml"
+    text = model.read_text()
+    model.unlink()
+    edit(run, "env", robot=str(robot))
+    trust([str(robot)])
+    model.write_text(text)
+    with pytest.raises(UserError, match="trusted like code"):
+        RunFolder.open(run)
 
 
 def test_a_study_of_a_stranger_brings_no_robot_of_its_own(tmp_path):

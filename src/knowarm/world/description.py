@@ -5,13 +5,23 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
-from knowarm.reading import one_line, read_text, read_toml
-from knowarm.world.cache import cache_file, write_arrays
+from knowarm.reading import (
+    digest,
+    one_line,
+    read_bytes,
+    read_json,
+    read_text,
+    read_toml,
+    write_json,
+)
+from knowarm.world.cache import cache_file
 
 SUFFIX = ".toml"  # A name with this suffix is the path of a description
 # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
@@ -29,10 +39,17 @@ T = TypeVar("T")
 
 
 def trust(values: Any) -> None:
-    """Remember on this machine that the user named the descriptions in JSON values."""
+    """Remember on this machine that the user named the descriptions in JSON values, as they are.
+
+    What is remembered is a digest of every file that belongs to a description.
+    """
     for name in _descriptions(values):
-        if not is_trusted(name):
-            write_arrays(_mark(name), {})
+        try:
+            files = [Path(name).absolute(), *_model_files(Path(name))]
+        except UserError:
+            continue  # a TOML file of another kind, or one that cannot be used
+        with suppress(UserError):  # a cache that cannot be written
+            write_json(_mark(name), {str(file): _digest(file) for file in files})
 
 
 def check_trusted(values: Any, where: Path) -> None:
@@ -41,17 +58,49 @@ def check_trusted(values: Any, where: Path) -> None:
     MuJoCo compiles the MJCF of a description, which names files at any path.
     """
     for name in _descriptions(values):
-        if not is_trusted(name):
+        reason = _distrust(name)
+        if reason:
             raise UserError(
-                f"{where} names the description {name!r}, which is trusted like code, and you have "
-                f"not used it on this machine. If you trust it, name it in a command, such as "
-                f"knowarm doctor --robot {name}, and repeat."
+                f"{where} names the description {name!r}, which is trusted like code, and "
+                f"{reason}. If you trust it, name it in a command, such as knowarm doctor "
+                f"--robot {name}, and repeat."
             )
 
 
 def is_trusted(name: str) -> bool:
-    """Tell whether the user has named a description on this machine."""
-    return _mark(name).exists()
+    """Tell whether the user has named a description on this machine, and no file has changed."""
+    return not _distrust(name)
+
+
+def _distrust(name: str) -> str:
+    """Say why a description is not trusted; none of its files is parsed."""
+    mark = _mark(name)
+    files = {}
+    if mark.exists():
+        with suppress(UserError):
+            files = read_json(mark)
+    if not files:
+        return "you have not used it on this machine"
+    for file, content in files.items():
+        if _digest(Path(file)) != content:
+            return f"{file} has changed since you used it on this machine"
+    return ""
+
+
+def _digest(file: Path) -> str:
+    """Return the digest of a file's content; of one that cannot be read, nothing."""
+    try:
+        state = file.stat()
+        # The time of the last change of a file's state cannot be set back.
+        known = (state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+        return _digest_of_state(file, known)
+    except (OSError, UserError):
+        return ""
+
+
+@cache
+def _digest_of_state(file: Path, state: tuple[int, ...]) -> str:
+    return digest(read_bytes(file, remedy="Restore the file."))
 
 
 def _descriptions(values: Any) -> Iterator[str]:
@@ -66,7 +115,7 @@ def _descriptions(values: Any) -> Iterator[str]:
 
 
 def _mark(name: str) -> Path:
-    return cache_file("trusted", os.path.realpath(name))
+    return cache_file("trusted", os.path.realpath(name)).with_suffix(".json")
 
 
 def read_description(path: Path, kind: type[T]) -> T:
@@ -85,16 +134,8 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 
     The model's files keep their places relative to each other, below ``model``.
     """
-    import mujoco  # most who read descriptions need no simulator
-
     mjcf = _normal(_mjcf(read_toml(path), path))
-    try:
-        names = mujoco.mju_getXMLDependencies(str(mjcf))
-    except (ValueError, mujoco.FatalError) as error:
-        raise UserError(
-            f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
-        ) from error
-    files = [_normal(Path(name)) for name in names]
+    files = _model_files(path)
     root = os.path.commonpath([file.parent for file in files])
     places = {file: f"model/{file.relative_to(root).as_posix()}" for file in files}
     text = read_text(path, remedy="Correct the file.")
@@ -102,6 +143,20 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
     text = re.sub(r"""(?m)^\s*["']?mjcf["']?\s*=.*$""", line, text, count=1)
     model_files = dict(zip(places.values(), files, strict=True))
     return {path.name: text.encode(), **model_files}
+
+
+def _model_files(path: Path) -> list[Path]:
+    """Return the MJCF files of a description, with all meshes and textures that they name."""
+    mjcf = _normal(_mjcf(read_toml(path), path))
+    import mujoco  # most who read descriptions need no simulator
+
+    try:
+        names = mujoco.mju_getXMLDependencies(str(mjcf))
+    except (ValueError, mujoco.FatalError) as error:
+        raise UserError(
+            f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
+        ) from error
+    return [_normal(Path(name)) for name in names]
 
 
 def _normal(path: Path) -> Path:
