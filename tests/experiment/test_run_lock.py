@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,7 +9,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.run import train
-from knowarm.experiment.run_lock import HOLDER, lock_folder
+from knowarm.experiment.run_lock import HOLDER, LOCK, is_locked, lock_folder
 from tests.tiny import short
 
 HOLD = """
@@ -74,6 +75,85 @@ def test_the_name_of_the_holder_is_replaced_as_a_whole(tmp_path):
     with (tmp_path / HOLDER).open() as reader, lock_folder(tmp_path, remedy=""):
         assert reader.read() == "before"
         assert json.loads((tmp_path / HOLDER).read_text())["pid"] == os.getpid()
+
+
+@pytest.mark.parametrize("recreate", [False, True])
+@pytest.mark.parametrize("removed", [[LOCK], [LOCK, "x"]], ids=["removed", "twice"])
+def test_a_live_process_holds_a_folder_without_its_lock_file(
+    tmp_path, holder, removed, recreate
+):
+    """As on a network file system whose locks do nothing."""
+    for _ in removed:
+        (tmp_path / "run" / LOCK).unlink(missing_ok=True)
+        if recreate:
+            (tmp_path / "run" / LOCK).touch()
+        assert is_locked(tmp_path / "run")
+        with (
+            pytest.raises(UserError, match=rf"is in use by process {holder.pid} on "),
+            lock_folder(tmp_path / "run", remedy=""),
+        ):
+            pytest.fail("two processes hold the folder")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pid": 2**31 - 1},
+        {"pid": 1},
+        {"started": 0.0},
+        {"host": "another"},
+        {"pid": "1"},
+        {"pid": None},
+        {"pid": -1},
+        {"pid": 10**30},
+        {"started": "now"},
+        {"started": float("nan")},
+    ],
+)
+def test_a_process_that_has_ended_holds_nothing(tmp_path, change):
+    """The number of a killed process may belong to another one by now."""
+    with lock_folder(tmp_path, remedy=""):
+        stored = json.loads((tmp_path / HOLDER).read_text())
+    (tmp_path / HOLDER).write_text(json.dumps(stored | change))
+    assert not is_locked(tmp_path)
+    with lock_folder(tmp_path, remedy=""):
+        pass
+    assert not (tmp_path / HOLDER).exists()
+
+
+def test_a_lock_is_checked_and_restored(tmp_path):
+    with lock_folder(tmp_path, remedy="Stop it.") as lock:
+        lock.check()
+        for names in ([LOCK], [HOLDER], [LOCK, HOLDER]):
+            for name in names:
+                (tmp_path / name).unlink()
+            lock.check()
+            assert is_locked(tmp_path)
+        (tmp_path / LOCK).unlink()
+        (tmp_path / HOLDER).unlink()
+        process = start_holder(tmp_path)
+        with pytest.raises(UserError, match=rf"is in use by process {process.pid} on "):
+            lock.check()
+        process.communicate()
+
+
+def test_a_training_writes_nothing_into_a_folder_that_another_process_took(tmp_path):
+    config = short(total_steps=400)
+    path = tmp_path / config.name / "0"
+    process = []
+
+    def take() -> bool:
+        if not process:
+            (path / LOCK).unlink()
+            (path / HOLDER).unlink()
+            process.append(start_holder(path))
+            shutil.rmtree(path / "checkpoints", ignore_errors=True)
+        return False
+
+    with pytest.raises(UserError, match="is in use by process"):
+        train(config, tmp_path, should_stop=take)
+    assert not (path / "checkpoints").exists()
+    process[0].communicate()
 
 
 @pytest.mark.parametrize("resume", [False, True])

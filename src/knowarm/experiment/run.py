@@ -99,9 +99,16 @@ def train(
     if network is not None and not resume:
         check_network(config, network, parts.knowledge.table)
     remedy = "Wait until it ends, stop it, or pass another runs folder."
-    with lock_folder(path, remedy=remedy):
+    with lock_folder(path, remedy=remedy) as lock:
+
+        def should_end() -> bool:
+            lock.check()
+            return should_stop()
+
         folder = RunFolder.open(path) if resume else RunFolder.create(path)
-        return _train(config, parts, network, folder, resume, should_stop, until_step)
+        return _train(
+            config, parts, network, folder, resume, should_end, until_step, lock.check
+        )
 
 
 def _train(
@@ -112,6 +119,7 @@ def _train(
     resume: bool,
     should_stop: Callable[[], bool],
     until_step: int | None,
+    check_lock: Callable[[], None],
 ) -> Run:
     """Train in a run folder that no other process writes to; see `train`."""
     last = config.total_steps
@@ -165,7 +173,7 @@ def _train(
                 should_stop=should_end,
             ),
             checkpoints=CheckpointStore(
-                folder.checkpoints, description(config, policy)
+                folder.checkpoints, description(config, policy), check_lock
             ),
             checkpoint_every=config.checkpoint_every_steps,
             failure_folder=folder.path / "failure",

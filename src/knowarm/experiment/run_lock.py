@@ -1,36 +1,99 @@
 """Lock of a folder: one process at a time writes into it, until it is asked to stop."""
 
-import json
 import os
+import secrets
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import psutil
 from filelock import FileLock, Timeout
 
 from knowarm.errors import UserError
-from knowarm.reading import refuse_links, write_json
+from knowarm.reading import read_json, refuse_links, write_json, writing
 
 LOCK = ".lock"
 """File that the kernel locks; it outlives the process."""
 HOLDER = ".lock.json"
-"""File that names the holder of the lock; it outlives the process."""
+"""File that names the holder of the lock; it outlives a process that is killed."""
 SECONDS = 1.0
 """How long to wait for the lock: `is_locked` holds it for a moment."""
+CLOCK_S = 2.0
+"""How much the start of a process may seem to change when the clock is set."""
 
 
 class FolderInUseError(UserError):
     """Another process holds the lock of a folder."""
 
 
+class FolderLock:
+    """Lock of a folder that this process holds; see `lock_folder`."""
+
+    def __init__(self, path: Path, remedy: str) -> None:
+        self._path = path
+        self._remedy = remedy
+        self._acquire(SECONDS)
+        self._holder = {
+            "pid": os.getpid(),
+            "host": socket.gethostname(),
+            "since": datetime.now(UTC).isoformat(timespec="seconds"),
+            "started": psutil.Process().create_time(),
+            "token": secrets.token_hex(8),
+        }
+        try:
+            holder = _live_holder(path)
+            if holder:
+                raise self._in_use(holder)
+            write_json(path / HOLDER, self._holder)
+        except UserError:
+            self._lock.release()
+            raise
+
+    def check(self) -> None:
+        """Make sure that the folder is still this process's; restore lock files that are gone.
+
+        Raises:
+            FolderInUseError: another process has taken it.
+            UserError: the folder is gone.
+        """
+        with writing(self._path / LOCK, self._remedy):
+            if _inode(self._path / LOCK) != self._inode:
+                self._lock.release()
+                self._acquire(0.0)
+        holder = _read_holder(self._path)
+        if not holder:
+            write_json(self._path / HOLDER, self._holder)
+        elif holder != self._holder:
+            raise self._in_use(_name(holder))
+
+    def release(self) -> None:
+        """Release the lock."""
+        if _read_holder(self._path) == self._holder:
+            (self._path / HOLDER).unlink(missing_ok=True)
+        self._lock.release()
+
+    def _acquire(self, seconds: float) -> None:
+        self._lock = FileLock(self._path / LOCK, timeout=seconds)
+        try:
+            self._lock.acquire()
+            self._inode = _inode(self._path / LOCK)
+        except Timeout as error:
+            raise self._in_use(_name(_read_holder(self._path))) from error
+
+    def _in_use(self, holder: str) -> FolderInUseError:
+        return FolderInUseError(f"{self._path} is in use by {holder}. {self._remedy}")
+
+
 def is_locked(path: Path) -> bool:
     """Return whether a live process holds the lock of a folder."""
-    if not (path / LOCK).exists():
+    if _live_holder(path):
+        return True
+    if not (path / LOCK).is_file():
         return False
     lock = FileLock(path / LOCK, timeout=0)
     try:
@@ -41,40 +104,63 @@ def is_locked(path: Path) -> bool:
 
 
 @contextmanager
-def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
+def lock_folder(path: Path, *, remedy: str) -> Iterator[FolderLock]:
     """Hold the lock of a folder, which is created if missing; the error ends with the remedy.
 
     The kernel releases the lock when the process ends, however it ends; children do not inherit it.
+    Where the lock file was removed, or a network file system locks nothing, a live process of this
+    machine that ``.lock.json`` names holds the folder as well.
     """
-    lock = FileLock(path / LOCK, timeout=SECONDS)
     try:
         path.mkdir(parents=True, exist_ok=True)
         refuse_links(path)
-        lock.acquire()
-    except Timeout as error:
-        raise FolderInUseError(
-            f"{path} is in use by {_holder(path)}. {remedy}"
-        ) from error
+        lock = FolderLock(path, remedy)
     except OSError as error:
         raise UserError(
             f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
             "another folder, or change its permissions."
         ) from error
-    since = datetime.now(UTC).isoformat(timespec="seconds")
     try:
-        holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
-        write_json(path / HOLDER, holder)
-        yield
+        yield lock
     finally:
         lock.release()
 
 
-def _holder(path: Path) -> str:
-    """Describe the process that holds the lock, as far as it is known."""
+def _inode(file: Path) -> tuple[int, int] | None:
+    """Return what tells a file from another one of its name; None if there is none."""
     try:
-        holder = json.loads((path / HOLDER).read_text(encoding="utf-8"))
+        state = file.stat()
+    except OSError:
+        return None
+    return state.st_dev, state.st_ino
+
+
+def _read_holder(path: Path) -> dict[str, Any]:
+    """Read what ``.lock.json`` says; nothing if it is missing or damaged."""
+    try:
+        return read_json(path / HOLDER)
+    except UserError:
+        return {}
+
+
+def _live_holder(path: Path) -> str:
+    """Name the process of this machine that holds a folder, and still runs."""
+    holder = _read_holder(path)
+    if holder.get("host") != socket.gethostname():
+        return ""
+    try:
+        started = psutil.Process(int(holder["pid"])).create_time()
+        is_same = abs(started - holder["started"]) < CLOCK_S
+    except (psutil.Error, KeyError, TypeError, ValueError, OverflowError):
+        return ""
+    return _name(holder) if is_same else ""
+
+
+def _name(holder: Mapping[str, Any]) -> str:
+    """Describe the process that holds a lock, as far as it is known."""
+    try:
         return f"process {holder['pid']} on {holder['host']} since {holder['since']}"
-    except (OSError, ValueError, KeyError, TypeError):
+    except KeyError:
         return "another process"
 
 

@@ -9,7 +9,7 @@ import logging
 import operator
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -67,10 +67,17 @@ class CheckpointStore:
         folder: parent folder of the three; created when first needed.
         description: what the checkpoints belong to (robot, agent, policy, algorithm), as flat
             JSON values; a checkpoint with another description is rejected.
+        before_writing: called before a checkpoint is written; it may raise.
     """
 
-    def __init__(self, folder: Path, description: Description) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        description: Description,
+        before_writing: Callable[[], None] = lambda: None,
+    ) -> None:
         self.folder = folder
+        self._before_writing = before_writing
         self.description = json.loads(json.dumps(dict(description)))
 
     def save(self, checkpoint: Checkpoint) -> None:
@@ -110,6 +117,7 @@ class CheckpointStore:
         )
 
     def _replace(self, name: str, checkpoint: Checkpoint) -> None:
+        self._before_writing()
         path = self.folder / name
         temporary = self.folder / f".{name}-being-written"
         try:
