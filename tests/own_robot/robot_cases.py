@@ -154,3 +154,41 @@ CASES = {
     ),
 }
 """Texts of MJCF files by what is unusual."""
+
+
+URDF_LINK = """<link name="{0}"><inertial><origin xyz="0 0 {2}"/><mass value="1"/>
+  <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
+  <visual><origin xyz="0 {1} {2}"/><geometry>{3}</geometry></visual>
+  <collision><origin xyz="0 {1} {2}"/><geometry>{3}</geometry></collision></link>"""
+URDF_JOINT = """<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>
+  <origin xyz="0 0 {4}"/><axis xyz="{5}"/>{6}</joint>"""
+URDF_LENGTHS = (0.1, 0.12, 0.3, 0.28, 0.08, 0.08, 0.06)
+URDF_AXES = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+LIMIT = '<limit lower="{}" upper="{}" effort="80" velocity="3"/>'
+
+
+def as_urdf(
+    left: str = "", right: str = "", limit: str = LIMIT.format(-2.9, 2.9)
+) -> str:
+    """Return a URDF of six joints, j1 to j6, with a limit; fingers if those have one."""
+    text = ""
+    for i, length in enumerate(URDF_LENGTHS):
+        box = f'<box size=".06 .06 {length}"/>'
+        text += URDF_LINK.format(f"l{i}", 0, length / 2, box)
+        if i:
+            axis = URDF_AXES[i - 1]
+            text += URDF_JOINT.format(
+                f"j{i}",
+                "revolute",
+                f"l{i - 1}",
+                f"l{i}",
+                URDF_LENGTHS[i - 1],
+                axis,
+                limit,
+            )
+    fingers = (("left", left, -0.006), ("right", right, 0.006))
+    for name, end, offset in fingers:
+        if end:
+            text += URDF_LINK.format(name, offset, 0.03, '<box size=".02 .01 .06"/>')
+            text += URDF_JOINT.format(name, "prismatic", "l6", name, 0.06, "0 1 0", end)
+    return f'<robot name="arm">{text}</robot>'

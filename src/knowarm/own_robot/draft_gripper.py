@@ -26,6 +26,7 @@ from knowarm.own_robot.draft_chain import (
     subtree,
     tool_sites,
 )
+from knowarm.own_robot.opening import widest_opening
 from knowarm.own_robot.poses import Fields
 
 AGREEING_COSINE = 0.7
@@ -81,14 +82,15 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     outer = [b for b in inside if b != hand and model.body_jntnum[b] > 0]
     approach, point = _approach(data, last, hand, outer)
     across = _across(data, outer, approach)
-    fingers = _fingers(data, outer, across)
+    frame = np.stack([np.cross(across, approach), across, approach], axis=1)
+    fingers, text = _fingers(data, outer, frame)
     sites = tool_sites(model, inside)
     if sites:
         site = sites[0]
         name = model.site(site).name
         _, y, z = data.site_xmat[site].reshape(3, 3).T
         if z @ approach > AGREEING_COSINE and abs(y @ across) > AGREEING_COSINE:
-            return {"tcp_site": name, **fingers}, f"site {name!r}"
+            return {"tcp_site": name, **fingers}, f"site {name!r}{text}"
         point = data.site_xpos[site]
         source = f"the place of site {name!r}, turned"
     elif outer:
@@ -97,7 +99,6 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"
     to_hand = data.xmat[hand].reshape(3, 3).T
-    frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
     position = to_hand @ (point - data.xpos[hand])
@@ -109,30 +110,34 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         "tcp_position_m": tuple(position.round(5).tolist()),
         "tcp_quaternion": tuple(quaternion.round(6).tolist()),
     }
-    return fields | fingers, source
+    return fields | fingers, f"{source}{text}"
 
 
-def _fingers(data: MjData, outer: Ids, across: Floats) -> Fields:
-    """Return ``fingers`` and their open values in ``held_joints``, if two slide across the hand."""
+def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
+    """Return ``fingers`` and their open values in ``held_joints``, if two slide across the hand.
+
+    The columns of ``frame`` (3, 3) are any direction, that across the hand and the approach.
+    Also return what was found, in words.
+    """
     model = data.model
     slides = []
     for j in joints_of(model, outer):
-        is_across = abs(data.xaxis[j] @ across) > AGREEING_COSINE
-        if is_slide(model, j) and model.jnt_limited[j] and is_across:
+        is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
+        if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
     bodies = model.jnt_bodyid[slides].tolist()
     names = [model.body(b).name for b in bodies]
-    if len(slides) != 2 or bodies[0] == bodies[1] or not all(names):
-        return {}
-    first, second = (data.geom_xpos[geoms_of(model, [b])].mean(axis=0) for b in bodies)
-    outward = np.sign((first - second) @ across) or 1.0
-    held = {}
-    for joint, sign in zip(slides, (outward, -outward), strict=True):
-        opens = sign * (data.xaxis[joint] @ across) > 0
-        name = model.joint(joint).name
-        if name:
-            held[name] = round(float(model.jnt_range[joint, int(opens)]), 5)
-    return {"fingers": names, "held_joints": held}
+    geoms = [geoms_of(model, [b]).tolist() for b in bodies]
+    if not outer:
+        return {}, ""
+    if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
+        return {}, "; no fingers, of which two named ones have to slide across the hand"
+    opening = widest_opening(data, slides, geoms, frame)
+    if opening is None:
+        joints = " and ".join(joint_names(model, slides))
+        return {}, f"; no fingers, as {joints} have no range"
+    text = f"; fingers: {' and '.join(names)}, open by {100 * opening.gap_m:.1f} cm"
+    return {"fingers": names, "held_joints": dict(opening.values)}, text
 
 
 def _approach(

@@ -12,6 +12,7 @@ from knowarm.arrays import Floats, Mask
 from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, polyline_m
+from knowarm.own_robot.opening import check_fingers
 from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
 from knowarm.own_robot.servo_check import check_servos
 from knowarm.questions import object_of
@@ -92,6 +93,8 @@ def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
     yield _check_robot_in_image(env)
     yield _check_size(scene)
     yield _check_gripper(env)
+    if scene.robot.fingers:
+        yield check_fingers(scene.robot)
     yield check_servos(scene)
     for name in env.config.targets:
         alone = replace(env.config, targets=(name,), colours="randomized")

@@ -30,7 +30,9 @@ from knowarm.errors import UserError
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
+from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, compiling, describe_model
+from knowarm.world.scene.surface import surface_points
 from knowarm.world.tasks.state import Indices
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
@@ -46,7 +48,6 @@ FINGER_DAMPING_N_S_M = 80.0
 LEAST_OPENING_M = 0.005  # Fingers that are drawn nearer to each other are closed
 SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are gripped with full force
 PAD_M = 0.03  # Length of what grips of a finger behind the tool centre point
-POINTS = 9  # Points along an edge of a finger of which the length that grips is taken
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
 
 FINGERS = ("left", "right")
@@ -139,7 +140,9 @@ def _add_pads(spec: MjSpec, data: MjData, robot: Robot) -> None:
         solid = geoms[model.geom_contype[geoms] != 0]
         if len(solid):
             geoms = solid
-        surfaces = np.concatenate([_surface(data, geom) for geom in geoms.tolist()])
+        surfaces = np.concatenate(
+            [surface_points(data, geom) for geom in geoms.tolist()]
+        )
         points = (surfaces - origin) @ frame
         near = points[points[:, 2] > -PAD_M]
         if len(near):
@@ -167,23 +170,6 @@ def _add_hidden(body: MjsBody, **fields: Any) -> None:
     body.add_geom(mass=0, conaffinity=SUPPORT_BIT, rgba=[0, 0, 0, 0], **fields)
 
 
-def _surface(data: MjData, geom: int) -> Floats:
-    """Return points along the edges of a mesh, or in the box around another geom, (P, 3) [m]."""
-    model = data.model
-    if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
-        mesh = model.mesh(model.geom_dataid[geom])
-        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-        corners = model.mesh_vert[mesh.vertadr[0] :][faces]  # (F, 3, 3)
-        share = np.linspace(0, 1, POINTS)[:, None, None, None]
-        edges = (1 - share) * corners + share * np.roll(corners, 1, axis=1)
-        local = edges.reshape(-1, 3)
-    else:
-        middle, half = model.geom_aabb[geom].reshape(2, 3)
-        grid = list(product(np.linspace(-1, 1, POINTS), repeat=3))
-        local = middle + half * np.array(grid)
-    return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-
-
 def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
     """Give the fingers slides towards each other and a servo; return the gap between them [m]."""
     if len(robot.fingers) != 2:
@@ -205,7 +191,7 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
     if opening < LEAST_OPENING_M:
         raise UserError(
             f"Robot {robot.name!r}: its fingers {' and '.join(robot.fingers)} touch where they are "
-            "drawn; open them with held_joints, such as held_joints = { finger_joint1 = 0.04 }."
+            f"drawn; open them with held_joints. {_finger_joints(robot)}"
         )
     origin, tcp_frame = _tcp_frame(data, robot)
     across = tcp_frame[:, 1]
@@ -224,6 +210,20 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
         data=[0, 1] + [0] * 10,
     )
     return float(opening)
+
+
+def _finger_joints(robot: Robot) -> str:
+    """Name the joints of the fingers in the robot's file, with their ranges."""
+    file = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
+    ranges = []
+    for number in range(file.njnt):
+        joint = file.joint(number)
+        if file.body(joint.bodyid[0]).name in robot.fingers:
+            low, high = joint.range
+            ranges.append(f"{joint.name} of {low:g} to {high:g}")
+    return (
+        f"Their joints: {', '.join(ranges) or 'none, they are drawn so in the file'}."
+    )
 
 
 def _add_slide(spec: MjSpec, finger: MjsBody, axis: Floats, range_m: float) -> None:

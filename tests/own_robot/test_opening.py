@@ -1,0 +1,204 @@
+"""Fingers: drafted at the end at which they are widest, and refused where they are drawn closed."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.own_robot.draft_gripper import find_gripper
+from knowarm.own_robot.opening import check_fingers
+from knowarm.own_robot.urdf import as_mjcf
+from knowarm.world.objects import find_targets
+from knowarm.world.robots import ROBOTS
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import build_scene
+from knowarm.world.tasks.skills.lift.model import build_lift_scene
+from tests.own_robot.robot_cases import ARM, LEFT, RIGHT, as_urdf
+
+FINGER = """<body name="{0}" pos="0 {1} .06"><joint name="{0}" type="slide" axis="0 {2} 0" {3}/>
+  <geom type="box" size=".01 .005 .03" pos="0 {4} 0"/></body>"""
+
+
+def fingers(*both: tuple[float, float, str, float], more: str = "") -> str:
+    """Return the plain arm with fingers of a place, an axis, a range and a geom's offset."""
+    first, second = (
+        FINGER.format(name, place, axis, limits and f'range="{limits}"', offset)
+        for name, (place, axis, limits, offset) in zip(
+            ("left", "right"), both, strict=True
+        )
+    )
+    assert LEFT in ARM
+    assert RIGHT in ARM
+    text = ARM.replace(LEFT, first).replace(RIGHT, second)
+    return text.replace(' range="-2.9 2.9"/></default>', "/></default>").replace(
+        "</mujoco>", f"{more}</mujoco>"
+    )
+
+
+def coupled(multiplier: float) -> str:
+    return (
+        '<equality><joint joint1="right" joint2="left" polycoef="0 '
+        f'{multiplier} 0 0 0"/></equality>'
+    )
+
+
+CASES = {
+    "open at the upper end": (
+        fingers((0.01, 1, "0 .03", 0), (-0.01, -1, "0 .03", 0)),
+        (0.03, 0.03, 0.07),
+    ),
+    "open at 0": (
+        fingers((0.04, 1, "-.03 0", 0), (-0.04, -1, "-.03 0", 0)),
+        (0.0, 0.0, 0.07),
+    ),
+    "0 outside the range, where they overlap": (
+        fingers((0.0, 1, ".02 .05", -0.006), (0.0, 1, "-.05 -.02", 0.006)),
+        (0.05, -0.05, 0.078),
+    ),
+    "closed at 0, negative axis": (
+        fingers((0.006, -1, "-.038 0", 0), (-0.006, -1, "0 .038", 0)),
+        (-0.038, 0.038, 0.078),
+    ),
+    "drawn crossed at 0": (
+        fingers((0.0, 1, ".012 .04", -0.008), (0.0, -1, ".012 .04", 0.008)),
+        (0.04, 0.04, 0.054),
+    ),
+    "may pass through each other": (
+        fingers((0.01, 1, "-.04 .02", 0), (-0.01, -1, "-.04 .02", 0)),
+        (0.02, 0.02, 0.05),
+    ),
+    "follower without a range": (
+        fingers((0.01, 1, "0 .04", 0), (-0.01, 1, "", 0), more=coupled(-1)),
+        (0.04, -0.04, 0.09),
+    ),
+    "follower with a range that the leader's does not allow": (
+        fingers((0.01, 1, "0 .02", 0), (-0.01, -1, "0 .08", 0), more=coupled(1)),
+        (0.02, 0.02, 0.05),
+    ),
+    "leader second": (
+        fingers((0.01, 1, "", 0), (-0.01, -1, "0 .03", 0)).replace(
+            "</mujoco>",
+            '<equality><joint joint1="left" joint2="right"/></equality></mujoco>',
+        ),
+        (0.03, 0.03, 0.07),
+    ),
+    "one side moves more": (
+        fingers((0.01, 1, "0 .05", 0), (-0.01, -1, "0 .01", 0)),
+        (0.05, 0.01, 0.07),
+    ),
+}
+"""MJCF of a gripper, and the values of its joints and the gap [m] that are drafted."""
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_fingers_are_drafted_where_they_are_widest(name: str) -> None:
+    text, (left, right, gap) = CASES[name]
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.fields["fingers"] == ["left", "right"]
+    held = gripper.fields["held_joints"]
+    assert held == pytest.approx({"left": left, "right": right})
+    assert gripper.how.endswith(f"left and right, open by {100 * gap:.1f} cm")
+
+
+def test_fingers_without_any_range_are_said_to_be_none() -> None:
+    text = fingers((0.03, 1, "", 0), (-0.03, -1, "", 0))
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert "fingers" not in gripper.fields
+    assert gripper.how.endswith("no fingers, as left and right have no range")
+
+
+def test_the_tips_count_where_fingers_bend_towards_each_other() -> None:
+    """The hull of a bent finger overlaps with the other's where their tips do not touch."""
+    text, _ = CASES["open at the upper end"]
+    root = '<geom type="box" size=".01 .03 .005" pos="0 0 -.06"/></body>'
+    text = text.replace("</body>\n", root + "\n").replace(
+        "</body><body", root + "<body"
+    )
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.how.endswith("open by 7.0 cm")
+
+
+URDF_FINGERS = {
+    "overlap at 0, outside their range": (
+        '<limit lower=".02" upper=".05" effort="9" velocity="1"/>',
+        '<limit lower="-.05" upper="-.02" effort="9" velocity="1"/>',
+        {"left": 0.05, "right": -0.05},
+    ),
+    "follower without a limit": (
+        '<limit lower=".02" upper=".05" effort="9" velocity="1"/>',
+        '<mimic joint="left" multiplier="-1"/>',
+        {"left": 0.05, "right": -0.05},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", URDF_FINGERS)
+def test_fingers_of_a_urdf_are_drafted_open(name: str, tmp_path: Path) -> None:
+    left, right, held = URDF_FINGERS[name]
+    (tmp_path / "arm.urdf").write_text(as_urdf(left, right))
+    file, _ = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+    gripper = find_gripper(mujoco.MjModel.from_xml_path(str(file)))
+    assert gripper.fields["held_joints"] == pytest.approx(held)
+    assert "open by 7.8 cm" in gripper.how
+
+
+def describe(folder: Path, text: str, held: dict[str, float]) -> Robot:
+    """Return a description of an arm with fingers that is complete but for a layout."""
+    (folder / "arm.xml").write_text(text)
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    fields = {**gripper.fields, "held_joints": held}
+    return replace(
+        ROBOTS["irb120"],
+        name="arm",
+        mjcf=folder / "arm.xml",
+        joints=gripper.joints,
+        home=(0.0,) * 6,
+        camera_position_m=(2.0, -2.0, 1.5),
+        camera_fovy_deg=60.0,
+        areas={},
+        cannot_hold={},
+        **fields,
+    )
+
+
+def test_closed_fingers_fail_and_the_remedy_opens_them(tmp_path: Path) -> None:
+    text, _ = CASES["0 outside the range, where they overlap"]
+    closed = describe(tmp_path, text, {"left": 0.02, "right": -0.02})
+    check = check_fingers(closed)
+    assert not check.ok
+    assert check.found == (
+        "left and right are drawn 1.8 cm apart, and 7.8 cm at the other end"
+    )
+    held = tomllib.loads(check.remedy.split(": ", 1)[1].rstrip("."))["held_joints"]
+    opened = replace(closed, held_joints=held)
+    assert check_fingers(opened).ok
+    targets = find_targets(["mug"])
+    limits = build_lift_scene(opened, targets, 0).joint_upper
+    assert limits[-1] > 0.03
+
+
+def test_where_they_touch_lifting_names_their_own_joints(tmp_path: Path) -> None:
+    text, _ = CASES["closed at 0, negative axis"]
+    robot = describe(tmp_path, text.replace(".006", ".005"), {"left": 0, "right": 0})
+    message = "left of -0.038 to 0, right of 0 to 0.038"
+    with pytest.raises(UserError, match=message):
+        build_lift_scene(robot, find_targets(["mug"]), 0)
+
+
+@pytest.mark.parametrize("name", ["irb120", "tiago"])
+def test_fingers_of_shipped_robots_are_open(name: str) -> None:
+    assert check_fingers(ROBOTS[name]).ok
+
+
+def test_the_measured_gap_is_that_of_the_drawn_scene(tmp_path: Path) -> None:
+    text, (left, right, gap) = CASES["one side moves more"]
+    robot = describe(tmp_path, text, {"left": left, "right": right})
+    assert f"drawn {100 * gap:.1f} cm" in check_fingers(robot).found
+    scene = build_scene(robot, find_targets(["mug"]))
+    data = scene.at(np.array(scene.home))
+    ends = [data.body(f"robot/{side}").xpos[1] for side in ("left", "right")]
+    assert ends[0] - ends[1] - 0.01 == pytest.approx(gap, abs=1e-6)
