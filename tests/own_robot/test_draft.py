@@ -365,3 +365,55 @@ def test_the_image_has_the_colours_that_the_policy_sees(tmp_path: Path) -> None:
     wanted = 255 * scene.target_colours[0, 0]
     hue = drawn / np.maximum(drawn.max(axis=-1, keepdims=True), 1)
     assert (np.abs(hue - wanted / wanted.max()).max(axis=-1) < 0.1).sum() > 200
+
+
+SITES = {
+    "the light of PR2": {
+        "r_gripper_led_frame": (".025 0 .04"),
+        "r_gripper_tool_frame": "0 0 .12",
+    },
+    "a camera of the tool": {"tool_camera_link": "0 0 .12", "ee_link": "0 0 .12"},
+    "a wrist's camera": {"wristcam_tool": "0 0 .12", "gripper": "0 0 .12"},
+    "a force sensor": {"tool_ft_sensor": "0 0 .12", "grasp_frame": "0 0 .12"},
+    "an optical frame": {"gripper_optical_frame": "0 0 .12", "EndEffector": "0 0 .12"},
+    "a tool beside a gripper": {"gripper": "0 0 .1", "tool0": "0 0 .12"},
+    "robosuite's axes": {"ee_x": "0 0 .11", "grip_site": "0 0 .12"},
+    "a flange behind the fingers": {"tool0": "0 0 -.02", "attachment_site": "0 0 .11"},
+    "a frame beside the fingers": {"left_tcp": "0 .08 .1", "hand_tip": "0 0 .11"},
+    "one word": {"gripperframe": "0 0 .12"},
+    "in capitals": {"bend": "0 0 .12", "wheel": "0 0 .12", "TCP_LINK": "0 0 .12"},
+}
+"""Sites between fingers that reach from 5 to 13 cm, of which the last is the tool's."""
+
+
+@pytest.mark.parametrize("name", SITES)
+def test_the_makers_tool_frame_is_taken(name: str) -> None:
+    both = FINGERS.format("left", 0.02) + FINGERS.format("right", -0.02)
+    sites = ""
+    for site, place in SITES[name].items():
+        sites += f'<site name="{site}" pos="{place}" euler="0 0 90"/>'
+    gripper = find_gripper(hand(sites, both))
+    assert gripper.fields["tcp_site"] == [*SITES[name]][-1]
+
+
+def test_a_frame_that_is_not_between_the_fingers_is_named() -> None:
+    both = FINGERS.format("left", 0.02) + FINGERS.format("right", -0.02)
+    gripper = find_gripper(hand('<site name="tool0" pos="0 0 -.02"/>', both))
+    assert (
+        "between the ends of the gripper's fingers, where 'tool0' is not" in gripper.how
+    )
+    assert gripper.fields["tcp_position_m"][2] > 0.1
+
+
+def test_a_frame_that_moves_with_a_finger_is_not_the_tools() -> None:
+    left = FINGERS.format("left", 0.02).replace(
+        "</body>", '<site name="fingertip" pos="0 0 .06"/></body>'
+    )
+    gripper = find_gripper(hand(fingers=left + FINGERS.format("right", -0.02)))
+    assert gripper.fields["tcp_body"] == "link4"
+    np.testing.assert_allclose(gripper.fields["tcp_position_m"][:2], 0, atol=1e-6)
+
+
+def test_a_light_alone_is_no_tool() -> None:
+    gripper = find_gripper(hand('<site name="gripper_led_frame" pos="0 0 .2"/>'))
+    assert gripper.fields["tcp_body"] == "link4"

@@ -15,8 +15,27 @@ from knowarm.errors import unknown_name
 GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNORECASE)
 """Joints with these words in their name open the gripper."""
 
-SITE_WORDS = ("tcp", "pinch", "grasp", "grip", "ee", "end", "tool", "attach", "flange")
-"""Sites at the tool centre point have one of these words in their name, best first."""
+TOOL_WORDS = (
+    ".*tcp.*",
+    "pinch(ing)?",
+    "grasp(ing)?",
+    "tool(cent(er|re))?",
+    "grip(per|ping)?",
+    "eef?|end(ef|eff|effector)?|effector",
+    "(finger|tool)?tips?",
+    "attach(ment)?",
+    "flange",
+)
+"""Frames at the tool centre point have one of these words in their name, best first."""
+
+OTHER_WORDS = (
+    "led|light|lamp|laser|.*cam(era)?|optical|depth|rgb|lens|projector|.*sensor|imu|gyro|"
+    "accel(erometer)?|ft|force|torque|touch|motor|tag|marker|screw|cable"
+)
+"""Frames with one of these words in their name are those of something else."""
+
+SUFFIXES = "(?<=.)(frame|site|link|point|pose)$"
+"""Endings of words that say only that it is a frame."""
 
 FIRST_FINGER = 3
 """A joint is taken for a finger's after at least so many joints of the arm."""
@@ -224,13 +243,24 @@ def geoms_of(model: MjModel, bodies: Sequence[int]) -> Integers:
 
 def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
     """Return the sites of bodies that are named as a tool centre point, best first."""
-    names = {}
+    ranks = {}
     for site in np.flatnonzero(np.isin(model.site_bodyid, bodies)).tolist():
-        names[site] = model.site(site).name.lower()
-    sites: Ids = []
-    for word in SITE_WORDS:
-        sites += [s for s in names if word in names[s] and s not in sites]
-    return sites
+        rank = _tool_rank(model.site(site).name)
+        if rank is not None:
+            ranks[site] = rank
+    return sorted(ranks, key=lambda site: ranks[site])
+
+
+def _tool_rank(name: str) -> int | None:
+    """Return the place among `TOOL_WORDS` of a frame's name; None if it names no tool."""
+    words = re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
+    words = [re.sub(SUFFIXES, "", word.lower()) for word in words]
+    if any(re.fullmatch(OTHER_WORDS, word) for word in words):
+        return None
+    for rank, pattern in enumerate(TOOL_WORDS):
+        if any(re.fullmatch(pattern, word) for word in words):
+            return rank
+    return None
 
 
 def is_slide(model: MjModel, joint: int) -> bool:

@@ -36,6 +36,11 @@ TOOL_M = 0.05
 """Distance of the tool centre point in front of an arm that ends at its flange [m]."""
 
 
+ASIDE_M = 0.03  # Farthest from the middle between fingers that a tool frame lies aside
+AHEAD_M = 0.06  # Farthest beyond their ends
+BEHIND_M = 0.01  # Farthest behind their beginning
+
+
 @dataclass(frozen=True, kw_only=True)
 class Gripper:
     """What was found of the arm and its tool centre point (TCP)."""
@@ -84,9 +89,13 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     across = _across(data, outer, approach)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     fingers, text = _fingers(data, outer, frame)
-    sites = tool_sites(model, inside)
-    if sites:
-        site = sites[0]
+    sites = tool_sites(model, fixed_to(model, hand) if outer else inside)
+    kept = sites
+    if outer:
+        geoms = geoms_of(model, outer)
+        kept = [s for s in sites if _is_between(data, s, point, approach, geoms)]
+    if kept:
+        site = kept[0]
         name = model.site(site).name
         _, y, z = data.site_xmat[site].reshape(3, 3).T
         if z @ approach > AGREEING_COSINE and abs(y @ across) > AGREEING_COSINE:
@@ -95,6 +104,9 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         source = f"the place of site {name!r}, turned"
     elif outer:
         source = "between the ends of the gripper's fingers"
+        if sites:
+            names = ", ".join(repr(model.site(s).name) for s in sites)
+            source += f", where {names} is not"
     else:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"
@@ -111,6 +123,17 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         "tcp_quaternion": tuple(quaternion.round(6).tolist()),
     }
     return fields | fingers, f"{source}{text}"
+
+
+def _is_between(
+    data: MjData, site: int, point: Floats, approach: Floats, fingers: Integers
+) -> bool:
+    """Return whether a site lies where fingers grasp: near a point between them, or before it."""
+    way = data.site_xpos[site] - point
+    along = way @ approach
+    aside = norm(way - along * approach)
+    length = point @ approach + extent(data, fingers, -approach)
+    return bool(-length - BEHIND_M < along < AHEAD_M and aside < ASIDE_M)
 
 
 def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
@@ -131,7 +154,7 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
     if not outer:
         return {}, ""
     if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
-        return {}, "; no fingers, of which two named ones have to slide across the hand"
+        return {}, "; no fingers: two named ones have to slide across the hand"
     opening = widest_opening(data, slides, geoms, frame)
     if opening is None:
         joints = " and ".join(joint_names(model, slides))
