@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.own_robot.draft_area import find_area
@@ -20,6 +21,7 @@ from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
+from knowarm.own_robot.plausible import question_ranges, ranges_of
 from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
@@ -174,13 +176,17 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     model = read_mjcf(path, str(path)).compile()
     values: Fields = {"mjcf": str(path)} | _arm(model, overrides, how)
     scene = build(values | NO_RECTANGLE)
+    question, ranges = question_ranges(scene)
+    if question:
+        raise UserError(f"{path.name}: {question}, such as --set '{ranges}'.")
     is_placed = not BASE_FIELDS.isdisjoint(overrides)
     if not is_placed:
         base = place_base(scene, _is_free(model, values["joints"][0]))
         values |= base
         if base:
             how["base"] = (
-                "turned or shifted so that the arm stands at the origin and faces x"
+                "turned or shifted so that the arm stands at the origin, on the floor where its "
+                "table is left out, and faces x"
             )
     x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
 
@@ -244,7 +250,8 @@ def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
             name: value for name, value in values.items() if not name.startswith("tcp_")
         }
     values |= overrides
-    values.setdefault("home", _rest(model, values["joints"]))
+    ranges = ranges_of(model, values.get("joint_ranges", {}))
+    values.setdefault("home", _rest(ranges, values["joints"]))
     return values
 
 
@@ -254,9 +261,8 @@ def _is_free(model: mujoco.MjModel, joint: str) -> bool:
     return mujoco.mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
 
 
-def _rest(model: mujoco.MjModel, joints: Sequence[str]) -> list[float]:
+def _rest(ranges: Mapping[str, Floats], joints: Sequence[str]) -> list[float]:
     """Return 0 for each joint, or the middle of its range where that excludes 0."""
-    ranges = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}
     rest = []
     for name in joints:
         low, high = ranges.get(name, (0.0, 0.0))

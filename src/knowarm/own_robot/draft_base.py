@@ -5,7 +5,9 @@ from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
+from knowarm.own_robot.draft_chain import extent
 from knowarm.own_robot.pixels import robot_parts
+from knowarm.own_robot.plausible import stands_on
 from knowarm.own_robot.poses import Fields, rounded, sample_tips
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
@@ -27,7 +29,8 @@ GREATEST_REACH_M = 10.0
 def place_base(scene: Scene, free: bool) -> Fields:
     """Return ``base_position_m`` and ``base_yaw_deg``, if they differ from the file's.
 
-    The scene has the base at the file's origin. A robot whose base is ``free`` stands on the floor.
+    The scene has the base at the file's origin. A robot whose base is ``free``, or whose table is
+    left out, stands on the floor.
 
     Raises:
         UserError: the size of the robot is that of no arm.
@@ -52,7 +55,7 @@ def place_base(scene: Scene, free: bool) -> Fields:
     x, y = np.array([[cosine, -sine], [sine, cosine]]) @ shift
     z = 0.0
     low = _lowest_m(scene, robot_parts(scene))
-    if free and FLOATING_M < low < np.inf:
+    if FLOATING_M < low < np.inf and (free or stands_on(scene.robot, low)):
         z = -low
     changed: Fields = {}
     if yaw_deg:
@@ -81,5 +84,5 @@ def lowest_fixed_m(scene: Scene) -> float:
 
 def _lowest_m(scene: Scene, parts: Mask) -> float:
     """Return the least height of geoms at home, at most; inf if there are none."""
-    bottom = scene.at(scene.home).geom_xpos[:, 2] - scene.model.geom_rbound
-    return float(bottom[parts].min(initial=np.inf))
+    down = np.array([0.0, 0.0, -1.0])
+    return -extent(scene.at(scene.home), np.flatnonzero(parts), down)

@@ -14,6 +14,7 @@ from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, polyline_m
 from knowarm.own_robot.opening import check_fingers
 from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
+from knowarm.own_robot.plausible import fixed_parts_above, question_ranges
 from knowarm.own_robot.servo_check import check_servos
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent, searched_list
@@ -24,7 +25,7 @@ from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.mjcf import read_mjcf, surroundings
+from knowarm.world.scene.mjcf import FLOORS, read_mjcf, surroundings
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
@@ -114,7 +115,9 @@ def _check_scene(scene: Scene) -> Check:
     found = f"compiles, {scene.model.ngeom} geoms"
     names = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
-        kind = "body" if isinstance(element, mujoco.MjsBody) else "floor"
+        kind = "body"
+        if isinstance(element, mujoco.MjsGeom):
+            kind = "floor" if element.type in FLOORS else "geom"
         names.append(
             f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}"
         )
@@ -124,7 +127,16 @@ def _check_scene(scene: Scene) -> Check:
     kept = [geom.name or "unnamed" for geom in part.worldbody.geoms]
     if kept:
         found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
-    return Check("scene", True, found)
+    above = fixed_parts_above(scene)
+    if above:
+        found += f"; above the targets' rectangle: {', '.join(above)}"
+    return Check(
+        "scene",
+        not above,
+        found,
+        f"Move what stands above the targets in {robot.mjcf.name} into a body without joints, "
+        "which is left out, or move the rectangle (rectangle_centre_m).",
+    )
 
 
 def check_joints(scene: Scene) -> Check:
@@ -154,6 +166,10 @@ def check_joints(scene: Scene) -> Check:
         found += f"; held still between base and gripper: {', '.join(still)}"
     freed = []
     is_free = True
+    remedy = (
+        "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
+        "remove them from the file only if the robot's joints are free of each other."
+    )
     for group in couplings(file):
         coupled = [names[j] for j in group]
         if named.intersection(coupled):
@@ -161,13 +177,10 @@ def check_joints(scene: Scene) -> Check:
         is_free &= len(set(robot.joints).intersection(coupled)) < 2
     if freed:
         found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
-    return Check(
-        "joints",
-        is_free,
-        found,
-        "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
-        "remove them from the file only if the robot's joints are free of each other.",
-    )
+    question, ranges = question_ranges(scene)
+    if question:
+        remedy = f"As to ranges, {question}: {ranges}."
+    return Check("joints", is_free and not question, found, remedy)
 
 
 def _check_robot_in_image(env: ArmVectorEnv) -> Check:

@@ -86,6 +86,7 @@ def as_mjcf(
             f"The folder {folder} for the converted model exists; remove or rename it."
         )
     notes = [f"converted from {path.name}", *_repair_inertias(root)]
+    notes += _set_limits(root, path)
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / name
@@ -183,6 +184,48 @@ def _remove(element: Element, tag: str) -> None:
     """Remove the children of an element that have a tag."""
     for child in element.findall(tag):
         element.remove(child)
+
+
+def _set_limits(root: Element, path: Path) -> Iterator[str]:
+    """Take the soft limits of joints, which a controller enforces; name those joints.
+
+    Raises:
+        UserError: a lower limit is above its upper one.
+    """
+    softened = []
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+            continue
+        low, high = (_number(limit, key, path, name) for key in ("lower", "upper"))
+        if low > high:
+            raise UserError(
+                f"Joint {name!r} of {path} has a lower limit of {low:g} and an upper one of "
+                f"{high:g}. Exchange or correct them in the file."
+            )
+        soft = joint.find("safety_controller")
+        keys = ("soft_lower_limit", "soft_upper_limit")
+        if soft is None or not set(keys) <= set(soft.attrib):
+            continue
+        soft_low, soft_high = (_number(soft, key, path, name) for key in keys)
+        ends = (max(low, soft_low), min(high, soft_high))
+        if ends != (low, high) and ends[0] < ends[1]:
+            limit.attrib.update(lower=str(ends[0]), upper=str(ends[1]))
+            softened.append(name)
+    if softened:
+        yield f"soft limits taken for {', '.join(softened)}"
+
+
+def _number(element: Element, key: str, path: Path, joint: str) -> float:
+    """Return a number among the attributes of a joint's element, by default 0."""
+    text = element.get(key, "0")
+    try:
+        return float(text)
+    except ValueError:
+        raise UserError(
+            f"Joint {joint!r} of {path}: {key} is {text!r}, which is no number. Correct the file."
+        ) from None
 
 
 def _repair_inertias(root: Element) -> Iterator[str]:

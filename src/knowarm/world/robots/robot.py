@@ -110,6 +110,8 @@ class Robot:
     """
     start_joints: tuple[int, ...] = (0, 1)
     """Indices of the joints that start at a random offset from home (paper: joints 1 and 2)."""
+    joint_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ranges of single joints where the file's are not the arm's [rad] (slides: [m])."""
     held_joints: Mapping[str, float] = field(default_factory=dict)
     """Values at which joints outside ``joints`` are fixed [rad or m]."""
     fingers: tuple[str, ...] = ()
@@ -177,6 +179,11 @@ class Robot:
             all(0 <= index < count for index in self.start_joints),
             f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
         )
+        for name, (low, high) in self.joint_ranges.items():
+            yield (
+                low < high,
+                f"joint_ranges.{name} is {low} to {high}; give the lower first",
+            )
         if self.joint_map:
             yield (
                 set(joints) <= set(self.joint_map),

@@ -17,6 +17,7 @@ from knowarm.world.scene.mjcf import (
     hide_sites,
     hold,
     read_mjcf,
+    set_range,
     strip,
     surroundings,
     take_ranges,
@@ -32,7 +33,7 @@ SUPPORT_BIT = 2
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Attach the robot, gravity compensated, with only the joints that the agent moves.
 
-    Floor, tables and loose bodies of its file are left out: targets and support are the scene's.
+    Floor, furniture and loose bodies of its file are left out: targets and support are the scene's.
     """
     owner = f"Robot {robot.name!r}"
     mjcf = robot.mjcf
@@ -49,6 +50,10 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
         remedy = " Name one of them, or set tcp_body to have the site added."
         check_names(owner, "tcp_site", [site], mjcf, "sites", part.sites, remedy)
     take_ranges(part, robot.joints)
+    ranges = robot.joint_ranges
+    check_names(owner, "joint_ranges", ranges, mjcf, "joints", part.joints)
+    for name, (low, high) in ranges.items():
+        set_range(part, part.joint(name), low, high)
     strip(part, spec)
     for element in surroundings(part, (*robot.joints, *held)):
         part.delete(element)

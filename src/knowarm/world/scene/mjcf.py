@@ -1,5 +1,6 @@
 """MJCF files of robots and objects: read, checked, and reduced to what a scene simulates."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -64,25 +65,54 @@ def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
             continue
         joint = part.joint(actuator.target)
         if joint is not None and joint.range[0] >= joint.range[1]:
-            joint.range = actuator.ctrlrange
-            if part.compiler.degree:
-                joint.range = np.degrees(joint.range)
-            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            set_range(part, joint, low, high)
+
+
+def set_range(
+    part: mujoco.MjSpec, joint: mujoco.MjsJoint, low: float, high: float
+) -> None:
+    """Limit a joint of a file to a range [rad] (slides: [m])."""
+    joint.range = [low, high]
+    if part.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        joint.range = np.degrees(joint.range)
+    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+FLOORS = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+FURNITURE = re.compile(
+    "(table|desk|counter|bench|shelf|wall|floor|ground|ceiling|cupboard|cabinet)"
+    "(top|leg|plate|board|surface)?s?"
+)
+"""Names, by words, of what stands around a robot."""
+
+FURNITURE_M = 0.5
+"""Two sides of a box in the world from which it is no part of an arm [m]."""
 
 
 def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
-    """Return the floors of a robot's file, and the top-level bodies that carry none of its joints.
+    """Return the floors, furniture and top-level bodies of a robot's file without its joints.
 
     Other geoms of the world belong to the robot: a file made from URDF has its base there.
     """
     world = part.worldbody
-    floors = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
-    elements: list[Any] = [geom for geom in world.geoms if geom.type in floors]
+    elements: list[Any] = [
+        geom for geom in world.geoms if geom.type in FLOORS or _is_furniture(geom)
+    ]
     for body in world.bodies:
         carried = [joint.name for joint in body.find_all("joint")]
         if set(joints).isdisjoint(carried):
             elements.append(body)
     return elements
+
+
+def _is_furniture(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a geom of the world is named as furniture, or is a box as wide as a table."""
+    words = re.findall("[a-z]+", f"{geom.name} {geom.meshname}".lower())
+    if any(FURNITURE.fullmatch(word) for word in words):
+        return True
+    is_box = geom.type == mujoco.mjtGeom.mjGEOM_BOX
+    sides = 2 * np.sort(geom.size)
+    return bool(is_box and sides[1] >= FURNITURE_M)
 
 
 def turn_about_z(degrees: float) -> list[float]:
