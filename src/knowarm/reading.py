@@ -50,6 +50,24 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
         raise UnreadableFileError(f"{path} {reason}. {remedy}") from error
 
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""Beginning of the text that stands for a file of Git LFS that is not fetched."""
+
+
+def refuse_pointer(path: Path) -> None:
+    """Refuse a file that is missing its content, which Git LFS holds."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(LFS_POINTER))
+    except OSError:  # who reads the file says so
+        return
+    if start == LFS_POINTER:
+        raise UserError(
+            f"{path} is a pointer of Git LFS, and not the file itself. Install git-lfs and fetch "
+            f"the files: git -C {path.parent} lfs pull."
+        )
+
+
 @contextmanager
 def writing(path: Path, remedy: str = "") -> Iterator[None]:
     """Turn an `OSError` while a file is written into a `UserError` with a remedy."""

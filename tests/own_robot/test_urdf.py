@@ -6,11 +6,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.urdf import as_mjcf
 from knowarm.world.description import description_files
+from knowarm.world.scene.mjcf import read_mjcf
 
 LINK = """<link name="l{0}"><inertial><mass value="1"/><inertia ixx="{1}" iyy=".01" izz=".01"
   ixy="0" ixz="0" iyz="0"/></inertial>
@@ -191,3 +193,118 @@ def test_no_folder_is_overwritten(tmp_path: Path) -> None:
     convert(tmp_path, urdf())
     with pytest.raises(UserError, match="exists; remove or rename"):
         as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+
+
+POINTER = (
+    f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 104284\n"
+)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "STL", "obj", "dae"])
+@pytest.mark.parametrize("kind", ["visual", "collision"])
+def test_a_pointer_of_git_lfs_is_named_with_the_command_that_fetches_it(
+    suffix: str, kind: str, tmp_path: Path
+) -> None:
+    mesh = tmp_path / "meshes" / f"link.{suffix}"
+    mesh.parent.mkdir()
+    mesh.write_text(POINTER)
+    text = urdf(f'<mesh filename="meshes/link.{suffix}"/>').replace("visual", kind)
+    (tmp_path / "arm.urdf").write_text(text)
+    words = f"pointer of Git LFS.* git -C {mesh.parent} lfs pull"
+    with pytest.raises(UserError, match=words):
+        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.xml", "arm.urdf.xacro"])
+def test_a_model_that_is_a_pointer_is_named(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(POINTER)
+    with pytest.raises(UserError, match=f"{name} is a pointer of Git LFS"):
+        as_mjcf(tmp_path / name, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "asset",
+    [
+        '<mesh name="m" file="part.stl"/>',
+        '<mesh name="m" file="part.obj"/>',
+        '<texture name="t" type="2d" file="part.png"/>',
+    ],
+)
+def test_an_mjcf_file_with_a_pointer_is_refused_by_it(
+    asset: str, tmp_path: Path
+) -> None:
+    (name,) = re.findall("part[.][a-z]+", asset)
+    (tmp_path / name).write_text(POINTER)
+    text = f"<mujoco><asset>{asset}</asset><worldbody/></mujoco>"
+    (tmp_path / "arm.xml").write_text(text)
+    with pytest.raises(UserError, match=f"{name} is a pointer of Git LFS"):
+        read_mjcf(tmp_path / "arm.xml", "Robot 'arm'")
+
+
+IN_XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.xml"])
+@pytest.mark.parametrize(
+    "start",
+    [
+        '<xacro:property name="r" value=".03"/>',
+        '<xacro:arg name="r" default=".03"/><xacro:property name="r" value="$(arg r)"/>',
+        '<xacro:include filename="radius.xacro"/>',
+    ],
+)
+def test_xacro_in_a_file_of_another_name_is_expanded(
+    start: str, name: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("xacro")
+    included = IN_XACRO.format('<xacro:property name="r" value=".03"/>')
+    (tmp_path / "radius.xacro").write_text(included)
+    body = urdf('<sphere radius="${r}"/>').partition(">")[2].removesuffix("</robot>")
+    model = convert(tmp_path, IN_XACRO.format(start + body), name)
+    np.testing.assert_allclose(model.geom_size[:, 0], 0.03)
+
+
+def test_expanded_xacro_that_keeps_the_namespace_is_plain_urdf(tmp_path: Path) -> None:
+    body = urdf().partition(">")[2].removesuffix("</robot>")
+    (tmp_path / "arm.urdf").write_text(IN_XACRO.format(body))
+    with pytest.raises(UserError, match=r"--xacro needs a \.xacro file"):
+        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out", arguments=["a:=1"])
+    assert convert(tmp_path, IN_XACRO.format(body)).njnt == 5
+
+
+@pytest.mark.parametrize("place", ["elsewhere/parts", "./elsewhere/parts/", "~/parts"])
+def test_a_package_is_given_by_a_relative_folder(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "elsewhere"))
+    parts = tmp_path / "elsewhere" / "parts"
+    parts.mkdir(parents=True)
+    (parts / "radius.xacro").write_text(
+        IN_XACRO.format('<xacro:property name="r" value=".03"/>')
+    )
+    body = urdf('<sphere radius="${r}"/>').partition(">")[2].removesuffix("</robot>")
+    include = '<xacro:include filename="$(find parts)/radius.xacro"/>'
+    file = Path("a/deep/down/here/now/robot.urdf.xacro")
+    file.parent.mkdir(parents=True)
+    file.write_text(IN_XACRO.format(include + body))
+    model, _ = as_mjcf(file, tmp_path / "out", packages=[f"parts={place}"])
+    assert mujoco.MjModel.from_xml_path(str(model)).ngeom == 5
+    with pytest.raises(UserError, match=r"there is no folder .*nowhere"):
+        as_mjcf(file, tmp_path / "again", packages=["parts=nowhere"])
+
+
+def test_textures_that_are_not_drawn_are_named(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box([0.1, 0.1, 0.1])
+    image = Image.new("RGB", (4, 4), (200, 100, 0))
+    box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)), image=image)
+    box.export(tmp_path / "box.glb")
+    material = '<material name="m"><texture filename="wood.png"/></material></visual>'
+    text = urdf('<mesh filename="box.glb"/>').replace("</visual>", material)
+    (tmp_path / "arm.urdf").write_text(text)
+    _, note = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+    assert note.endswith("textures drawn as one colour: wood.png, box.glb")
+    (tmp_path / "arm.urdf").write_text(urdf())
+    assert "texture" not in as_mjcf(tmp_path / "arm.urdf", tmp_path / "plain")[1]

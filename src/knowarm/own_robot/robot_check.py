@@ -127,6 +127,9 @@ def _check_scene(scene: Scene) -> Check:
     kept = [geom.name or "unnamed" for geom in part.worldbody.geoms]
     if kept:
         found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
+    textured = _textured(scene)
+    if textured:
+        found += f"; textures are drawn as their mean colour: {', '.join(textured)}"
     above = fixed_parts_above(scene)
     if above:
         found += f"; above the targets' rectangle: {', '.join(above)}"
@@ -137,6 +140,19 @@ def _check_scene(scene: Scene) -> Check:
         f"Move what stands above the targets in {robot.mjcf.name} into a body without joints, "
         "which is left out, or move the rectangle (rectangle_centre_m).",
     )
+
+
+def _textured(scene: Scene) -> list[str]:
+    """Return which of the robot and the targets have textures, by name."""
+    model = scene.model
+    has_texture = (model.mat_texid >= 0).any(axis=1)
+    geoms = np.flatnonzero(model.geom_matid >= 0)
+    owners = {}
+    for geom in geoms[has_texture[model.geom_matid[geoms]]].tolist():
+        target = scene.geom_target[geom]
+        owner = scene.robot if target < 0 else scene.targets[target]
+        owners[owner.name] = None
+    return list(owners)
 
 
 def check_joints(scene: Scene) -> Check:

@@ -19,12 +19,13 @@ import numpy as np
 from knowarm.arrays import Floats
 from knowarm.errors import UserError, packages_of
 from knowarm.private_apis import xacro_packages
-from knowarm.reading import one_line, read_text, reading, writing
+from knowarm.reading import one_line, read_text, reading, refuse_pointer, writing
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
 
 XACRO = ".xacro"
+XACRO_MARKS = ("/xacro}", "${", "$(")  # In tags and attributes of xacro files
 MESHES = "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
@@ -50,6 +51,7 @@ class _Part(NamedTuple):
 
     file: Path
     rgba: str | None  # None: the file has no colours
+    is_textured: bool = False
 
 
 def as_mjcf(
@@ -67,18 +69,20 @@ def as_mjcf(
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
-    find = partial(_find_package, path, _pairs("--package", packages, "="))
+    folders = _folders(_pairs("--package", packages, "="))
+    find = partial(_find_package, path, folders)
     root = None
-    if path.suffix == XACRO:
-        root = _expand(path, find, _pairs("--xacro", arguments, ":="))
-    elif arguments:
-        raise UserError(f"--xacro needs a {XACRO} file, got {path}.")
-    elif path.is_file():
+    refuse_pointer(path)
+    if path.suffix != XACRO and path.is_file():
         text = read_text(path, remedy="Give a URDF, xacro or MJCF file.")
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise UserError(f"{path} is not valid XML: {one_line(error)}.") from None
+    if path.suffix == XACRO or (root is not None and _is_xacro(root)):
+        root = _expand(path, find, _pairs("--xacro", arguments, ":="))
+    elif arguments:
+        raise UserError(f"--xacro needs a {XACRO} file, got {path}.")
     if root is None or root.tag != "robot":
         return path, ""
     if folder.exists():
@@ -91,7 +95,9 @@ def as_mjcf(
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / name
         _set_compiler(root)
-        _convert_meshes(root, path, file.with_name(MESHES), find)
+        textured = _convert_meshes(root, path, file.with_name(MESHES), find)
+        if textured:
+            notes.append(f"textures drawn as one colour: {', '.join(textured)}")
         ElementTree.ElementTree(root).write(file)
         try:
             file.write_text(_compile(file), encoding="utf-8")
@@ -134,6 +140,30 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
     return pairs
 
 
+def _folders(packages: Mapping[str, str]) -> dict[str, Path]:
+    """Return the folders of packages that are given by name."""
+    folders = {}
+    for name, text in packages.items():
+        folder = Path(text).expanduser().resolve()
+        if not folder.is_dir():
+            raise UserError(
+                f"--package {name}={text}: there is no folder {folder}. Give that of the package."
+            )
+        folders[name] = folder
+    return folders
+
+
+def _is_xacro(root: Element) -> bool:
+    """Return whether a robot's XML has xacro's elements or expressions."""
+    if root.tag != "robot":
+        return False
+    for element in root.iter():
+        values = [element.tag, *element.attrib.values()]
+        if any(mark in value for value in values for mark in XACRO_MARKS):
+            return True
+    return False
+
+
 def _expand(path: Path, find: FindPackage, arguments: Mapping[str, str]) -> Element:
     """Expand a xacro file."""
     with packages_of("urdf", f"The xacro file {path}"):
@@ -141,16 +171,18 @@ def _expand(path: Path, find: FindPackage, arguments: Mapping[str, str]) -> Elem
     remedy = "Give a xacro file, and --xacro name:=value if it requires arguments."
     with reading(path, remedy), xacro_packages(lambda name: str(find(name))):
         try:
-            document = xacro.process_file(str(path), mappings=dict(arguments))
+            document = xacro.process_file(
+                str(path.absolute()), mappings=dict(arguments)
+            )
         except xacro.XacroException as error:
             raise error.exc if isinstance(error.exc, UserError) else error from None
         return ElementTree.fromstring(document.toxml())
 
 
-def _find_package(path: Path, given: Mapping[str, str], name: str) -> Path:
+def _find_package(path: Path, given: Mapping[str, Path], name: str) -> Path:
     """Return the folder of a ROS package: given, or above the file or beside such a folder."""
     if name in given:
-        return Path(given[name])
+        return given[name]
     for above in path.absolute().parents[:LEVELS]:
         beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
         for folder in (above, *beside):
@@ -287,14 +319,21 @@ def _attributes(matrix: Floats) -> dict[str, str]:
     return dict(zip(_ATTRIBUTES, map(str, matrix[_UPPER].tolist()), strict=True))
 
 
-def _convert_meshes(root: Element, path: Path, folder: Path, find: FindPackage) -> None:
-    """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them."""
+def _convert_meshes(
+    root: Element, path: Path, folder: Path, find: FindPackage
+) -> list[str]:
+    """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them.
+
+    Return the names of textures and textured meshes.
+    """
     folder.mkdir()
+    textured: list[str] = []
     known: dict[tuple[Path, str], list[_Part]] = {}
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             shape.attrib.pop("name", None)  # MuJoCo takes no name twice
             for material in shape.findall("material"):
+                textured += [t.get("filename", "") for t in material.iter("texture")]
                 _remove(material, "texture")
             mesh = shape.find("geometry/mesh")
             if mesh is None:
@@ -304,10 +343,13 @@ def _convert_meshes(root: Element, path: Path, folder: Path, find: FindPackage) 
             if key not in known:
                 stem = f"{shape.tag}_{len(known)}_{re.sub(r'[^A-Za-z0-9]+', '_', source.stem)}"
                 known[key] = _convert_mesh(source, folder / stem, shape.tag == "visual")
+                if any(part.is_textured for part in known[key]):
+                    textured.append(source.name)
             link.remove(shape)
             for part in known[key]:
                 mesh.set("filename", f"{MESHES}/{part.file.name}")
                 link.append(_coloured(shape, part))
+    return list(dict.fromkeys(textured))
 
 
 def _coloured(shape: Element, part: _Part) -> Element:
@@ -348,6 +390,7 @@ def _package_file(place: str, path: Path, find: FindPackage) -> Path:
 
 def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
     """Copy a binary STL file; split another mesh by its colours, which collisions do without."""
+    refuse_pointer(source)
     if _is_binary_stl(source):
         return [_Part(Path(shutil.copyfile(source, target.with_suffix(".stl"))), None)]
     with packages_of("urdf", f"The mesh {source}"):
@@ -373,7 +416,8 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
             suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
             file = target.with_name(f"{target.name}_{i}{suffix}")
             whole.export(file)
-            parts.append(_Part(file, rgba))
+            is_textured = colours and any(_image(mesh) is not None for mesh in meshes)
+            parts.append(_Part(file, rgba, is_textured))
     return parts
 
 
@@ -385,13 +429,19 @@ def _is_binary_stl(path: Path) -> bool:
     return path.suffix.lower() == ".stl" and has_size and 0 < faces <= MOST_STL_FACES
 
 
+def _image(mesh: Any) -> Any:
+    """Return the texture of a mesh, or None."""
+    material = getattr(mesh.visual, "material", None)
+    image = getattr(material, "image", None)
+    return image or getattr(material, "baseColorTexture", None)
+
+
 def _rgba(mesh: Any) -> str | None:
     """Return the mean colour of a mesh in URDF's notation, or None if it has none."""
     if not mesh.visual.defined:
         return None
     material = getattr(mesh.visual, "material", None) or mesh.visual
-    image = getattr(material, "image", None)
-    image = image or getattr(material, "baseColorTexture", None)
+    image = _image(mesh)
     if image is not None:
         colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
     else:

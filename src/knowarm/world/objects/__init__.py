@@ -1,14 +1,15 @@
 """Objects that can be targets: shipped ones by name, own ones by the path of their TOML file."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knowarm.errors import unknown_name
+from knowarm.errors import UserError, unknown_name
 from knowarm.own import load
 from knowarm.questions import PART
 from knowarm.world.description import MAKERS, SUFFIX, read_description
-from knowarm.world.objects.target import Target
+from knowarm.world.objects.target import Target, refuse_model
 
 TARGETS: dict[str, Target] = {
     file.stem: read_description(file.with_suffix(SUFFIX), Target)
@@ -41,7 +42,14 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
         if name.endswith(SUFFIX):
             targets.append(read_description(Path(name), Target))
             continue
+        refuse_model("A target", Path(name))
         target = shipped.get(name) or made(name)
+        if target is None and name.endswith((".xml", ".mjcf")):
+            raise UserError(
+                f"A target is named by its TOML file, got {name!r}. Give "
+                f"{str(Path(name).with_suffix(SUFFIX))!r}, with the field mjcf = "
+                f"{json.dumps(Path(name).name)}."
+            )
         if target is None:
             raise unknown_name("target", name, shipped)
         targets.append(target)

@@ -22,6 +22,24 @@ COLOURS: dict[str, tuple[float, float, float]] = {
 """Colours of the objects that can have any; RGB in 0..1."""
 
 
+MESHES = (".obj", ".stl", ".dae", ".ply", ".glb", ".gltf", ".fbx", ".off", ".3mf")
+OTHER_MODELS = (".urdf", ".xacro", ".sdf", ".usd", ".usda", ".usdz", ".blend")
+
+
+def refuse_model(what: str, path: Path) -> None:
+    """Refuse a mesh or a model of another format in place of an object's MJCF or TOML file."""
+    suffix = path.suffix.lower()
+    if suffix not in MESHES + OTHER_MODELS:
+        return
+    kind = "a mesh" if suffix in MESHES else f"a model in the format {suffix}"
+    raise UserError(
+        f"{what} is {str(path)!r}, which is {kind}. An object is an MJCF file with one body, which "
+        "may hold meshes, and a site `grasp`, and a TOML file beside it, such as "
+        "examples/own_robot/bowl.xml and bowl.toml; docs/how-to/own-object.md shows how to write "
+        "them."
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """A part of an object with a grasp frame of its own: the target ``object.part``."""
@@ -85,6 +103,7 @@ class Target:
 
     def __post_init__(self) -> None:
         check_values(self)
+        refuse_model(f"Target {self.name!r}: mjcf", self.mjcf)
         if not self.colours:
             raise UserError(
                 f"Target {self.name!r}: colours is empty; give at least one RGB."

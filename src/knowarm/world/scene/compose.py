@@ -13,6 +13,7 @@ from knowarm.questions import object_of
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot, Table
 from knowarm.world.scene.mjcf import (
+    FLOORS,
     check_names,
     hide_sites,
     hold,
@@ -86,15 +87,21 @@ def attach_target(
     owner = f"Target {target.name!r}"
     mjcf = target.mjcf
     part = read_mjcf(mjcf, owner, target.xml)
+    for geom in list(part.worldbody.geoms):
+        if geom.type in FLOORS:
+            part.delete(geom)
     bodies = part.worldbody.bodies
-    if len(bodies) != 1 or list(part.worldbody.geoms):
+    outside = [geom.name or "unnamed" for geom in part.worldbody.geoms]
+    if len(bodies) != 1 or outside:
         raise UserError(
             f"{owner}: {mjcf.name} must hold one top-level body with all geoms in it; it holds "
-            f"{len(bodies)}."
+            f"{len(bodies)}, and outside of them the geoms {', '.join(outside) or 'none'}. Put all "
+            "that is the object into one body."
         )
     site = target.grasp_site
     coloured = target.coloured_geoms
-    check_names(owner, "grasp_site", [site], mjcf, "sites", part.sites)
+    remedy = " Add the site: z is the approach, y the opening of the fingers."
+    check_names(owner, "grasp_site", [site], mjcf, "sites", part.sites, remedy)
     check_names(owner, "coloured_geoms", coloured, mjcf, "geoms", part.geoms)
     strip(part, spec)
     for joint in list(part.joints):

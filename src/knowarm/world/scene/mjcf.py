@@ -10,7 +10,7 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
-from knowarm.reading import one_line, reading
+from knowarm.reading import one_line, reading, refuse_pointer
 from knowarm.world.description import HOW_TO_GET, menagerie_folder
 
 
@@ -37,10 +37,22 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         spec.compile()
         return spec
     except (ValueError, mujoco.FatalError) as error:
+        _refuse_pointers(path)
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
             f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
         ) from None
+
+
+def _refuse_pointers(path: Path) -> None:
+    """Refuse an MJCF file that, or of which a mesh or texture, is a pointer of Git LFS."""
+    refuse_pointer(path)
+    try:
+        names = mujoco.mju_getXMLDependencies(str(path))
+    except (ValueError, mujoco.FatalError):  # of the file itself is said what is wrong
+        return
+    for name in names:
+        refuse_pointer(Path(name))
 
 
 _DEMO_ELEMENTS = (

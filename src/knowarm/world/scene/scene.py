@@ -164,6 +164,7 @@ def describe_model(
             f"{lower[j]:g} to {upper[j]:g}."
         )
     geom_target, geom_coloured, colours = _target_geoms(model, targets)
+    _check_sizes(model, targets, geom_target)
     surfaces = ["floor"]
     if robot.table:
         surfaces.append("table")
@@ -224,6 +225,25 @@ def _target_geoms(
                 geom_target[g] = k
                 geom_coloured[g] = name.removeprefix(prefix) in target.coloured_geoms
     return geom_target, geom_coloured, colours
+
+
+SMALLEST_M = 0.005
+LARGEST_M = 3.0
+"""Diameters between which the largest shape of an object lies."""
+
+
+def _check_sizes(
+    model: mujoco.MjModel, targets: Sequence[Target], geom_target: Indices
+) -> None:
+    """Refuse objects that no arm grasps, as of a mesh in millimetres."""
+    for k, target in enumerate(targets):
+        diameter = 2 * model.geom_rbound[geom_target == k].max(initial=0.0)
+        if not SMALLEST_M < diameter < LARGEST_M:
+            raise UserError(
+                f"Target {target.name!r}: the largest shape of {target.mjcf.name} has a diameter "
+                f"of {diameter:.3g} m, and lengths are in metres. A mesh in millimetres needs "
+                'scale="0.001 0.001 0.001".'
+            )
 
 
 def target_places(scene: Scene, position: Floats) -> Floats:
