@@ -337,9 +337,9 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     partial = weak | {"summary": {TABLE: {"cells": []}}}
     assert left_out([weak, partial]) == [f"zero <b> lacks cells of {TABLE}"]
     table, asked = tables(read_rows(stored.parent))
-    assert not table["binds"]  # of a task without queries
+    assert not table["has_query_gain"]  # of a task without queries
     # The oracle does not read them.
-    assert [line["binding"] for line in asked["lines"]] == ["+0.0 [+0.0, +0.0]", "–"]
+    assert [line["query_gain"] for line in asked["lines"]] == ["+0.0 [+0.0, +0.0]", "–"]
     assert [(line["name"], line["rank"]) for line in table["lines"]] == [
         ("oracle", 1),
         ("zero <b>", 2),
@@ -354,6 +354,10 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     )
     assert "zero &lt;b&gt;" in html.read_text()
     assert ">blind</th>" in html.read_text()
+    # "binding" is what an evaluation measures with questions of other visible objects.
+    assert ">query gain [points]</th>" in html.read_text()
+    assert " query gain | training |" in markdown.read_text()
+    assert "binding" not in html.read_text() + markdown.read_text()
     assert "| 1 | oracle | " in markdown.read_text()
     first = markdown.read_text().split("\n## ")[0]  # the best policy of each table
     assert "| oracle |" in first

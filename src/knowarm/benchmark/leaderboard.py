@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, select_autoescape
 from markupsafe import Markup
 
-from knowarm.benchmark.rows import Row, binding, read_row
+from knowarm.benchmark.rows import Row, query_gain, read_row
 from knowarm.benchmark.suites import CONTROLS, Suite, by_table, read_suite
 from knowarm.errors import UserError
 from knowarm.reading import replacing
@@ -68,7 +68,7 @@ def _table(
         "name": name,
         "cells": cells,
         "controls": [control for control in CONTROLS if control in controls],
-        "binds": any(line["binding"] != NOTHING for line in lines),
+        "has_query_gain": any(line["query_gain"] != NOTHING for line in lines),
         "lines": lines,
     }
 
@@ -103,7 +103,7 @@ def _line(suite: Suite, row: Row, summary: dict[str, Any]) -> dict[str, Any]:
         "seeds": seeds,
         "controls": controls,
         "blind": max(controls[name] for name in BLIND if name in controls),
-        "binding": _points(binding(suite, row, cells)),
+        "query_gain": _points(query_gain(suite, row, cells)),
         "cells": [row["cells"][name]["success"]["mean"] for name in cells],
         "mean": success["mean"],
         "low": success["low"],

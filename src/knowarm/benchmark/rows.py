@@ -257,7 +257,7 @@ def _share(seeds: NDArray[np.bool_], episodes: int) -> dict[str, Any]:
     }
 
 
-def binding(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
+def query_gain(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
     """Return how many more choices in cells are right with the own query than with another's.
 
     The interval is over training seeds if they differ, else over episodes; None without queries.
