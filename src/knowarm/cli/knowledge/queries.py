@@ -28,7 +28,7 @@ from knowarm.knowledge.graph.statistics import graph_statistics
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import query_agreement
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
-from knowarm.knowledge.queries.sparql import sparql
+from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.questions import QuestionTable
 from knowarm.reading import read_text, replacing
@@ -257,7 +257,10 @@ class Subgraph(SelectionOptions, TableCommand):
         if self.sparql is None:
             graph = self.select(graph)
         else:
-            answer = sparql(graph, _text(self.sparql))
+            query = SparqlQuery(graph, _text(self.sparql))
+            answer = query.answer()
+            if answer.is_nothing and query.hint:
+                print(query.hint)
             if answer.graph is None:
                 return self._print_answers(answer.columns, answer.rows)
             graph = answer.graph

@@ -8,9 +8,10 @@ import io
 import re
 import xml.sax
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
 from xml.sax.handler import EntityResolver, feature_external_ges
@@ -42,7 +43,7 @@ PREFIXES = {
     "skos": "http://www.w3.org/2004/02/skos/core#",
     "xsd": "http://www.w3.org/2001/XMLSchema#",
 }
-"""Prefixes of written Turtle and of SPARQL queries."""
+"""Prefixes of written Turtle, and of SPARQL queries where the file declares no others."""
 
 _GENERATED = re.compile(r"_:[a-f][0-9a-f]{25,31}")
 """Random names that pyoxigraph gives to blank nodes without a name."""
@@ -137,7 +138,11 @@ def _read(
     no_iri = 0
     with opened() as file:
         quads = parse(file, format=syntax, base_iri=base, lenient=bool(bad_iris))
-        for quad in _sound(quads, syntax, errors):
+        sound = _sound(quads, syntax, errors)
+        first = list(islice(sound, 1))
+        # The parser of RDF/XML forgets the prefixes at the end of their element.
+        prefixes = quads.prefixes
+        for quad in chain(first, sound):
             head = quad.subject
             tail = quad.object
             relation = quad.predicate.value
@@ -155,6 +160,7 @@ def _read(
                 about.add(str(head))
             elif str(head) not in about:
                 builder.add_statement(_name(head), relation, _name(tail))
+        builder.prefixes = _absolute(prefixes | quads.prefixes)
     if not bad_iris and any("IRI" in _reason(error) for error in errors):
         return _read(opened, path, syntax, errors)
     malformed = len(errors) - len(bad_iris)
@@ -192,6 +198,15 @@ def _sound(
             if of_file or not (syntax in LINES or of_term):
                 raise
             errors.append(error)
+
+
+def _absolute(prefixes: Mapping[str, str]) -> dict[str, str]:
+    """Return the prefixes that stand for the beginning of an absolute IRI."""
+    absolute = dict[str, str]()
+    for prefix, iri in prefixes.items():
+        with suppress(ValueError):
+            absolute[prefix] = NamedNode(iri).value
+    return absolute
 
 
 def _is_sound(term: Term | Triple) -> bool:

@@ -27,6 +27,7 @@ class GraphBuilder:
         # (rank of the language, text) by name
         self._labels: dict[str, tuple[int, str]] = {}
         self.confidence: dict[Triple, float] = {}  # of some triples
+        self.prefixes: Mapping[str, str] = {}  # that the file declares
 
     def add(self, head: str, relation: str, tail: str) -> None:
         """Add one triple."""
@@ -84,6 +85,7 @@ class GraphBuilder:
             nodes=np.arange(len(entities), dtype=np.int32),
             labels={name: texts[name] for name in sorted(inside)},
             confidence={triple: p for triple, p in self.confidence.items() if p < 1},
+            prefixes=self.prefixes,
         )
 
 
@@ -104,10 +106,12 @@ def graph_of(
     nodes: Iterable[str] = (),
     labels: _Labels | None = None,
     confidence: Mapping[Triple, float] | None = None,
+    prefixes: Mapping[str, str] | None = None,
 ) -> KnowledgeGraph:
     """Make a graph of triples of names, of entities that may have no triple, and of labels by name.
 
-    ``confidence`` is the probability that a triple holds, of those that are not certain.
+    ``confidence`` is the probability that a triple holds, of those that are not certain;
+    ``prefixes`` are those of the graph's IRIs in SPARQL.
 
     >>> graph = graph_of([("mug", "hasColor", "red"), ("mug", "isA", "cup")])
     >>> list(graph)
@@ -115,6 +119,7 @@ def graph_of(
     """
     builder = GraphBuilder()
     builder.confidence = dict(confidence or {})
+    builder.prefixes = prefixes or {}
     for triple in triples:
         builder.add(*triple)
     for node in nodes:
@@ -123,12 +128,13 @@ def graph_of(
 
 
 def with_triples(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
-    """Return a graph of other triples with the entities, labels and confidence of a graph."""
+    """Return a graph of other triples, and the rest of a graph: entities, labels, confidence."""
     return graph_of(
         triples,
         nodes=graph.entities,
         labels=graph.own_labels(),
         confidence=graph.confidence,
+        prefixes=graph.prefixes,
     )
 
 
@@ -165,6 +171,7 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
         nodes=(*taken, *new_names.values()),
         labels=labels | first.own_labels(),
         confidence=confidence | dict(first.confidence),
+        prefixes={**second.prefixes, **first.prefixes},
     )
 
 

@@ -37,6 +37,7 @@ class KnowledgeGraph:
         heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), distinct.
         labels: written label (rdfs:label) by entity or relation name.
         confidence: probability that a triple holds, 0 to 1, by triple of names; others are certain.
+        prefixes: beginnings of IRIs by the prefixes that the file declares, "" for `:`.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class KnowledgeGraph:
         nodes: Ids = _NO_NODES,
         labels: Mapping[str, str] | None = None,
         confidence: Mapping[Triple, float] | None = None,
+        prefixes: Mapping[str, str] | None = None,
     ) -> None:
         """Make a graph of ids (n, 3) int: head, relation, tail, in any order.
 
@@ -65,6 +67,7 @@ class KnowledgeGraph:
         self._alone = nodes
         self.labels: Mapping[str, str] = labels or {}
         self.confidence: Mapping[Triple, float] = confidence or {}
+        self.prefixes: Mapping[str, str] = prefixes or {}
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
@@ -184,6 +187,7 @@ class KnowledgeGraph:
             nodes=self.nodes,
             labels=self.labels,
             confidence=self.confidence,
+            prefixes=self.prefixes,
         )
 
     def find_entity(self, name: str) -> int | None:

@@ -42,6 +42,11 @@ class Names(tuple[str, ...]):
         return name if len(self.find_local(local)) > 1 else local
 
     @cached_property
+    def blank(self) -> frozenset[str]:
+        """The names of blank nodes, which stand beside each other."""
+        return frozenset(self[bisect_left(self, "_:") : bisect_left(self, "_;")])
+
+    @cached_property
     def _by_local(self) -> _Index:
         ids = _Index(list)
         for index, name in enumerate(self):

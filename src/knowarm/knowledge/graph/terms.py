@@ -74,7 +74,7 @@ def is_iri(name: str) -> bool:
 
 def iri_of_name(name: str) -> str:
     """Return the IRI of a name; a name that is no valid IRI gets one in `NAMESPACE`."""
-    return _node(name).value
+    return iri_term(name).value
 
 
 def name_of_iri(iri: str) -> str:
@@ -95,7 +95,7 @@ def name_of_iri(iri: str) -> str:
 
 def triple_of_names(head: str, relation: str, tail: str) -> Triple:
     """Return a triple of names as RDF; a literal as head or relation becomes an IRI."""
-    return Triple(_end(head), _node(relation), parse_literal(tail) or _end(tail))
+    return Triple(node_term(head), iri_term(relation), object_term(tail))
 
 
 def blank_names(taken: Container[str]) -> Iterator[str]:
@@ -154,16 +154,21 @@ def label_of(name: str, labels: Mapping[str, str]) -> str:
     return _SPACE.sub(" ", text).strip().lower()
 
 
-def _end(name: str) -> NamedNode | BlankNode:
-    """Return the node of a name that is no literal."""
+def object_term(name: str) -> Term:
+    """Return the term of a name as the object of a triple."""
+    return parse_literal(name) or node_term(name)
+
+
+def node_term(name: str) -> NamedNode | BlankNode:
+    """Return the term of a name as the subject of a triple; a literal becomes an IRI."""
     if name.startswith("_:") and ":" not in name[2:]:
         with suppress(ValueError):
             return BlankNode(name[2:])
-    return _node(name)
+    return iri_term(name)
 
 
-def _node(name: str) -> NamedNode:
-    """Return the IRI of a name that is neither a literal nor a blank node."""
+def iri_term(name: str) -> NamedNode:
+    """Return the term of a name as the predicate of a triple, always an IRI."""
     if is_iri(name):
         with suppress(ValueError):
             return NamedNode(name)

@@ -2,32 +2,51 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from itertools import product
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
+from urllib.parse import urljoin
 
-from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store, Triple
+from pyoxigraph import QueryBoolean, QueryTriples
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
+from knowarm.knowledge.formats.rdf import PREFIXES
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import blank_names, name_of_term, triple_of_names
+from knowarm.knowledge.graph.terms import (
+    LABEL_RELATIONS,
+    blank_names,
+    iri_of_name,
+    local_name,
+    name_of_iri,
+    name_of_term,
+)
+from knowarm.knowledge.queries.store import store_of
 from knowarm.reading import one_line
 
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
-_QUIET = re.compile(
-    r"""<[^<>"{}|^`\\\s]*>|"{3}(?:[^\\]|\\.)*?"{3}|'{3}(?:[^\\]|\\.)*?'{3}|"""
-    r""""(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|\\.|(\#[^\n]*)""",
-    re.DOTALL,
+_QUIET = (
+    r'"{3}(?:[^\\]|\\.)*?"{3}|' + r"'{3}(?:[^\\]|\\.)*?'{3}|"
+    r""""(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|\\.|(?P<comment>\#[^\n]*)"""
 )
-"""IRIs, strings, escaped characters and, as a group, comments."""
+"""Strings, escaped characters and comments."""
+_IRI = r"""<[^<>"{}|^`\\\s]*>"""
+_QUIET_OR_IRI = re.compile(f"{_IRI}|{_QUIET}", re.DOTALL)
 _REMOTE = re.compile(
     r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\s{}]*\s*\{)|\bfrom\b(?!:))",
     re.IGNORECASE,
 )
 """Keywords that refer to other data; after the first group it is the name of a thing."""
+_PREFIX = r"(?:[^\W\d_][\w.-]*)?"
+_LOCAL = r"(?:[\w:%-]|\\.|\.(?=[\w:%.\\-]))*"
+_NAMES = re.compile(
+    rf"""\bprefix\s+(?P<declared>{_PREFIX}):\s*<(?P<iri>[^>]*)>|\bbase\s+<(?P<base>[^>]*)>|
+    [?$@][\w-]+|_:[\w.-]+|\^\^\s*(?:{_IRI}|{_PREFIX}:{_LOCAL})|{_QUIET}|
+    (?><(?P<full>[^<>"{{}}|^`\\\s]*)>|(?P<prefix>{_PREFIX}):(?P<local>{_LOCAL}))(?!\s*\()""",
+    re.DOTALL | re.IGNORECASE | re.VERBOSE,
+)
+"""Declarations, and names that are neither datatypes nor functions."""
+_ESCAPE = re.compile(r"\\(.)")
 
 
 class Answer(NamedTuple):
@@ -39,16 +58,24 @@ class Answer(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
     graph: KnowledgeGraph | None = None  # The graph of CONSTRUCT and DESCRIBE
 
+    @property
+    def is_nothing(self) -> bool:
+        """Whether it is "no", or has no rows and no triples."""
+        return self.rows in ((), (("no",),)) and not self.graph
+
 
 class SparqlQuery:
-    """A query of a graph; `:` is the prefix of plain names, as in `:mug :hasColor ?colour`.
+    """A query of a graph.
+
+    Prefixes are those of the query, else those of the graph's file, else `PREFIXES`, whose `:` is
+    that of plain names, as in `:mug :hasColor ?colour`.
 
     Raises:
         UserError: the query refers to other data than the graph.
     """
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
-        text = _QUIET.sub(lambda quiet: " " if quiet[1] else "_", query)
+        text = _QUIET_OR_IRI.sub(lambda quiet: " " if quiet["comment"] else "_", query)
         for match in _REMOTE.finditer(text):
             if not match[1]:
                 raise UserError(
@@ -57,9 +84,9 @@ class SparqlQuery:
                     f"load the other graph and unite the two first."
                 )
         self.query = query
-        self._entities = set(graph.entities)
-        self._store = Store()
-        self._store.bulk_extend(map(_quad, rdf_triples(graph)))
+        self.graph = graph
+        self.prefixes = {**PREFIXES, **graph.prefixes}
+        self._store = store_of(graph)
 
     def answer(self) -> Answer:
         """Run the query; blank nodes that it made are numbered in the order of the answer.
@@ -67,74 +94,116 @@ class SparqlQuery:
         Raises:
             UserError: the query is malformed.
         """
-        made: dict[str, str] = defaultdict(blank_names(self._entities).__next__)
+        taken = self.graph.names.blank
+        made: dict[str, str] = defaultdict(blank_names(taken).__next__)
 
         def name(term: Any) -> str:
             text = "" if term is None else name_of_term(term)
-            if text.startswith("_:") and text not in self._entities:
+            if text.startswith("_:") and text not in taken:
                 return made[text]
             return text
 
         try:
-            result: Any = self._store.query(self.query, prefixes=PREFIXES)
-            if isinstance(result, QueryTriples):
-                builder = GraphBuilder()
-                for triple in result:
-                    builder.add_statement(*map(name, triple))
-                return Answer((), (), builder.build())
-            if isinstance(result, QueryBoolean):
-                return Answer(("answer",), (("yes" if result else "no",),))
-            columns = tuple(variable.value for variable in result.variables)
-            rows = sorted(tuple(map(name, row)) for row in result)
-            return Answer(columns, tuple(rows))
+            with self._store.lock:
+                return self._run(name)
         except UserError:
             raise
         except SyntaxError as error:
-            raise _malformed(error) from error
+            raise self._malformed(error) from error
         except Exception as error:
             raise UserError(
                 f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}"
             ) from error
 
-    @contextmanager
     def stating(
         self, head: str, relations: Iterable[str], tails: Iterable[str]
-    ) -> Iterator[None]:
+    ) -> AbstractContextManager[None]:
         """State, in a ``with`` block, that relations lead from a head to these tails alone."""
-        new = list[Quad]()
-        old = set[Quad]()
-        for relation, tail in product(relations, tails):
-            quad = _quad(triple_of_names(head, relation, tail))
-            new.append(quad)
-            old.update(
-                self._store.quads_for_pattern(quad.subject, quad.predicate, None)
-            )
-        self._replace(old, new)
-        yield
-        self._replace(new, old)
+        return self._store.stating(head, relations, tails)
 
-    def _replace(self, old: Iterable[Quad], new: Iterable[Quad]) -> None:
-        for quad in old:
-            self._store.remove(quad)
-        self._store.extend(new)
+    @property
+    def hint(self) -> str:
+        """Which IRIs of the query the graph does not hold, with the nearest that it holds."""
+        unknown = []
+        for iri in dict.fromkeys(self._names()[0]):
+            name = name_of_iri(iri)
+            if self._holds(name):
+                continue
+            near = self._alike(local_name(name))
+            unknown.append(f"<{iri}>" + (f" (but <{near}>)" if near else ""))
+        if not unknown:
+            return ""
+        return f"The graph does not hold {', '.join(unknown[:5])}."
+
+    def _run(self, name: Callable[[Any], str]) -> Answer:
+        """Run the query; ``name`` gives the terms their names."""
+        result: Any = self._store.store.query(self.query, prefixes=self.prefixes)
+        if isinstance(result, QueryTriples):
+            builder = GraphBuilder()
+            for triple in result:
+                builder.add_statement(*map(name, triple))
+            return Answer((), (), builder.build())
+        if isinstance(result, QueryBoolean):
+            return Answer(("answer",), (("yes" if result else "no",),))
+        columns = tuple(variable.value for variable in result.variables)
+        rows = sorted(tuple(map(name, row)) for row in result)
+        return Answer(columns, tuple(rows))
+
+    def _names(self) -> tuple[list[str], list[str]]:
+        """Return the IRIs that the query names, and the prefixes that nothing declares."""
+        declared = dict(self.prefixes)
+        base = ""
+        iris = list[str]()
+        undeclared = list[str]()
+        for token in _NAMES.finditer(self.query):
+            prefix = token["prefix"]
+            if token["declared"] is not None:
+                declared[token["declared"]] = urljoin(base, token["iri"])
+            elif token["base"] is not None:
+                base = urljoin(base, token["base"])
+            elif token["full"] is not None:
+                iris.append(urljoin(base, token["full"]))
+            elif prefix in declared:
+                iris.append(declared[prefix] + _ESCAPE.sub(r"\1", token["local"]))
+            elif prefix is not None:
+                undeclared.append(prefix)
+        return iris, undeclared
+
+    def _holds(self, name: str) -> bool:
+        """Return whether a name occurs in the graph."""
+        graph = self.graph
+        if name in LABEL_RELATIONS:
+            return True
+        is_relation = graph.relation_names.find(name) is not None
+        return is_relation or graph.names.find(name) is not None
+
+    def _alike(self, local: str) -> str | None:
+        """Return the IRI of the graph's only entity or relation with this last part."""
+        graph = self.graph
+        alike = set(graph.names.at(graph.names.find_local(local)))
+        alike.update(graph.relation_names.at(graph.relation_names.find_local(local)))
+        return iri_of_name(alike.pop()) if len(alike) == 1 else None
+
+    def _malformed(self, error: SyntaxError) -> UserError:
+        """Return the error for a query that the parser refuses."""
+        _, undeclared = self._names()
+        if undeclared and "Prefix not found" in str(error.msg):
+            known = ", ".join(f"{prefix}:" for prefix in self.prefixes)
+            return UserError(
+                f"SPARQL query: nothing declares the prefix {undeclared[0]}: Known: {known}. "
+                f"Take one of these, or begin with PREFIX {undeclared[0]}: and its IRI in <>."
+            )
+        match = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
+        if match is None:
+            return UserError(f"SPARQL query: {error.msg}. Example: {EXAMPLE}")
+        line, column, reason = match.groups()
+        short = reason if len(reason) <= 60 else "unexpected symbol or end of the query"
+        return UserError(
+            f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "
+            f"declared with PREFIX. Example: {EXAMPLE}"
+        )
 
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:
     """Run a query on a graph; see `SparqlQuery`."""
     return SparqlQuery(graph, query).answer()
-
-
-def _quad(triple: Triple) -> Quad:
-    return Quad(triple.subject, triple.predicate, triple.object)
-
-
-def _malformed(error: SyntaxError) -> UserError:
-    match = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
-    if match is None:
-        return UserError(f"SPARQL query: {error.msg}. Example: {EXAMPLE}")
-    line, column, reason = match.groups()
-    short = reason if len(reason) <= 60 else "unexpected symbol or end of the query"
-    return UserError(
-        f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "
-        f"declared with PREFIX. Example: {EXAMPLE}"
-    )

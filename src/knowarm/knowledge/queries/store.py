@@ -1,0 +1,96 @@
+"""Oxigraph stores of graphs: made at the first SPARQL query of a graph, and kept with it."""
+
+import weakref
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import product, starmap
+from threading import RLock
+
+import numpy as np
+from pyoxigraph import Quad, Store
+
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import (
+    iri_term,
+    node_term,
+    object_term,
+    triple_of_names,
+)
+
+
+class GraphStore:
+    """The triples and labels of a graph in a store.
+
+    Attributes:
+        store: the store.
+        lock: held while the store is read or changed, since threads share it.
+    """
+
+    def __init__(self, graph: KnowledgeGraph) -> None:
+        self.store = Store()
+        self.lock = RLock()
+        self.store.bulk_extend(_quads(graph))
+        self.store.bulk_extend(starmap(_quad, graph.label_statements()))
+
+    @contextmanager
+    def stating(
+        self, head: str, relations: Iterable[str], tails: Iterable[str]
+    ) -> Iterator[None]:
+        """State, in a ``with`` block, that relations lead from a head to these tails alone.
+
+        Other threads wait for the end of the block, which restores the triples of the graph.
+        """
+        new = list(starmap(_quad, product([head], relations, tails)))
+        with self.lock:
+            old = set[Quad]()
+            for quad in new:
+                old.update(
+                    self.store.quads_for_pattern(quad.subject, quad.predicate, None)
+                )
+            try:
+                self._replace(old, new)
+                yield
+            finally:
+                self._replace(new, old)
+
+    def _replace(self, old: Iterable[Quad], new: Iterable[Quad]) -> None:
+        for quad in old:
+            self.store.remove(quad)
+        self.store.extend(new)
+
+
+_STORES: dict[int, GraphStore] = {}
+"""Stores by the identity of their graph, while it exists."""
+_MAKING = RLock()
+
+
+def store_of(graph: KnowledgeGraph) -> GraphStore:
+    """Return the store of a graph, which is made once."""
+    key = id(graph)
+    with _MAKING:
+        if key not in _STORES:
+            _STORES[key] = GraphStore(graph)
+            weakref.finalize(graph, _STORES.pop, key)
+        return _STORES[key]
+
+
+def _quads(graph: KnowledgeGraph) -> Iterator[Quad]:
+    """Make the triples of a graph, and each term once: that is what costs most."""
+    subjects = {}
+    for head in np.unique(graph.heads).tolist():
+        subjects[head] = node_term(graph.names[head])
+    objects = {}
+    for tail in np.unique(graph.tails).tolist():
+        objects[tail] = object_term(graph.names[tail])
+    predicates = list(map(iri_term, graph.relation_names))
+    return map(
+        Quad,
+        map(subjects.__getitem__, graph.heads.tolist()),
+        map(predicates.__getitem__, graph.relations.tolist()),
+        map(objects.__getitem__, graph.tails.tolist()),
+    )
+
+
+def _quad(head: str, relation: str, tail: str) -> Quad:
+    triple = triple_of_names(head, relation, tail)
+    return Quad(triple.subject, triple.predicate, triple.object)
