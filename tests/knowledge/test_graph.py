@@ -1,11 +1,15 @@
+from collections import Counter, defaultdict
+from itertools import product
+
+import numpy as np
 import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household
 from knowarm.knowledge.formats import HOUSEHOLD
-from knowarm.knowledge.graph.graph import Names
+from knowarm.knowledge.graph.names import Names, Spellings
 from knowarm.knowledge.graph.statistics import graph_statistics
-from knowarm.knowledge.graph.terms import label_of, local_name
+from knowarm.knowledge.graph.terms import label_of, literal, local_name, name_key
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects import TARGETS
 
@@ -125,3 +129,58 @@ def test_short_names_are_those_that_are_shown():
             UserError, match=r"names 2 (entities|relations).*Give the full name"
         ):
             find("x" if find != several.find_relation else "r")
+
+
+def test_every_spelling_is_found_as_by_looking_at_each_name():
+    """Equal to the definition, on names of all kinds that are alike in every way."""
+    rng = np.random.default_rng(0)
+    words = ["mug", "Mugs", "coffee_mug", "CoffeeMug", "gas", "bus", "Straße", "ß"]
+    beginnings = [
+        "",
+        "",
+        "http://x#",
+        "http://X#",
+        "http://x/a/",
+        "_:",
+        "/c/en/",
+        "a:b ",
+    ]
+    endings = ["", "", ".n.01", "/", "#", "%20a", "_"]
+    made = product(beginnings, words, endings)
+    names = sorted({"".join(parts) for parts in made} | {literal(w) for w in words})
+    labelled = rng.choice(names, 60).tolist()
+    labels = dict(zip(labelled, rng.choice(words, 60).tolist(), strict=True))
+    spellings = Spellings(Names(names), labels)
+    by_local = defaultdict(list)
+    by_label = defaultdict(list)
+    by_key = defaultdict(list)
+    for index, name in enumerate(names):
+        label = labels.get(name, name)
+        if name in labels:
+            by_label[label].append(index)
+        if not name.startswith('"'):
+            by_local[local_name(name)].append(index)
+        if not name.startswith(('"', "_:")):
+            for key in {name_key(local_name(name)), name_key(label), name_key(name)}:
+                by_key[key].append(index)
+    asked = [*names, *words, "MUG", "http://x#mugs", "HTTP://x#bus", "x#mug", "5", ""]
+    for name in asked:
+        alike = [by_local[name], by_label[name], by_key[name_key(name)]]
+        assert list(spellings.alike(name)) == alike, name
+    assert len(by_key[name_key("mug")]) > 20
+
+
+def test_each_name_is_read_once_to_find_all(monkeypatch):
+    graph = graph_of([(f"Cup_{i}", "isA", f"Kind {i % 7}") for i in range(500)])
+    read = Counter()
+
+    def noting(text):
+        read[text] += 1
+        return name_key(text)
+
+    monkeypatch.setattr("knowarm.knowledge.graph.names.name_key", noting)
+    for i in range(0, 500, 50):
+        assert graph.find_entity(f"cup {i}") is not None
+        assert graph.find_entity(f"kind{i % 7}") is not None
+    own = {name: read[name] for name in graph.entities}
+    assert set(own.values()) == {1}

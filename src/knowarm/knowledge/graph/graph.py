@@ -80,8 +80,10 @@ class KnowledgeGraph:
     @cached_property
     def nodes(self) -> Ids:
         """The ids of the entities in this graph, (m,) int32, sorted."""
-        named = np.concatenate([self.heads, self.tails, self._alone])
-        return np.unique(named).astype(np.int32)
+        is_node = np.zeros(len(self.names), bool)
+        for ids in (self.heads, self.tails, self._alone):
+            is_node[ids] = True
+        return np.flatnonzero(is_node).astype(np.int32)
 
     @cached_property
     def by_tail(self) -> Ids:

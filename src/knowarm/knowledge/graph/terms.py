@@ -44,6 +44,7 @@ _CONCEPT = re.compile(r"^/(?:c/\w+|r)/([^/]+).*")
 _PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", "us": "us",
             "is": "is", "sses": "ss", "xes": "x", "ches": "ch", "shes": "sh", "s": ""}  # fmt: skip
 """Endings that one word has in singular or plural, and what stands for both; the longest counts."""
+_LAST = frozenset(ending[-1] for ending in _PLURALS)
 Term = NamedNode | BlankNode | Literal
 
 
@@ -123,8 +124,10 @@ def local_name(name: str) -> str:
     term = parse_literal(name)
     if term is not None:
         return term.value
-    if is_iri(name):
-        return unquote(re.split(r"[#/:]", name.rstrip("#/:"))[-1])
+    if ":" in name and is_iri(name):
+        whole = name.rstrip("#/:")
+        last = whole[max(map(whole.rfind, "#/:")) + 1 :]
+        return unquote(last) if "%" in last else last
     return name
 
 
@@ -133,10 +136,19 @@ def name_key(text: str) -> str:
 
     Case, separators, number and sense make no difference, but in a text without letters.
     """
-    text = _CONCEPT.sub(r"\1", unicodedata.normalize("NFC", text).casefold())
-    key = _SPACE.sub("", _SENSE.sub("", text))
-    if not any(map(str.isalpha, key)):
+    if not text.isascii():
+        text = unicodedata.normalize("NFC", text)
+    text = text.casefold()
+    if text.startswith("/"):
+        text = _CONCEPT.sub(r"\1", text)
+    key = text
+    if "." in key:
+        key = _SENSE.sub("", key)
+    key = "".join(key.split()).replace("_", "").replace("-", "")
+    if not key.isalpha() and not any(map(str.isalpha, key)):
         return text
+    if key[-1] not in _LAST:
+        return key
     for length in (4, 3, 2, 1):
         ending = key[-length:]
         if ending in _PLURALS and len(key) > max(length, 3):
