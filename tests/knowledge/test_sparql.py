@@ -37,6 +37,7 @@ def test_the_store_is_made_once_per_graph_and_goes_with_it(monkeypatch):
 
     monkeypatch.setattr(stores.GraphStore, "__init__", noting)
     graph = graph_of([("mug", "usedFor", "drinking"), ("cup", "isA", "mug")])
+    gc.collect()  # of graphs of other tests
     kept = len(stores._STORES)
     for _ in range(3):
         assert sparql(graph, USED).rows == (("mug",),)
