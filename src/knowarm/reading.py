@@ -1,9 +1,11 @@
 """Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
+import errno
 import hashlib
 import json
 import os
 import secrets
+import stat
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -32,8 +34,11 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
     The libraries that decode files raise many types of errors, and those written in Rust panics
     that are no `Exception`. Put only the decoding of one file into the block, so that no mistake of
     the program is taken for a damaged file. `remedy` is a sentence.
+
+    A FIFO, socket or device is refused before it is opened: it could let the reader wait for ever.
     """
     try:
+        _refuse_irregular(path)
         yield
     except UserError:
         raise
@@ -57,15 +62,25 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 def refuse_pointer(path: Path) -> None:
     """Refuse a file that is missing its content, which Git LFS holds."""
     try:
-        with path.open("rb") as file:
+        with reading(path, ""), path.open("rb") as file:
             start = file.read(len(LFS_POINTER))
-    except OSError:  # who reads the file says so
+    except UnreadableFileError:  # who reads the file says so
         return
     if start == LFS_POINTER:
         raise UserError(
             f"{path} is a pointer of Git LFS, and not the file itself. Install git-lfs and fetch "
             f"the files: git -C {path.parent} lfs pull."
         )
+
+
+def _refuse_irregular(path: Path) -> None:
+    """Raise `OSError` for what is there and is neither a file nor a folder."""
+    try:
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except OSError:
+        return  # whoever opens it says why
+    if kind not in (stat.S_IFREG, stat.S_IFDIR):
+        raise OSError(errno.EINVAL, "it is a FIFO, socket or device, and no file")
 
 
 @contextmanager
@@ -82,11 +97,12 @@ def writing(path: Path, remedy: str = "") -> Iterator[None]:
 def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
     """Write a file under a random name, renamed at the end, in a folder that is made if missing.
 
-    No link is followed: one at ``path`` is replaced, and nobody can prepare one at a random name.
+    No link is followed: one at ``path`` is replaced, as a FIFO is, and nobody can prepare one at a
+    random name.
     """
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
-    if path.exists() and not path.is_file():
-        temporary = path  # a device such as /dev/stdout, or an error of the system
+    if path.is_dir() or path.absolute().is_relative_to("/dev"):
+        temporary = path  # an error of the system, or a device such as /dev/stdout
     with writing(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -129,8 +145,10 @@ def one_line(error: BaseException) -> str:
     return text
 
 
-def read_bytes(path: Path, *, remedy: str) -> bytes:
-    """Read a file."""
+def read_bytes(
+    path: Path, *, remedy: str = "Restore the file, or give another one."
+) -> bytes:
+    """Read a file as a whole."""
     with reading(path, remedy):
         return path.read_bytes()
 
@@ -166,7 +184,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_arrays(path: Path, *, remedy: str) -> dict[str, np.ndarray]:
     """Read the arrays of a safetensors file by name."""
     with reading(path, remedy):
-        return load(path.read_bytes())
+        return load(read_bytes(path, remedy=remedy))
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

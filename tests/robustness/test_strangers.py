@@ -6,7 +6,9 @@ The folders are as `git clone` or unzip leave them: any file, and symbolic links
 import json
 import os
 import shutil
+import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,8 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.run_lock import lock_folder
+from knowarm.experiment.run_lock import is_locked, lock_folder
+from knowarm.reading import read_json, write_json
 from knowarm.report import write_report
 from knowarm.study.config import StudyConfig, read_study, write_study
 from knowarm.world.description import trust
@@ -278,3 +281,98 @@ def test_a_report_writes_through_no_link(run, precious):
         write_report([run], runs / "report.html")
     assert (secrets / "bashrc.csv").read_text() == "mine"
     (secrets / "bashrc.csv").unlink()
+
+
+class Hang(BaseException):
+    """No `Exception`, so that nobody takes it for a damaged file."""
+
+
+@pytest.fixture
+def no_hang():
+    """Ends a test that waits for ever, as a reader of a FIFO does."""
+
+    def end(*_):
+        raise Hang("it waits for ever")
+
+    signal.signal(signal.SIGALRM, end)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+
+
+def locked(run):
+    is_locked(run)
+    with lock_folder(run, remedy=""):
+        pass
+
+
+FIFO_USES = {
+    "load": load_agent,
+    "evaluate": lambda run: evaluate(run, **BRIEF),
+    "report": lambda run: write_report([run], run.parents[2] / "report.html"),
+    "lock": locked,
+    "train": lambda run: train(short(), run.parents[1], resume=True),
+}
+FIFOS = [
+    "config.json",
+    "knowledge.safetensors",
+    "provenance.json",
+    "metrics.csv",
+    "evaluations.csv",
+    "checkpoints/best/meta.json",
+    "checkpoints/best/policy.safetensors",
+    "checkpoints/latest/meta.json",
+    "evaluation/post-training-greedy/summary.json",
+    "evaluation/post-training-greedy/episodes.parquet",
+    ".lock",
+    ".lock.json",
+]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFO")
+@pytest.mark.parametrize("use", FIFO_USES)
+@pytest.mark.parametrize("name", FIFOS)
+def test_a_fifo_in_a_run_lets_nothing_wait(run, no_hang, name, use):
+    """As `tar` unpacks them."""
+    if use == "train":
+        (run.parents[1] / short().name).mkdir()
+        run = run.rename(run.parents[1] / short().name / "0")
+    path = run / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+    with suppress(UserError):
+        FIFO_USES[use](run)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFO")
+def test_a_fifo_is_no_input_of_a_command(tmp_path, no_hang, capsys):
+    names = ["graph.ttl", "graph.csv.gz", "robot.toml", "arm.urdf", "study.toml"]
+    names += ["x.knowarm-study.tar.xz", "network.safetensors", "photo.png"]
+    for name in names:
+        os.mkfifo(tmp_path / name)
+    graph, packed, robot, urdf, study, pack, network, photo = (
+        str(tmp_path / name) for name in names
+    )
+    commands = [
+        ["knowledge", "show", "--graph", graph, "--objects", "mug"],
+        ["knowledge", "show", "--graph", packed, "--objects", "mug"],
+        ["answer", "which are mugs?", "--graph", graph],
+        ["evaluate", "oracle", "--env.robot", robot],
+        ["doctor", "--robot", robot],
+        ["doctor", "--robot", urdf],
+        ["doctor", "--robot", "irb120", "--camera", photo],
+        ["study", "run", study],
+        ["study", "unpack", pack],
+        ["train", "irb120-choose-answers-fast", "--perception", network],
+    ]
+    for command in commands:
+        assert main(command) == 2, command
+        assert capsys.readouterr().err.count("\n") == 1, command
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFO")
+def test_an_output_replaces_a_fifo(tmp_path, no_hang):
+    os.mkfifo(tmp_path / "out.json")
+    write_json(tmp_path / "out.json", {"a": 1})
+    assert read_json(tmp_path / "out.json") == {"a": 1}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
-from knowarm.reading import digest, one_line, reading
+from knowarm.reading import digest, one_line, read_bytes, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
@@ -42,7 +42,7 @@ class OnnxPolicy:
         self._path = path
         self.inputs = tuple(self._observed & {"image"})
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
-        self.digest = digest(path.read_bytes())
+        self.digest = digest(read_bytes(path))
 
     def reset(self, batch: Batch) -> None:
         """Start with states of zeros."""

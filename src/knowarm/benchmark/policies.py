@@ -20,7 +20,7 @@ from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
-from knowarm.reading import digest, reading
+from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
@@ -140,7 +140,7 @@ def _run(spec: str) -> Entrant:
         PERCEPTION_FILE,
     )
     files += filter(Path.is_file, map(folder.path.joinpath, others))
-    digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
+    digests = [hashlib.sha256(read_bytes(file)).digest() for file in files]
     return Entrant(
         spec=spec,
         make=make,
@@ -157,7 +157,7 @@ def _exported(spec: str, folder: Path) -> Entrant:
         reading(folder, "Export the policy again."),
         packages_of("onnx", "An exported folder"),
     ):
-        contract_digest = digest((folder / "contract.json").read_bytes())
+        contract_digest = digest(read_bytes(folder / "contract.json"))
         runner = Runner.load(folder)
         rows = runner.contract["knowledge"]["rows"]
     policy = ExportedPolicy(runner, folder)

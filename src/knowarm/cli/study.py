@@ -27,7 +27,7 @@ from knowarm.cli.tables import (
 )
 from knowarm.errors import printable
 from knowarm.experiment.run_lock import StopRequest
-from knowarm.reading import read_json
+from knowarm.reading import read_json, read_text
 from knowarm.report import write_report
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
 from knowarm.study.driver import OnStatus, open_study, request_stop, retry, run_study
@@ -161,7 +161,7 @@ class StudyShow:
         study = read_study(self.study, of=self.of)
         file = SHIPPED.get(self.study, Path(self.study))
         if file.is_file():
-            print(file.read_text("utf-8"))
+            print(read_text(file, remedy="Restore the file."))
         runs = study.runs()
         steps = {config.name: config.total_steps for config in runs}
         seeds = ", ".join(map(str, study.all_seeds()))

@@ -28,7 +28,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
 from knowarm.perception import grounding
 from knowarm.perception.agent import FrameRecognition
-from knowarm.reading import digest, replacing, write_json, writing
+from knowarm.reading import digest, read_bytes, replacing, write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -184,8 +184,8 @@ def export(
         with replacing(folder / "knowledge.npy") as temporary:
             np.save(temporary, parts.knowledge)
         with replacing(folder / "runner.py") as temporary:
-            temporary.write_bytes(Path(runner.__file__).read_bytes())
-        digests = {name: digest((folder / name).read_bytes()) for name in files}
+            temporary.write_bytes(read_bytes(Path(runner.__file__)))
+        digests = {name: digest(read_bytes(folder / name)) for name in files}
         parts = replace(parts, contract=parts.contract | {"digests": digests})
         write_json(folder / "contract.json", parts.contract)
     return parts

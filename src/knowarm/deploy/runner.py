@@ -135,7 +135,10 @@ class Runner:
     def load(cls, folder: str | Path) -> "Runner":
         """Load an exported folder: the files that the contract describes, and no others."""
         folder = Path(folder)
-        contract = json.loads((folder / "contract.json").read_text("utf-8"))
+        file = folder / "contract.json"
+        if not file.is_file():
+            raise ValueError(f"{file} is no file; export again")
+        contract = json.loads(file.read_text("utf-8"))
         if not isinstance(contract, dict) or contract.get("format") != FORMAT:
             raise ValueError(
                 f"{folder} has no contract of the format {FORMAT}; export again"

@@ -13,7 +13,7 @@ from typing import Any
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
-from knowarm.reading import one_line
+from knowarm.reading import one_line, read_bytes
 
 FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a grounding network, a packed study."""
@@ -50,7 +50,7 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
         if not any(file.parent.name == "best" for file in files):
             raise UserError(f"{path} has no best policy to share: train it first.")
     base = path if path.is_dir() else path.parent
-    contents = {file.relative_to(base).as_posix(): file.read_bytes() for file in files}
+    contents = {file.relative_to(base).as_posix(): read_bytes(file) for file in files}
     contents["README.md"] = _card(repo_id, text).encode()
     with _access(repo_id) as hub:
         api = hub.HfApi(library_name="knowarm")

@@ -7,7 +7,7 @@ from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
-from knowarm.reading import digest, writing
+from knowarm.reading import digest, read_bytes, writing
 from knowarm.world.description import SUFFIX, description_files, trust
 
 GRAPHS = ("graph", "edited")
@@ -68,14 +68,14 @@ def is_copy_of(copy: Path, name: str) -> bool:
     originals = input_files(name)
     for file in filter(Path.is_file, copy.parent.rglob("*")):
         original = originals.get(str(file.relative_to(copy.parent)))
-        if original is None or content_of(original) != file.read_bytes():
+        if original is None or content_of(original) != read_bytes(file):
             return False
     return True
 
 
 def content_of(source: Path | bytes) -> bytes:
     """Return the bytes of a file of `input_files`."""
-    return source if isinstance(source, bytes) else source.read_bytes()
+    return source if isinstance(source, bytes) else read_bytes(source)
 
 
 def input_content(name: str) -> str:

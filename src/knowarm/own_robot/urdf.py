@@ -19,7 +19,14 @@ import numpy as np
 from knowarm.arrays import Floats
 from knowarm.errors import UserError, packages_of
 from knowarm.private_apis import xacro_packages
-from knowarm.reading import one_line, read_text, reading, refuse_pointer, writing
+from knowarm.reading import (
+    one_line,
+    read_bytes,
+    read_text,
+    reading,
+    refuse_pointer,
+    writing,
+)
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
@@ -423,9 +430,9 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
 
 def _is_binary_stl(path: Path) -> bool:
     """Return whether MuJoCo reads a file as it is."""
-    with path.open("rb") as file:
-        faces = int.from_bytes(file.read(84)[80:], "little")
-    has_size = path.stat().st_size == 84 + 50 * faces
+    data = read_bytes(path)
+    faces = int.from_bytes(data[80:84], "little")
+    has_size = len(data) == 84 + 50 * faces
     return path.suffix.lower() == ".stl" and has_size and 0 < faces <= MOST_STL_FACES
 
 

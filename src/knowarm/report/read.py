@@ -15,7 +15,7 @@ from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_inputs import input_content, with_inputs
 from knowarm.experiment.summary import Summary
-from knowarm.reading import one_line
+from knowarm.reading import one_line, read_bytes
 from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
 
 GIVE = "Give run folders such as runs/irb120-full-fast/0."
@@ -88,7 +88,7 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
         return {}
     try:
         rows = read_csv(path)
-        is_truncated = path.read_bytes()[-1:] not in (b"", b"\n")
+        is_truncated = read_bytes(path)[-1:] not in (b"", b"\n")
     except (OSError, UserError) as error:
         problems.append(FolderProblem(path, f"cannot be read ({error})", "left out"))
         return {}

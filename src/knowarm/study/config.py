@@ -24,7 +24,7 @@ from knowarm.experiment.names import (
     override_experiment,
     tasks_of,
 )
-from knowarm.reading import read_json, read_toml, write_json
+from knowarm.reading import read_json, read_text, read_toml, write_json
 from knowarm.study.executor import RunKey, Where
 from knowarm.world.description import check_trusted, trust
 from knowarm.world.tasks import DEFAULT_TASK
@@ -253,7 +253,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
             raise UserError(f"{source} is no study of controls: leave out 'of'.")
         return from_dict(StudyConfig, values)
     except UserError as error:
-        line = _line(path.read_text(encoding="utf-8"), str(error))
+        line = _line(read_text(path, remedy="Restore the file."), str(error))
         raise UserError(f"{path}{line}: {error}") from error
 
 

@@ -16,7 +16,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import digest, reading, replacing
+from knowarm.reading import digest, read_bytes, reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, is_trained
@@ -98,7 +98,7 @@ def pack_study(
                 paths += sorted(folder.glob(pattern))
         contents = dict[str, bytes]()
         for path in filter(Path.is_file, paths):
-            content = path.read_bytes()
+            content = read_bytes(path)
             if path.name == METRICS and "losses" in leave_out:
                 content = _reported_metrics(content)
             contents[path.relative_to(out).as_posix()] = content
@@ -199,11 +199,11 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
             )
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
         if name == PACKED:
-            digests = dict(json.loads((folder / PACKED).read_bytes())["sha256"])
+            digests = dict(json.loads(read_bytes(folder / PACKED))["sha256"])
             listed = set(digests)
     for name, expected in digests.items():
         file = folder / name
-        if not file.is_file() or digest(file.read_bytes()) != expected:
+        if not file.is_file() or digest(read_bytes(file)) != expected:
             raise ValueError(f"{name} is missing or was changed")
     if not digests:
         raise ValueError(f"it has no {PACKED}, or an empty one")

@@ -9,6 +9,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.pictures import data_uri, encode
+from knowarm.reading import read_bytes
 from knowarm.report.blocks import (
     Block,
     Column,
@@ -158,7 +159,7 @@ def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
     return Film(
         name,
         strip=[(_png(frames[step]), f"step {step}") for step in places.tolist()],
-        moving=data_uri("WEBP", path.read_bytes()),
+        moving=data_uri("WEBP", read_bytes(path)),
         poster=_png(frames[last]),
         size=(width, height),
         text=_outcome(evaluation, number),
