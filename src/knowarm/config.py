@@ -195,6 +195,9 @@ def override(config: T, overrides: Fields, *, where: str = "") -> T:
         where: dotted path of ``config`` in the whole config, for error messages.
     """
     values = to_dict(config)
+    rederived = getattr(config, "rederived", None)
+    for name in rederived(overrides) if rederived else []:
+        del values[name]
     for name, new in overrides.items():
         current = getattr(config, name, None)
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):

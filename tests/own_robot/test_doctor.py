@@ -7,12 +7,17 @@ from types import SimpleNamespace
 import pytest
 
 from knowarm.cli.main import _parse
+from knowarm.config import override
 from knowarm.errors import UserError
+from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.names import experiment_config
 from knowarm.own_robot.command import Doctor
+from knowarm.world.agents import OracleAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.description import read_description
 from knowarm.world.robots.robot import Robot
-from tests.world.helpers import EXAMPLES
+from tests.world.helpers import EXAMPLES, write_robot
 
 
 @pytest.mark.parametrize(
@@ -66,15 +71,7 @@ def test_a_model_file_is_drafted_and_checked_for_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked = []
-    draft = SimpleNamespace(
-        how={},
-        toml=lambda file: "drafted",
-        task_options=lambda: "",
-        evaluation_options=lambda: "",
-        success_angle_deg=30.0,
-        ignore_roll=True,
-        distance_m=0.05,
-    )
+    draft = SimpleNamespace(how={}, toml=lambda file: "drafted")
 
     def check(robot: str, task: str, targets: tuple, **options: object) -> list:
         checked.append((Path(robot).read_text(), task, targets, options))
@@ -83,53 +80,100 @@ def test_a_model_file_is_drafted_and_checked_for_a_task(
     monkeypatch.setattr("knowarm.own_robot.command.draft_robot", lambda *args: draft)
     monkeypatch.setattr("knowarm.own_robot.command.check_objects", check)
     Doctor(robot="arm.xml", task="lift").run()
-    assert checked == [
-        ("drafted", "lift", (), {"success_angle_deg": 30.0, "ignore_roll": True})
+    Doctor(robot="arm.xml", task="lift", angle_deg=30.0, ignore_roll=True).run()
+    options = [
+        {"success_angle_deg": 0.0, "ignore_roll": False},
+        {"success_angle_deg": 30.0, "ignore_roll": True},
     ]
+    assert checked == [("drafted", "lift", (), option) for option in options]
 
 
-@pytest.mark.parametrize("angle", [" --env.success-angle-deg 60", ""])
-def test_the_commands_for_an_eased_orientation_parse(
-    angle: str,
+STATED = {
+    "success_distance_m": "0.03",
+    "success_angle_deg": "60.0",
+    "ignore_roll": "true",
+    "evaluation_distance_m": "0.04",
+}
+
+
+def test_the_printed_commands_parse_and_read_the_thresholds_of_the_description(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    draft = SimpleNamespace(
-        how={},
-        toml=lambda file: "",
-        task_options=lambda: f"{angle} --env.ignore-roll".strip(),
-        evaluation_options=lambda: (
-            f"{'--angle-deg 60' if angle else ''} --distance-m .05".strip()
-        ),
-        success_angle_deg=60.0 if angle else 15.0,
-        ignore_roll=True,
-        distance_m=0.05,
-    )
-    monkeypatch.setattr("knowarm.own_robot.command.draft_robot", lambda *args: draft)
+    text = write_robot(tmp_path, **STATED).read_text()
+    draft = SimpleNamespace(how={}, toml=lambda file: text)
+    here = "knowarm.own_robot.command."
+    checked = []
+    monkeypatch.setattr(here + "draft_robot", lambda *args: draft)
+    monkeypatch.setattr(here + "repair_draft", lambda draft, *args: draft)
+    monkeypatch.setattr(here + "shrink_distance", lambda draft, targets: draft)
     monkeypatch.setattr(
-        "knowarm.own_robot.command.shrink_distance", lambda draft, targets: draft
+        here + "check_robot",
+        lambda *args, **options: checked.append(options) or [],
     )
-    monkeypatch.setattr(
-        "knowarm.own_robot.command.check_robot", lambda *args, **options: []
-    )
-    Doctor(robot="arm.xml", write=tmp_path / "arm.toml").run()
+    file = tmp_path / "arm.toml"
+    Doctor(robot="arm.xml", write=file).run()
+    assert checked == [{"angle_deg": None, "ignore_roll": False, "distance_m": None}]
     printed = [
         line for line in capsys.readouterr().out.splitlines() if "  knowarm" in line
     ]
     found = {}
     for words in (shlex.split(line)[1:] for line in printed):
-        if words[0] != "train":  # the run's config would read the description
-            found.setdefault(words[0], _parse(words[0], words[1:]))
+        found.setdefault(words[0], _parse(words[0], words[1:]))
     order = ["doctor", "view", "evaluate", "train", "evaluate"]
     assert [line.split()[1] for line in printed] == order
-    for name, default in {"doctor": 15, "view": None}.items():
-        wanted = 60 if angle else default
-        assert (found[name].angle_deg, found[name].ignore_roll) == (wanted, True)
-    degrees = 60 if angle else EvaluationConfig().angle_deg
-    oracle = found["evaluate"]
-    assert (oracle.evaluation.angle_deg, oracle.env.ignore_roll) == (degrees, True)
-    assert (oracle.evaluation.distance_m, found["doctor"].distance_m) == (0.05, 0.05)
+    for env in (
+        found["evaluate"].env,
+        found["train"].config.env,
+        found["view"]._agent()[1],
+        EnvConfig(robot=str(file)),
+        experiment_config("full-fast", env={"robot": str(file)}).env,
+    ):
+        assert env.success_distance_m == 0.03
+        assert env.success_angle_deg == 60
+        assert env.ignore_roll
+    judged = EvaluationConfig().of_robot(read_description(file, Robot))
+    assert (judged.distance_m, judged.angle_deg) == (0.04, 60)
+
+
+def test_evaluations_are_judged_as_the_description_states(tmp_path: Path) -> None:
+    robot = str(write_robot(tmp_path, **STATED))
+    env = EnvConfig(robot=robot, targets=("bottle",))
+    lines: list[str] = []
+    few = {"episodes": 4, "probes": ()}
+    summary = evaluate(OracleAgent, env, report=lines.append, **few).summary
+    assert (summary.config.distance_m, summary.config.angle_deg) == (0.04, 60)
+    assert summary.env["ignore_roll"]
+    assert lines[0] == f"Judged within 4 cm and 60 degrees, as {robot} states."
+    given = {"distance_m": 0.08, "angle_deg": 20.0, **few}
+    summary = evaluate(OracleAgent, env, **given).summary
+    assert (summary.config.distance_m, summary.config.angle_deg) == (0.08, 20)
+
+
+def test_thresholds_that_are_given_stay_and_the_robots_follow_the_robot(
+    tmp_path: Path,
+) -> None:
+    robot = str(write_robot(tmp_path, **STATED))
+    stricter = experiment_config(
+        "full-fast", env={"robot": robot, "success_distance_m": 0.05}
+    )
+    assert stricter.env.success_distance_m == 0.05
+    back = override(stricter, {"env": {"robot": "tiago"}}).env
+    assert (back.success_distance_m, back.success_angle_deg) == (0.05, 15)
+    assert not back.ignore_roll
+    usual = EnvConfig(robot="tiago", success_distance_m=0.02)
+    other = override(usual, {"robot": robot})
+    assert (other.success_distance_m, other.success_angle_deg) == (0.02, 60)
+    same = override(EnvConfig(robot=robot), {"image_size": 32})
+    assert (same.success_distance_m, same.ignore_roll) == (0.03, True)
+
+
+@pytest.mark.parametrize("name", [*STATED][:2])
+def test_thresholds_of_a_description_are_positive(name: str, tmp_path: Path) -> None:
+    robot = write_robot(tmp_path, **{name: "0.0"})
+    with pytest.raises(UserError, match=f"{name} must be positive, got 0"):
+        read_description(robot, Robot)
 
 
 def test_an_installation_that_works_passes_every_check(

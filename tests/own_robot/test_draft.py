@@ -221,7 +221,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(
 ) -> None:
     draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
     assert (draft.success_angle_deg, draft.ignore_roll) == (15.0, False)
-    assert draft.task_options() == ""
+    assert draft.thresholds == {}
     file = tmp_path / "arm.toml"
     file.write_text(draft.toml(file))
     robot = read_description(file, Robot)
@@ -258,10 +258,7 @@ def test_friction_stops_a_joint_near_its_target(tmp_path: Path) -> None:
 def test_arm_with_four_joints_gets_an_easier_orientation() -> None:
     draft = draft_robot(EXAMPLES / "scara.xml", ["mug"], {})
     assert draft.success_angle_deg > 15 or draft.ignore_roll
-    assert "--env." in draft.task_options()
-    assert f"# train with: {draft.task_options()}" in draft.toml()
-    judged = f"--angle-deg {draft.success_angle_deg:.0f}"
-    assert f"# evaluate with: {judged}" in draft.toml()
+    assert f"success_angle_deg = {draft.success_angle_deg}" in draft.toml()
 
 
 THREE_JOINTS = """

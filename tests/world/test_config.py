@@ -11,7 +11,7 @@ from knowarm.world.config import EnvConfig
         ({"mpi_rad": float("nan")}, r"mpi_rad must be a finite number, got nan"),
         ({"image_size": 0}, r"image_size must be between 1 and 4096, got 0"),
         ({"success_distance_m": -1.0}, r"success_distance_m must be larger than 0"),
-        ({"success_angle_deg": 0.0}, r"success_angle_deg must be larger than 0"),
+        ({"success_angle_deg": -1.0}, r"success_angle_deg must be larger than 0"),
         ({"max_episode_steps": -1}, r"max_episode_steps must be at least 1"),
         ({"targets": ("mug", "mug")}, r"contains a name twice"),
         ({"colours": "any"}, r"colours 'any'. Available: fixed, randomized"),

@@ -233,7 +233,7 @@ class Evaluate(TableCommand):
                 raise UserError(
                     "A scripted agent perceives nothing: leave out --perception."
                 )
-            default = EnvConfig()
+            default = EnvConfig(robot=self.env.robot)
             for name in ("distance-m", "angle-deg"):
                 field_name = f"success_{name.replace('-', '_')}"
                 if getattr(self.env, field_name) != getattr(default, field_name):
@@ -280,10 +280,16 @@ def parse_with_task(
     package.module:Name.
     """
     words, task = take_option(arguments, "--env.task", "package.module:Name")
+    words, robot = take_option(words, "--env.robot", "my_arm.toml")
     options: dict[str, Any] = {}
+    env: dict[str, Any] = {}
     if task is not None:
+        env["task"] = find_task(task)
+    if robot is not None:
+        env["robot"] = robot
+    if env:
         make: Callable[..., Command] = command
-        options["default"] = make(**missing, env=EnvConfig(task=find_task(task)))
+        options["default"] = make(**missing, env=EnvConfig(**env))
     parsed: Any = parse_options(command, prog, words, **options)
     sets_env = any(word.startswith("--env.") for word in arguments)
     if sets_env and not is_scripted(parsed.agent):

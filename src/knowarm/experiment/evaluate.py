@@ -39,6 +39,7 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.robots import find_robot
 from knowarm.world.tasks.probe import Findings
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.state import NamedArrays
@@ -152,6 +153,13 @@ def evaluate(
     config = override(config or EvaluationConfig(), overrides)
     agent, trained = _loaded(agent, config)
     subject = _subject(trained, env_config, own_folder=write and not config.label)
+    stated = config.of_robot(find_robot(subject.env.robot))
+    if stated != config:
+        report(
+            f"Judged within {100 * stated.distance_m:g} cm and {stated.angle_deg:g} degrees, as "
+            f"{subject.env.robot} states."
+        )
+        config = stated
     subject = config.prepare(subject)
     is_trained = False
     folder = None

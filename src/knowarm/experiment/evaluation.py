@@ -38,6 +38,7 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
 from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks import task_probes
 from knowarm.world.tasks.probe import BaseProbe, Findings
@@ -460,6 +461,11 @@ def probe_types() -> list[type[BaseProbe]]:
     return [StepsProbe, FilmsProbe, BlindProbe, *task_probes()]
 
 
+DISTANCE_M = 0.10
+ANGLE_DEG = 17.0
+"""Thresholds of success in evaluations of robots that state none."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
     """Settings of a post-training evaluation (paper section 4.2.4)."""
@@ -471,10 +477,12 @@ class EvaluationConfig:
     seeds: int = 1
     """Number of seeds that the episodes are drawn from in equal shares: ``seed``, ``seed`` + 1,
     and so on; the paper's analysis of variance takes 30 seeds of 100 episodes."""
-    distance_m: float = 0.10
-    """Largest distance of a success [m]."""
-    angle_deg: float = 17.0
-    """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
+    distance_m: float = DISTANCE_M
+    """Largest distance of a success [m]. The default stands for the robot's where its description
+    states one."""
+    angle_deg: float = ANGLE_DEG
+    """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20. The default
+    stands for the robot's where that is larger."""
     actions: Literal["greedy", "sampled"] = "greedy"
     """Take the most probable action, or sample one."""
     test: tuple[AnyCondition, ...] = ()
@@ -529,6 +537,16 @@ class EvaluationConfig:
             probe.episodes for probe in self.probes if isinstance(probe, FilmsProbe)
         ]
         return max(counts, default=0)
+
+    def of_robot(self, robot: Robot) -> "EvaluationConfig":
+        """Return the settings with the thresholds of a robot where they are the default ones."""
+        distance_m = self.distance_m
+        angle_deg = self.angle_deg
+        if distance_m == DISTANCE_M and robot.evaluation_distance_m is not None:
+            distance_m = robot.evaluation_distance_m
+        if angle_deg == ANGLE_DEG and robot.success_angle_deg is not None:
+            angle_deg = max(ANGLE_DEG, robot.success_angle_deg)
+        return replace(self, distance_m=distance_m, angle_deg=angle_deg)
 
     def prepare(self, subject: Subject) -> Subject:
         """Return a subject under the conditions and thresholds of the evaluation."""

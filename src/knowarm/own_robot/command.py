@@ -14,7 +14,8 @@ from knowarm.errors import UserError, printable
 from knowarm.own_robot.camera_check import check_camera
 from knowarm.own_robot.draft import Draft, draft_robot, read_overrides, shrink_distance
 from knowarm.own_robot.object_check import check_objects
-from knowarm.own_robot.robot_check import EVALUATION_M, check_robot
+from knowarm.own_robot.repair import repair_draft
+from knowarm.own_robot.robot_check import check_robot
 from knowarm.own_robot.scene_image import write_scene_image
 from knowarm.own_robot.urdf import MODEL_SUFFIXES, as_mjcf
 from knowarm.pictures import check_suffix
@@ -48,12 +49,14 @@ class Doctor(TableCommand):
     package: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER")] = ()
     """Folders of ROS packages that a URDF or xacro file names and that lie neither above nor beside
     it."""
-    angle_deg: float = EnvConfig.success_angle_deg
-    """Largest angle between gripper and grasp frame in the checks of a robot [deg]."""
+    angle_deg: float | None = None
+    """Largest angle between gripper and grasp frame in the checks of a robot [deg]. Default: its
+    description's, else 15."""
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in the checks of a robot."""
-    distance_m: float = EVALUATION_M
-    """Distance of success in an evaluation with which the check of a fixed list judges [m]."""
+    distance_m: float | None = None
+    """Distance of success in an evaluation with which the check of a fixed list judges [m].
+    Default: its description's, else .10."""
     write: FilePath = None
     """Write the drafted description to this TOML file (model file only); a converted URDF goes
     into a folder of the same name."""
@@ -125,9 +128,7 @@ class Doctor(TableCommand):
         """Check a description, after drafting it where the robot is a bare model file."""
         if not robot.endswith(MODEL_SUFFIXES):
             self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
-            yield from self._check(
-                robot, self.angle_deg, self.ignore_roll, self.distance_m
-            )
+            yield from self._check(robot)
             return
         new = self.write
         if new is not None and (new.suffix != SUFFIX or new.exists()):
@@ -143,8 +144,10 @@ class Doctor(TableCommand):
                 packages=self.package,
             )
             targets = self.targets or EnvConfig().targets
-            draft = draft_robot(model, targets, read_overrides(self.set))
+            given = read_overrides(self.set)
+            draft = draft_robot(model, targets, given)
             if self.task is None:
+                draft = repair_draft(draft, targets, given)
                 draft = shrink_distance(draft, targets)
             if note:
                 draft.how["file"] = note if new else f"{note}; --write keeps the result"
@@ -152,13 +155,9 @@ class Doctor(TableCommand):
             self._print(draft, text, new or Path(file.name))
             with replacing(file) as temporary:
                 temporary.write_text(text, "utf-8")
-            yield from self._check(
-                str(file), draft.success_angle_deg, draft.ignore_roll, draft.distance_m
-            )
+            yield from self._check(str(file))
 
-    def _check(
-        self, robot: str, angle_deg: float, ignore_roll: bool, distance_m: float
-    ) -> Iterable[Check]:
+    def _check(self, robot: str) -> Iterable[Check]:
         """Draw and check a robot's description, or the objects of a task."""
         targets = self.targets or EnvConfig().targets
         if self.image is not None:
@@ -169,16 +168,16 @@ class Doctor(TableCommand):
             return check_robot(
                 robot,
                 targets,
-                angle_deg=angle_deg,
-                ignore_roll=ignore_roll,
-                distance_m=distance_m,
+                angle_deg=self.angle_deg,
+                ignore_roll=self.ignore_roll,
+                distance_m=self.distance_m,
             )
         return check_objects(
             robot,
             self.task,
             self.targets,
-            success_angle_deg=angle_deg,
-            ignore_roll=ignore_roll,
+            success_angle_deg=self.angle_deg or 0.0,
+            ignore_roll=self.ignore_roll,
         )
 
     def _print(self, draft: Draft, text: str, file: Path) -> None:
@@ -187,21 +186,15 @@ class Doctor(TableCommand):
         print_table(title, ["topic", "choice"], list(draft.how.items()))
         print(text)
         agent = "full-fast"
-        judged = draft.evaluation_options()
-        angle = ""
-        if draft.success_angle_deg != EnvConfig.success_angle_deg:
-            angle = f"--angle-deg {draft.success_angle_deg:.0f}"
-        roll = "--ignore-roll" if draft.ignore_roll else ""
-        env_roll = "--env.ignore-roll" if draft.ignore_roll else ""
-        print("Next, each with the options that this arm needs:")
+        print("Next:")
         for command in (
-            f"doctor --robot {file} {judged} {roll}",
-            f"view {file} {angle} {roll}",
-            f"evaluate oracle --env.robot {file} {judged} {env_roll}",
-            f"train {agent} --env.robot {file} {draft.task_options()}",
-            f"evaluate runs/{file.stem}-{agent}/0 {judged}",
+            f"doctor --robot {file}",
+            f"view {file}",
+            f"evaluate oracle --env.robot {file}",
+            f"train {agent} --env.robot {file}",
+            f"evaluate runs/{file.stem}-{agent}/0",
         ):
-            print(f"  knowarm {' '.join(command.split())}")
+            print(f"  knowarm {command}")
         print()
 
     def _refuse(self, needed: str, *options: str) -> None:

@@ -26,11 +26,12 @@ from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.reading import one_line
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import SUCCESS_DISTANCE_M, EnvConfig
 from knowarm.world.objects import find_targets
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
 from knowarm.world.tasks.skills import SKILLS
 
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6)
@@ -89,40 +90,31 @@ class Draft:
     ignore_roll: bool  # Whether that task ignores the rotation about the approach axis
     distance_m: float  # Distance within which an evaluation counts success [m]
 
-    def task_options(self) -> str:
-        """Return the options of ``knowarm train`` for the task that the arm can do, or ''."""
-        options = []
-        if self.distance_m < EnvConfig.success_distance_m:
-            options.append(f"--env.success-distance-m {self.distance_m:g}")
-        if self.success_angle_deg != EnvConfig.success_angle_deg:
-            options.append(f"--env.success-angle-deg {self.success_angle_deg:.0f}")
+    @property
+    def thresholds(self) -> Fields:
+        """The thresholds of success that differ from the usual ones, as fields."""
+        fields: Fields = {}
+        if self.distance_m < SUCCESS_DISTANCE_M:
+            fields["success_distance_m"] = self.distance_m
+        if self.success_angle_deg != SUCCESS_ANGLE_DEG:
+            fields["success_angle_deg"] = self.success_angle_deg
         if self.ignore_roll:
-            options.append("--env.ignore-roll")
-        return " ".join(options)
-
-    def evaluation_options(self) -> str:
-        """Return the options of ``knowarm evaluate`` for the task that the arm can do, or ''."""
-        options = []
-        if self.success_angle_deg != EnvConfig.success_angle_deg:
-            options.append(f"--angle-deg {self.success_angle_deg:.0f}")
+            fields["ignore_roll"] = True
         if self.distance_m < EVALUATION_M:
-            options.append(f"--distance-m {self.distance_m:g}")
-        return " ".join(options)
+            fields["evaluation_distance_m"] = self.distance_m
+        return fields
 
     def toml(self, file: Path | None = None, **given: Any) -> str:
         """Return the description as TOML, with ``mjcf`` relative to its file if that works.
 
         ``given`` replaces fields of the description.
         """
-        how = dict(self.how)
-        how["train with"] = self.task_options()
-        how["evaluate with"] = self.evaluation_options()
-        lines = [f"# {topic}: {text}" for topic, text in how.items() if text]
+        lines = [f"# {topic}: {text}" for topic, text in self.how.items()]
         mjcf = self.robot.mjcf.resolve()
         folder = file.resolve().parent if file else Path.cwd()
         if mjcf.is_relative_to(folder):
             mjcf = mjcf.relative_to(folder)
-        values = self.fields | given
+        values = self.thresholds | self.fields | given
         values["mjcf"] = mjcf.as_posix()
         lines += [f"{name} = {_toml(value)}" for name, value in values.items()]
         if "joint_map" not in self.fields:
@@ -220,7 +212,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     distance_m = round(SCALE * float(np.linalg.norm(robot.rectangle_half_size_m)), 2)
     most_m = EVALUATION_M
     if layout.angle_deg > EASY_DEG:
-        most_m = EnvConfig.success_distance_m
+        most_m = SUCCESS_DISTANCE_M
     draft = Draft(
         robot=robot,
         fields=values,
@@ -335,6 +327,7 @@ def shrink_distance(draft: Draft, targets: Sequence[str]) -> Draft:
         config = EnvConfig(
             robot=str(file),
             targets=tuple(targets),
+            success_distance_m=SUCCESS_DISTANCE_M,
             success_angle_deg=draft.success_angle_deg,
             ignore_roll=draft.ignore_roll,
         )

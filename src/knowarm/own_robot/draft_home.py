@@ -9,7 +9,7 @@ from knowarm.arrays import Floats
 from knowarm.own_robot.draft_reach import NODES, Layout
 from knowarm.own_robot.poses import grasps, rectangle_places, sample_shares
 from knowarm.world.backend import MujocoSimulator
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import SUCCESS_DISTANCE_M
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.reward import measure
 from knowarm.world.tasks.skills.ik import InverseKinematics
@@ -135,5 +135,5 @@ def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     solution = solver.solve(position, matrix.reshape(-1, 9), start)
     change = np.abs(solution.joints - start).max(axis=1)
     in_time = change < MOST_TRAVEL * max(home.travel, 1e-6)
-    reached = solution.within(EnvConfig.success_distance_m, layout.angle_deg)
+    reached = solution.within(SUCCESS_DISTANCE_M, layout.angle_deg)
     return float((in_time & reached).mean())

@@ -57,22 +57,22 @@ def check_robot(
     path: Path | str,
     targets: Sequence[str] = EnvConfig().targets,
     *,
-    angle_deg: float = 15.0,
+    angle_deg: float | None = None,
     ignore_roll: bool = False,
-    distance_m: float = EVALUATION_M,
+    distance_m: float | None = None,
 ) -> Iterator[Check]:
     """Check the robot of a TOML description or name for a task with some objects.
 
     Yield the results in order; only the first if the scene cannot be built. Agents play if all
-    else is well.
+    else is well. Thresholds that are None are the description's.
     """
-    config = EnvConfig(
-        robot=str(path),
-        targets=tuple(targets),
-        success_angle_deg=angle_deg,
-        ignore_roll=ignore_roll,
-    )
     try:
+        config = EnvConfig(
+            robot=str(path),
+            targets=tuple(targets),
+            success_angle_deg=angle_deg or 0.0,
+            ignore_roll=ignore_roll,
+        )
         env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:
         yield Check("scene", False, str(error), "Correct what that line names.")
@@ -83,7 +83,10 @@ def check_robot(
         yield check
         failed += not check.ok
     if not failed:
-        yield from check_agents(replace(config, image_size=1), distance_m)
+        distance_m = distance_m or env.scene.robot.evaluation_distance_m
+        yield from check_agents(
+            replace(config, image_size=1), distance_m or EVALUATION_M
+        )
 
 
 def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
@@ -100,7 +103,8 @@ def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
     for name in env.config.targets:
         alone = replace(env.config, targets=(name,), colours="randomized")
         one = ArmVectorEnv(alone, SAMPLES)
-        yield _check_reach(one)
+        others = [other for other in env.config.targets if other != name]
+        yield _check_reach(one, others)
         yield from _check_visible(one)
 
 
@@ -247,7 +251,19 @@ def _check_gripper(env: ArmVectorEnv) -> Check:
     )
 
 
-def _check_reach(env: ArmVectorEnv) -> Check:
+def check_ways(config: EnvConfig) -> Iterator[Check]:
+    """Check the reach of every target, and the oracle's way if all are reached."""
+    is_reached = True
+    for name in config.targets:
+        env = ArmVectorEnv(replace(config, targets=(name,), image_size=1), SAMPLES)
+        check = _check_reach(env)
+        yield check
+        is_reached &= check.ok
+    if is_reached:
+        yield next(check_agents(replace(config, image_size=1)))
+
+
+def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     scene = env.scene
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
@@ -268,7 +284,12 @@ def _check_reach(env: ArmVectorEnv) -> Check:
         better = ~reached & again.reached
         for name in ("joints", "distance", "angle", "contact"):
             getattr(solution, name)[better] = getattr(again.solution, name)[better]
-    remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
+    remedy = "move or shrink the rectangle, turn the target with target_yaws_deg"
+    if (way.steps > way.most_steps).any():
+        remedy += f", enlarge mpi_rad, which is {scene.robot.mpi_rad:g}"
+    if others:
+        remedy += f", or leave it out: --targets {' '.join(others)}"
+    remedy += "."
     return check_reach(way, 0, episodes.position, remedy)
 
 

@@ -20,6 +20,7 @@ from knowarm.experiment.summary import Summary
 from knowarm.reading import read_json, reading
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import RunKey
+from knowarm.world.robots import find_robot
 
 State = Literal[
     "waiting",  # not started
@@ -169,6 +170,9 @@ def missing_evaluations(
         made_with = None
         with suppress(UserError):
             made_with = Summary.read(folder.evaluation(evaluation.folder)).config
+        if made_with is not None and made_with != evaluation:
+            robot = find_robot(folder.experiment().env.robot)
+            evaluation = evaluation.of_robot(robot)
         if made_with != evaluation:
             missing.append(evaluation)
     return missing

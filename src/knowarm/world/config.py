@@ -1,6 +1,7 @@
 """Configuration of an environment: robot, task, objects, thresholds and image."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -19,6 +20,7 @@ from knowarm.world.tasks.sampling import Colours, Setting
 from knowarm.world.tasks.task import Task
 
 MAX_IMAGE_SIZE = 4096
+SUCCESS_DISTANCE_M = 0.05  # Of training, as in the paper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +41,15 @@ class EnvConfig:
     """Servos, inertia and contacts, or joint angles set exactly."""
     max_episode_steps: int = 0
     """Steps after which an episode is truncated. 0: the task's, 50 as in the paper or more."""
-    success_distance_m: float = 0.05
-    """Distance from gripper to grasp point below which a target counts as reached [m]."""
-    success_angle_deg: float = SUCCESS_ANGLE_DEG
-    """Angle between gripper and grasp frame below which a target counts as reached [deg]."""
+    success_distance_m: float = 0.0
+    """Distance from gripper to grasp point below which a target counts as reached [m]. 0: the
+    robot's, 5 cm as in the paper where its description states none."""
+    success_angle_deg: float = 0.0
+    """Angle between gripper and grasp frame below which a target counts as reached [deg]. 0: the
+    robot's, 15 as in the paper where its description states none."""
     ignore_roll: bool = False
-    """Ignore the rotation about the approach axis in the angle."""
+    """Ignore the rotation about the approach axis in the angle. Where a threshold is left out, a
+    robot's description may say it too."""
     mpi_rad: float | None = None
     """Maximum position increment (MPI), the largest joint step of an action [rad] (slides: [m]);
     None takes the robot's own."""
@@ -73,6 +78,8 @@ class EnvConfig:
             "max_episode_steps": self.max_episode_steps or task.skill.max_steps,
             "colours": task.asked.colours or self.colours,
         }
+        if not (self.success_distance_m and self.success_angle_deg):
+            derived |= _thresholds(self)
         for name, value in derived.items():
             object.__setattr__(self, name, value)
         check_values(self)
@@ -86,6 +93,13 @@ class EnvConfig:
                 "once."
             )
         self._check_task()
+
+    def rederived(self, changed: Iterable[str]) -> list[str]:
+        """Return which fields are derived again where others are changed: those of the robot."""
+        if "robot" not in changed:
+            return []
+        blank = replace(self, **_BLANK)
+        return [name for name in _BLANK if getattr(self, name) == getattr(blank, name)]
 
     def _check_task(self) -> None:
         task = self.task
@@ -113,6 +127,26 @@ class EnvConfig:
                     f"EnvConfig.{name} cannot be combined with the task {task.name!r}, whose "
                     "questions decide what stands in the rectangle. Leave one of them out."
                 )
+
+
+_BLANK: dict[str, Any] = {
+    "success_distance_m": 0.0,
+    "success_angle_deg": 0.0,
+    "ignore_roll": False,
+}
+"""Fields that are the robot's where they are left out."""
+
+
+def _thresholds(config: EnvConfig) -> dict[str, Any]:
+    """Return the thresholds of success, the robot's where the config states none."""
+    robot = find_robot(config.robot)
+    distance_m = config.success_distance_m or robot.success_distance_m
+    angle_deg = config.success_angle_deg or robot.success_angle_deg
+    return {
+        "success_distance_m": distance_m or SUCCESS_DISTANCE_M,
+        "success_angle_deg": angle_deg or SUCCESS_ANGLE_DEG,
+        "ignore_roll": config.ignore_roll or robot.ignore_roll,
+    }
 
 
 def robot_of(config: EnvConfig) -> Robot:

@@ -57,6 +57,16 @@ _AREA_FIELDS = {
 """Fields of a `Robot` that an `Area` can replace, and the area's names of them."""
 
 
+POSITIVE = (
+    "mpi_rad",
+    "servo_frequency_hz",
+    "success_distance_m",
+    "success_angle_deg",
+    "evaluation_distance_m",
+)
+"""Fields of a `Robot` that are positive where they are stated."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RealJoint:
     """A joint as the real arm names and counts it: value = sign * angle in its unit + offset."""
@@ -145,6 +155,14 @@ class Robot:
     """Point at the centre of the image [m]."""
     camera_fovy_deg: float
     """Vertical field of view [deg]."""
+    success_distance_m: float | None = None
+    """Distance below which a target counts as reached in training [m]; None: 5 cm."""
+    success_angle_deg: float | None = None
+    """Angle below which it does [deg]; None: 15. Evaluations take it where it is above 17."""
+    ignore_roll: bool = False
+    """Whether the rotation about the approach axis is ignored, as for arms of few joints."""
+    evaluation_distance_m: float | None = None
+    """Largest distance of a success in evaluations [m]; None: 10 cm."""
     servo_frequency_hz: float = 7.0
     """Natural frequency of the critically damped position servos [Hz]."""
 
@@ -200,9 +218,10 @@ class Robot:
         yield min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"
         fovy = self.camera_fovy_deg
         yield 0 < fovy < 180, f"camera_fovy_deg must lie between 0 and 180, got {fovy}"
-        for name in ("mpi_rad", "servo_frequency_hz"):
+        for name in POSITIVE:
             value = getattr(self, name)
-            yield value > 0, f"{name} must be positive, got {value}"
+            is_positive = value is None or value > 0
+            yield is_positive, f"{name} must be positive, got {value}"
 
     def for_area(self, name: str) -> "Robot":
         """Return the robot as it is in an area; unchanged if it has none of the name."""
