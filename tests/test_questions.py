@@ -52,6 +52,48 @@ def test_distractors_are_shown_and_related(table: QuestionTable) -> None:
     assert few.tolist() == [[False, True, False, False], [False, False, True, False]]
 
 
+def test_enough_distractors_are_counted_as_one_by_one() -> None:
+    """Equal to the definition, where objects lie in no order and some are never shown."""
+    rng = np.random.default_rng(0)
+    outcomes = set[bool]()
+    for objects_at_most, count in ((3, 2), (40, 4), (150, 30), (150, 1)):
+        objects = rng.integers(objects_at_most, size=200)
+        satisfies = rng.random((9, 200)) < 0.4
+        related = rng.random((200, 200)) < 0.12
+        related |= related.T
+        shown = rng.random(200) < 0.8
+        allowed = satisfies & shown
+        enough = with_distractors(allowed, satisfies, related, shown, objects, count)
+        expected = np.zeros_like(allowed)
+        for query, target in np.argwhere(allowed):
+            beside = shown & ~satisfies[query] & related[target]
+            others = set(objects[beside].tolist()) - {objects[target]}
+            expected[query, target] = len(others) >= count - 1
+        assert (enough == expected).all()
+        outcomes.update(enough[allowed].tolist())
+    assert outcomes == {True, False}
+
+
+def test_one_asymmetric_pair_among_many_is_named() -> None:
+    facets = tuple((f"o{number}", "red") for number in range(700))
+    satisfies = np.arange(700)[None] % 2 == 0
+    related = np.ones((700, 700), dtype=np.bool_)
+    arguments = {
+        "queries": (DRINKING,),
+        "facets": facets,
+        "satisfies": satisfies,
+        "askable": satisfies,
+        "shown": np.ones(700, dtype=np.bool_),
+    }
+    QuestionTable(related=related, **arguments)
+    for a, b in ((3, 650), (650, 3), (299, 300), (698, 699)):
+        wrong = related.copy()
+        wrong[a, b] = False
+        with pytest.raises(UserError, match="must be symmetric") as error:
+            QuestionTable(related=wrong, **arguments)
+        assert f"red o{min(a, b)} and red o{max(a, b)} are" in str(error.value)
+
+
 def test_errors_name_what_to_change(table: QuestionTable) -> None:
     for change, message in (
         ({"queries": ()}, "queries is empty"),

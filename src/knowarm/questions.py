@@ -6,10 +6,10 @@ facet that is its target. A facet is an object, or one of its parts, in one of i
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
+from itertools import chain, combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,8 @@ OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet an
 PART = "."  # Joins the names of an object and its part: "mug.handle"
 SURE = 0.5  # Probability from which a facet counts as an answer
 AT_ONCE = 4096  # Questions whose distractors are found at once
+TILE = 256  # Rows and columns of a matrix that are compared at once
+OBJECTS_AT_ONCE = 32  # Objects among which they are looked for first
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
 # A facet: an object or part, and one of its colours, by name
 ObjectColour = tuple[str, str]
@@ -117,7 +119,7 @@ class QuestionTable:
                     f"QuestionTable.{name} must be a bool array of shape {shape} for {queries} "
                     f"queries and {facets} facets, got {array.dtype} of shape {array.shape}."
                 )
-        for a, b in np.argwhere(self.related != self.related.T):
+        for a, b in _asymmetric(self.related):
             raise UserError(
                 f"QuestionTable.related must be symmetric: {_words(self.facets[a])} and "
                 f"{_words(self.facets[b])} are related in one direction only."
@@ -167,7 +169,8 @@ class QuestionTable:
         """
         satisfies = self.satisfies[query]
         related = self.related[target]
-        return _distractors(satisfies, related, self.shown, self.objects, target)
+        own = self.objects[target]
+        return _distractors(satisfies, related, self.shown, self.objects, own)
 
     def check_objects(self, count: int) -> None:
         """Check that every question has enough distractors for ``count`` objects per episode."""
@@ -263,26 +266,53 @@ def with_distractors(
 ) -> Mask:
     """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
     order = np.argsort(objects, kind="stable")
+    order = order[shown[order]]
     _, starts = np.unique(objects[order], return_index=True)
+    bounds = np.append(starts, len(order))
+    query, target = np.nonzero(allowed)
+    counted = np.zeros(len(query), np.int64)
+    lacking = np.arange(len(query))
+    first = 0
+    # Most questions find enough among a few objects.
+    while first < len(starts) and count > 1:
+        last = min(first + max(first, OBJECTS_AT_ONCE), len(starts))
+        facets = order[bounds[first] : bounds[last]]
+        for start in range(0, len(lacking), AT_ONCE):
+            some = lacking[start : start + AT_ONCE]
+            distractors = _distractors(
+                satisfies[np.ix_(query[some], facets)],
+                related[np.ix_(target[some], facets)],
+                shown[facets],
+                objects[facets],
+                objects[target[some]],
+            )
+            begins = starts[first:last] - starts[first]
+            counted[some] += np.logical_or.reduceat(distractors, begins, 1).sum(1)
+        lacking = lacking[counted[lacking] < count - 1]
+        first = last
     enough = allowed.copy()
-    questions = np.argwhere(allowed)
-    for start in range(0, len(questions), AT_ONCE):
-        query, target = questions[start : start + AT_ONCE].T
-        distractors = _distractors(
-            satisfies[query], related[target], shown, objects, target
-        )
-        of_objects = np.logical_or.reduceat(distractors[:, order], starts, axis=1)
-        enough[query, target] = of_objects.sum(axis=1) >= count - 1
+    enough[query[lacking], target[lacking]] = count <= 1
     return enough
 
 
 def _distractors(
-    satisfies: Mask, related: Mask, shown: Mask, objects: Integers, target: Integers
+    satisfies: Mask, related: Mask, shown: Mask, objects: Integers, own: Integers
 ) -> Mask:
-    """Return the distractors of n questions from the rows (n, F) of their queries and targets."""
-    return np.asarray(
-        shown & ~satisfies & related & (objects[target][:, None] != objects)
-    )
+    """Return the distractors of n questions from the rows (n, F) of their queries and targets.
+
+    ``own`` are the numbers of the targets' objects, (n,).
+    """
+    return np.asarray(shown & ~satisfies & related & (own[:, None] != objects))
+
+
+def _asymmetric(related: Mask) -> Iterator[tuple[int, int]]:
+    """Yield where a matrix (F, F) differs from its transpose, by tiles that fit into the cache."""
+    begins = range(0, len(related), TILE)
+    for first, second in combinations_with_replacement(begins, 2):
+        rows = slice(first, first + TILE)
+        columns = slice(second, second + TILE)
+        for a, b in np.argwhere(related[rows, columns] != related[columns, rows].T):
+            yield first + a, second + b
 
 
 def _check_names(kind: str, names: Sequence[str] | Sequence[ObjectColour]) -> None:

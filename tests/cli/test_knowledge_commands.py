@@ -241,6 +241,67 @@ def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
     assert "says nothing about the object 'x'" in error
 
 
+def test_queries_of_an_ontology_are_limited_and_show_their_progress(capsys, tmp_path):
+    """4,600 triples with 1,600 entities that might be objects: each line that limits is true."""
+    graph = tmp_path / "ontology.csv"
+    lines = []
+    for number in range(1600):
+        lines.append(f"c{number:04},subClassOf,k{number % 40}\n")
+        lines.append(f"c{number:04},affords,a{number % 8}\n")
+        if number < 1400:
+            lines.append(f"c{number:04},comment,n{number}\n")
+    graph.write_text("".join(lines))
+    out = tmp_path / "queries.json"
+    words = ("queries", "--graph", graph, "--json", out)
+    code, text, _ = run(capsys, *words, "--most-objects", "240")
+    assert code == 0
+    assert (
+        "1,600 entities are heads of triples and tails of none. The first 240" in text
+    )
+    assert "objects: c0000 to c0239. --objects names others" in text
+    for step in (
+        "about 240 objects",
+        "S3 holds out",
+        "of training, out of",
+        "ions of S5",
+    ):
+        assert sum(step in line for line in text.splitlines()) == 1
+    values = json.loads(out.read_text())
+    for condition in ("affords a3", "subClassOf k39", "comment n7"):
+        assert condition in text
+    assert len(values["conditions"]) == 240 + 40 + 8 + 9
+    names = values["conditions"]["affords a3"]
+    assert names == [f"c{number:04}" for number in range(3, 240, 8)]
+    assert len(names) == 30  # the most that a line names
+    assert f"{', '.join(names)} │" in text
+    shown = values["conditions"]["hasColor red"]
+    assert len(shown) == 240
+    # Named objects are not limited, and few of them show no progress.
+    named = (*words, "--objects", "c0000", "c0001", "c0008", "c0041", "--most-objects")
+    code, text, _ = run(capsys, *named, "2", "--objects-per-episode", "2")
+    assert code == 0
+    assert "..." not in text
+    assert "are taken" not in text
+
+
+def test_rows_and_objects_beyond_the_limits_are_counted(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("knowarm.cli.knowledge.queries.MOST_ROWS", 10)
+    monkeypatch.setattr("knowarm.cli.knowledge.queries.MOST_OBJECTS", 2)
+    out = tmp_path / "queries.json"
+    for words in (("queries",), ("queries", "--split", "S1")):
+        code, text, _ = run(capsys, *words, "--json", out)
+        assert code == 0
+        values = json.loads(out.read_text())
+        rows = values.get("conditions") or values["questions"]
+        assert f"... and {len(rows) - 10} more; --json FILE writes all." in text
+        printed = [line for line in text.splitlines() if line.startswith("│")][:10]
+        for line, names in zip(printed, rows.values(), strict=False):
+            if len(names) > 2 and "│ all" not in line:
+                assert f"and {len(names) - 2} more " in " ".join(line.split())
+            elif "│ all" not in line:
+                assert "more" not in line
+
+
 def test_the_example_of_an_own_graph(capsys, tmp_path):
     """The commands show what the tutorial says."""
     example = ROOT / "examples" / "own_graph" / "tidy.csv"

@@ -14,7 +14,13 @@ from knowarm.cli.knowledge.options import (
     ObjectOptions,
     short_names,
 )
-from knowarm.cli.tables import TableCommand, Values, check_out, print_table
+from knowarm.cli.tables import (
+    TableCommand,
+    Values,
+    check_out,
+    is_terminal,
+    print_table,
+)
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS
@@ -30,12 +36,17 @@ from knowarm.knowledge.probe import query_agreement
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
-from knowarm.questions import QuestionTable
+from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.reading import read_text, replacing
 
 Names = dict[str, list[str]]  # lists of names by what they are of
 MOST_TRIPLES = 60  # most triples that are printed
 MOST_HELD = 12  # most held-out pairs or new triples that are printed
+MOST_ROWS = 500  # most conditions or queries that are printed
+MOST_OBJECTS = 30  # most objects of one of them that are printed
+MANY = (
+    2_000  # with more facets than this, the work takes seconds and shows its progress
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +67,17 @@ class Queries(ObjectOptions, TableCommand):
     """Graph of S5; by default values of the graph are swapped."""
     seed: int = 0
     """Seed of what is held out."""
+    most_objects: int = 1_500
+    """Most objects that are taken where `--objects` names none."""
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "objects_per_episode")
+        at_least(self, 1, "objects_per_episode", "most_objects")
 
     def result(self) -> Values:
         """Read the graph, make the tables and print them."""
         graph = self.read()
-        facets = self.facets(graph)
+        facets = self._limited(self.facets(graph))
         query_graph = QueryGraph(graph, facets)
         if self.agent is not None:
             return self._print_agreement(self.agent, query_graph)
@@ -76,13 +89,27 @@ class Queries(ObjectOptions, TableCommand):
             objects=self.objects_per_episode,
             hold_out=self.hold_out,
             edited=None if self.edited is None else read_graph(self.edited),
+            report=_print_progress if len(facets) > MANY else str,
         )
         if self.split is None:
             return _print_overview(query_graph, splits)
         questions = _questions(splits.test(self.split))
-        rows = [[query, ", ".join(targets)] for query, targets in questions.items()]
-        print_table(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
+        rows = [[query, _listed(list(targets))] for query, targets in questions.items()]
+        _print_rows(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
         return {"split": self.split, "questions": questions}
+
+    def _limited(self, facets: list[ObjectColour]) -> list[ObjectColour]:
+        """Return the facets of the first objects, and say so, if there are too many."""
+        objects = list(dict.fromkeys(name for name, _ in facets))
+        if self.objects or len(objects) <= self.most_objects:
+            return facets
+        print(
+            f"{len(objects):,} entities are heads of triples and tails of none. The first "
+            f"{self.most_objects:,} are taken as objects: {objects[0]} to "
+            f"{objects[self.most_objects - 1]}. --objects names others, --most-objects takes more."
+        )
+        kept = set(objects[: self.most_objects])
+        return [facet for facet in facets if facet[0] in kept]
 
     def _print_agreement(self, agent: str, query_graph: QueryGraph) -> Values:
         known = {}
@@ -132,10 +159,35 @@ def _print_conditions(query_graph: QueryGraph, query_count: int) -> Names:
         names = list(facets)
         conditions[query.name] = names
         is_all = len(names) == len(query_graph.objects)
-        rows.append([query.name, "all" if is_all else ", ".join(names)])
+        rows.append([query.name, "all" if is_all else _listed(names)])
     title = f"{query_count} queries: {len(queries)} of one condition"
-    print_table(title, ["condition", "objects"], rows)
+    _print_rows(title, ["condition", "objects"], rows)
     return conditions
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first names of objects, and how many more there are."""
+    text = ", ".join(names[:MOST_OBJECTS])
+    if len(names) > MOST_OBJECTS:
+        text += f" and {len(names) - MOST_OBJECTS:,} more"
+    return text
+
+
+def _print_rows(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Print the first rows of a table, and say how many more there are."""
+    print_table(title, columns, rows[:MOST_ROWS])
+    if len(rows) > MOST_ROWS:
+        print(f"... and {len(rows) - MOST_ROWS:,} more; --json FILE writes all.")
+
+
+def _print_progress(line: str) -> None:
+    """Print a line that the next one overwrites on a terminal."""
+    if is_terminal():
+        print(f"{line:<60}", end="\r", flush=True)
+    elif line:
+        print(line, flush=True)
 
 
 def _print_sizes(splits: QuerySplits, conditions: Names) -> dict[str, dict[str, int]]:

@@ -5,7 +5,7 @@ facts to be asked by.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.random import Generator
 
+from knowarm.arrays import Mask
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
@@ -209,40 +210,54 @@ class HeldOutQuestions:
     def asked_in_training(self) -> set[Condition]:
         """Conditions that training asks for some object; read it when all draws are done."""
         asked = set[Condition]()
-        for condition, names in self.holders.items():
-            query = Query((condition,))
-            if any(self.in_training(query, name) for name in names):
+        singles = [Query((condition,)) for condition in self.holders]
+        may_ask = self.in_training(singles)
+        for (condition, names), row in zip(self.holders.items(), may_ask, strict=True):
+            if any(row[self._numbers[name]] for name in names):
                 asked.add(condition)
         return asked
 
-    def _held(self, query: Query, name: str) -> set[str]:
-        """Return what training leaves out of a query for an object: its object, values, pairs."""
-        held = set[str]()
-        if name in self.objects:
-            held.add("object")
-        for condition in query.conditions:
-            if condition.value in self.values:
-                held.add("value")
-            if (condition, name) in self.pairs:
-                held.add("pair")
-        return held
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        """The number of each object."""
+        return {name: number for number, name in enumerate(self.asked.objects)}
 
-    def in_training(self, query: Query, name: str) -> bool:
-        """Return whether training may ask a query for an object."""
-        return not self._held(query, name)
+    def _left_out(self, queries: Sequence[Query]) -> tuple[Mask, Mask, Mask]:
+        """Return what training leaves out: objects (1, O), values (Q, 1) and pairs (Q, O)."""
+        objects = np.isin(self.asked.objects, list(self.objects))
+        rows = defaultdict[Condition, Mask](lambda: np.zeros(len(objects), bool))
+        for condition, name in self.pairs:
+            rows[condition][self._numbers[name]] = True
+        values = np.zeros(len(queries), bool)
+        pairs = np.zeros((len(queries), len(objects)), bool)
+        for number, query in enumerate(queries):
+            for condition in query.conditions:
+                values[number] |= condition.value in self.values
+                if condition in rows:
+                    pairs[number] |= rows[condition]
+        return objects[None], values[:, None], pairs
 
-    def is_new_pair(self, query: Query, name: str) -> bool:
-        """Return whether a query is a question of S2."""
-        return self._held(query, name) == {"pair"}
+    def in_training(self, queries: Sequence[Query]) -> Mask:
+        """Return whether training may ask each query for each object, (Q, O)."""
+        objects, values, pairs = self._left_out(queries)
+        return ~(objects | values | pairs)
 
-    def is_new_object(self, query: Query, name: str) -> bool:
-        """Return whether a query is a question of S3, S3a or S3b."""
-        is_asked = self.asked_in_training.issuperset(query.conditions)
-        return is_asked and name in self.objects
+    def is_new_pair(self, queries: Sequence[Query]) -> Mask:
+        """Return which are questions of S2, (Q, O)."""
+        objects, values, pairs = self._left_out(queries)
+        return pairs & ~(objects | values)
 
-    def is_new_value(self, query: Query, name: str) -> bool:
-        """Return whether a query is a question of S4."""
-        return self._held(query, name) == {"value"}
+    def is_new_object(self, queries: Sequence[Query]) -> Mask:
+        """Return which are questions of S3, S3a or S3b, (Q, O)."""
+        asked = self.asked_in_training
+        is_asked = [asked.issuperset(query.conditions) for query in queries]
+        objects, _, _ = self._left_out(queries)
+        return np.array(is_asked)[:, None] & objects
+
+    def is_new_value(self, queries: Sequence[Query]) -> Mask:
+        """Return which are questions of S4, (Q, O)."""
+        objects, values, pairs = self._left_out(queries)
+        return values & ~(objects | pairs)
 
 
 def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:

@@ -68,6 +68,10 @@ class QueryGraph:
             )
         self._ids = np.array(list(map(self._object, self.objects)))
         self.owner = number_objects(self.facets)
+        names, colours = zip(*self.facets, strict=True)
+        self._wholes = np.array(list(map(object_of, names)))
+        self._colours = np.array(colours)
+        self._holders = cache(self._find_holders)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -135,11 +139,10 @@ class QueryGraph:
 
         It is 0 or 1, but for triples with a confidence, which are taken as independent.
         """
-        holders = cache(self._holders)
         table = np.ones((len(queries), len(self.facets)), np.float32)
         for row, query in zip(table, queries, strict=True):
             for condition in query.conditions:
-                row *= holders(condition)
+                row *= self._holders(condition)
         return table
 
     def possible(self) -> Mask:
@@ -171,17 +174,16 @@ class QueryGraph:
                 "it, or leave the object out of the task."
             ) from error
 
-    def _holders(self, condition: Condition) -> Degrees:
+    def _find_holders(self, condition: Condition) -> Degrees:
         """Return the probability that each facet satisfies a condition, (F,)."""
-        names, colours = zip(*self.facets, strict=True)
         if condition.relation == COLOUR_RELATION:
-            return np.array(colours) == condition.value
+            return self._colours == condition.value
         if condition.relation == OBJECT_RELATION:
-            return np.array(list(map(object_of, names))) == condition.value
+            return self._wholes == condition.value
         graph = self.graph
         relation = graph.find_relation(condition.relation)
         if relation is None:  # an edited graph may lack what another one knows
-            return np.zeros(len(names), bool)
+            return np.zeros(len(self.facets), bool)
         values = graph.values(condition.value)
         stated = self._stated([relation], values)
         denying = opposed(graph, graph.relation_names[relation])

@@ -4,7 +4,8 @@ One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from itertools import compress, filterfalse, product, starmap
+from functools import cached_property
+from itertools import compress, filterfalse
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -53,8 +54,8 @@ HELD_OUT = ("S3", "S4", "S2")
 """Those of objects that belong to no family."""
 
 NOT_NAMED = "hold_out does not name it."
-_Rule = Callable[[Query, str], bool]
-"""Whether a query may be asked for an object."""
+_Rule = Callable[[Sequence[Query]], Mask]
+"""Whether each query may be asked for each object, (Q, O)."""
 
 
 class QuerySplits(NamedTuple):
@@ -85,17 +86,19 @@ def query_splits(
     objects: int = 4,
     hold_out: Collection[str] = HELD_OUT,
     edited: KnowledgeGraph | None = None,
+    report: Callable[[str], object] = str,
 ) -> QuerySplits:
     """Draw what is held out, and make the table of training and those of the tests.
 
     Each split draws from its own stream of the seed. Only the splits in ``hold_out`` have a test. A
     question needs as many distractors as there are objects per episode, less one. ``edited`` is the
-    graph of S5; None draws one by `draw_edits`.
+    graph of S5; None draws one by `draw_edits`. ``report`` receives a line before each step.
     """
     for name in hold_out:
         if name not in DRAWN:
             raise unknown_name("split to hold out", name, DRAWN)
     asked = QueryGraph(graph, facets)
+    report(f"Queries about {len(asked.objects):,} objects ...")
     maker = _Maker(asked, pairs, objects)
     held = maker.held
     reasons = dict.fromkeys(HELD_OUT, NOT_NAMED)
@@ -103,9 +106,11 @@ def query_splits(
         rng = np.random.default_rng(seed_sequence(seed, "splits", number))
         try:
             if name in hold_out:
+                report(f"What {name} holds out ...")
                 hold(held, rng, objects)
         except UserError as error:
             reasons[name] = str(error)
+    report(f"Questions of training, out of {len(maker.queries):,} queries ...")
     train = maker.table(held.in_training)
     if train is None:
         raise UserError(
@@ -115,12 +120,16 @@ def query_splits(
         )
     tables: dict[str, QuestionTable | None] = {"S1": train}
     if held.pairs:
+        report("Questions of S2 ...")
         tables["S2"] = maker.table(held.is_new_pair)
     for name in NEW_OBJECTS:
         if name in held.new:
+            report(f"Questions of {name} ...")
             tables[name] = maker.table(held.is_new_object, show=held.new[name])
     if held.values:
+        report("Questions of S4 ...")
         tables["S4"] = maker.table(held.is_new_value)
+    report("Questions of S5 ...")
     try:
         if edited is None:
             rng = np.random.default_rng(seed_sequence(seed, "splits", 5))
@@ -138,12 +147,13 @@ def query_splits(
             f"no question of it has {objects - 1} distractors that share something with the "
             "target. Give more objects or facts, or fewer objects per episode."
         )
+    report("")
     reasons = {name: reasons[name] for name in SPLITS if name in reasons}
     return QuerySplits(train, tests, reasons, held, edited)
 
 
 class _Maker:
-    """Makes tables from rules about (query, object)."""
+    """Makes tables from rules about queries and objects."""
 
     def __init__(self, asked: QueryGraph, pairs: Pairs, objects: int) -> None:
         self.asked = asked
@@ -159,10 +169,15 @@ class _Maker:
                 holders[query.conditions[0]] = sorted(names)
         self.held = HeldOutQuestions(asked, holders)
 
+    @cached_property
+    def related(self) -> Mask:
+        """Whether two facets share a condition, (F, F)."""
+        return _related(self.satisfies[: len(self.held.holders)])
+
     def table(
         self, rule: _Rule, *, show: Collection[str] | None = None
     ) -> QuestionTable | None:
-        """Return the table of the questions that a rule about (query, object) allows, if any.
+        """Return the table of the questions that a rule about queries and objects allows, if any.
 
         A facet is shown only if some question has it as its target, so that what is seen does not
         tell what is asked. ``show`` names the objects that may be seen; None: those of training.
@@ -173,8 +188,8 @@ class _Maker:
             shown &= ~self._of(self.held.objects)
         else:
             shown &= self._of(show)
-        related = _related(satisfies[: len(self.held.holders)])
-        allowed = satisfies & self._allowed(self.queries, rule)
+        related = self.related
+        allowed = satisfies & rule(self.queries)[:, self.owner]
         while True:
             askable = with_distractors(
                 allowed & shown, satisfies, related, shown, self.owner, self.objects
@@ -200,7 +215,7 @@ class _Maker:
         satisfies = other.answers(queries)
         before = self.asked.answers(queries)
         shown = other.possible() & ~self._of(self.held.objects)
-        in_training = self._allowed(queries, self.held.in_training)
+        in_training = self.held.in_training(queries)[:, self.owner]
         new = satisfies & ~before & in_training & shown
         if not new.any():
             raise UserError(
@@ -221,12 +236,6 @@ class _Maker:
         numbers = map(self.asked.objects.index, names)
         return np.isin(self.owner, list(numbers))
 
-    def _allowed(self, queries: Sequence[Query], rule: _Rule) -> Mask:
-        """Return a rule about (query, object) for each query and facet, (Q, F) bool."""
-        pairs = product(queries, self.asked.objects)
-        by_object = np.fromiter(starmap(rule, pairs), bool).reshape(len(queries), -1)
-        return by_object[:, self.owner]
-
     def _table(
         self,
         queries: Sequence[Query],
@@ -244,5 +253,7 @@ class _Maker:
 
 def _related(conditions: Mask) -> Mask:
     """Return which facets share one of the conditions (C, F): (F, F) bool."""
-    shares = conditions.astype(np.float32)
-    return np.asarray(shares.T @ shares > 0)
+    packed = np.packbits(conditions, axis=0)
+    _, first, kind = np.unique(packed, axis=1, return_index=True, return_inverse=True)
+    shares = conditions[:, first].astype(np.float32)
+    return np.asarray(shares.T @ shares > 0)[kind][:, kind]
