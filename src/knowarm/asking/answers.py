@@ -18,7 +18,7 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.knowledge.queries.sparql import SparqlQuery
-from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
+from knowarm.questions import AND, COLOUR_RELATION, SURE, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
 
@@ -288,6 +288,8 @@ def words(
 ) -> Words:
     """Return what a graph can be asked about objects: colours first, then its facts.
 
+    Facts that are less probable than not are none of them.
+
     Args:
         graph, facets, names: as of `answer`.
     """
@@ -298,8 +300,14 @@ def words(
         for row in graph.out_rows(entity):
             tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
+            triple = (
+                graph.names[entity],
+                graph.relation_names[graph.relations[row]],
+                graph.names[tail],
+            )
             is_unnamed = graph.names[tail].startswith(('"', "_:"))
-            if is_unnamed or local_name(relation) == COLOUR_RELATION:
+            is_sure = graph.confidence.get(triple, 1.0) >= SURE
+            if is_unnamed or local_name(relation) == COLOUR_RELATION or not is_sure:
                 continue
             value = graph.names.short(tail)
             objects.setdefault(relation, {}).setdefault(value, []).append(name)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from knowarm.asking.answers import Answers, Words, answer, words
+from knowarm.asking.quotes import condition
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.knows import read_known_graph
 from knowarm.experiment.load import TrainedAgent, load_agent
@@ -211,7 +212,7 @@ class Asker:
         for relation, values in self.words.items():
             if relation != COLOUR_RELATION:
                 most_common = max(values, key=lambda value: len(values[value]))
-                facts.append(f"{relation} {most_common}")
+                facts.append(condition(relation, most_common))
         questions = [IN_WORDS]
         if facts:
             questions.append(f"{facts[0]} and not hasColor blue")

@@ -10,7 +10,7 @@
     leftOf (is vase) or rightmost              where it stands in the image
 
 "not" binds tighter than "and", and that tighter than "or". A value reaches to the next keyword or
-bracket; in double quotes it may hold any of them.
+bracket; in double quotes it may hold any of them, and double quotes behind a backslash.
 """
 
 import operator
@@ -44,6 +44,7 @@ from knowarm.asking.places import (
     beside,
     by_distance,
 )
+from knowarm.asking.quotes import QUOTED, unquoted
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -65,7 +66,7 @@ MOST_NESTED = 50
 MOST_WORDS = 500
 """Most brackets and negations of a question, and most words."""
 
-_TOKEN = re.compile(r'"[^"]*"|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
+_TOKEN = re.compile(QUOTED + r'|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
 _NO_NAMES = {"", "and", "or", "not", "count", "(", ")", *SIGNS}
 _COLOUR = [name_key(COLOUR_RELATION), name_key("hasColour")]
 
@@ -282,7 +283,7 @@ class QuestionReader:
         """Read a value: all words to the next keyword or bracket."""
         names = []
         while name := self.take_name():
-            names.append(name.strip('"'))
+            names.append(unquoted(name))
         value = " ".join(names)
         if not value:
             raise self.wrong(expected)
@@ -419,7 +420,7 @@ class QuestionReader:
 
     def relation(self) -> _Relation:
         """Read one word: the name of a relation, its last part or its label."""
-        word = self.take_name().strip('"')
+        word = unquoted(self.take_name())
         if not word:
             raise self.wrong("a relation")
         names = self.graph.relation_names

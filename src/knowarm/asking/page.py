@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from knowarm.asking.asker import SCENES, Asked, Asker, in_words
+from knowarm.asking.quotes import condition
 from knowarm.errors import UserError
 from knowarm.local_server import ADDRESS, listen, refusal
 from knowarm.perception.config import Unclear
@@ -112,6 +113,7 @@ def page(
         "question": question,
         "edits": edits,
         "asker": asker,
+        "condition": condition,
         "problem": problem,
         "style": Markup(style_sheet()),
         "scene": scene,

@@ -17,6 +17,7 @@ from knowarm.asking.lexicon import (
     near,
     spaced,
 )
+from knowarm.asking.quotes import condition, quoted
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
@@ -64,7 +65,7 @@ class Vocabulary:
         self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
         entries = []
         for colour in colours:
-            text = f"{COLOUR_RELATION} {_quoted(colour)}"
+            text = condition(COLOUR_RELATION, colour)
             entries.append(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
             if name_key(name) in ("hascolor", "hascolour"):
@@ -112,8 +113,10 @@ class Vocabulary:
     def _entry(self, relation: str, tail: int, inner: str = "") -> Entry:
         """Return the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
         names = self.graph.names
-        value = _quoted(local_name(names.short(tail)))
-        text = f"{relation} ({inner} {value})" if inner else f"{relation} {value}"
+        value = local_name(names.short(tail))
+        text = condition(relation, value)
+        if inner:
+            text = f"{quoted(relation)} ({condition(inner, value)})"
         return Entry(words_of(self._label(names[tail])), relation, text, inner)
 
     def family(self, relation: str) -> Family:
@@ -140,6 +143,8 @@ class Vocabulary:
         """
         is_use = word in WORDS["uses"] or (counted and word in WORDS["use"])
         for relation, words in self.words.items():
+            if not words:
+                continue
             family = self.family(relation)
             is_noun = words[0] in _HAVE or family is FAMILIES["part"]
             if relation != COLOUR_RELATION and is_noun and near(word, words[-1:], 0):
@@ -191,10 +196,3 @@ def words_of(label: str) -> tuple[str, ...]:
     """Return the words of a name or label in lower case."""
     label = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", label)  # of ConceptNet
     return tuple(re.findall(r"[^\W_]+(?:\.\d+)?", spaced(label).casefold()))
-
-
-def _quoted(name: str) -> str:
-    """Return a name as questions write it."""
-    if re.fullmatch(r"[^\s()<>=!\"]+", name):
-        return name
-    return f'"{name}"'

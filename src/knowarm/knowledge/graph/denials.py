@@ -68,9 +68,14 @@ def denial(relation: str) -> str:
 
 
 def opposed(graph: KnowledgeGraph, relation: str) -> list[int]:
-    """Return the ids of the relations of a graph that deny a relation, or that it denies."""
+    """Return the ids of the relations of a graph that deny a relation, or that it denies.
+
+    A name without words, such as ">=", and one of a negation alone have none.
+    """
     wanted = stance(relation, graph.labels.get(relation, ""))
-    ids = []
+    ids = list[int]()
+    if not wanted.subject:
+        return ids
     for index, name in enumerate(graph.relation_names):
         subject, denies = stance(name, graph.labels.get(name, ""))
         if subject == wanted.subject and denies != wanted.denies:
