@@ -186,9 +186,9 @@ class Asker:
         return answer(edited(self._graph, edit), self.facets, question, self._names)
 
     @cached_property
-    def threshold(self) -> float:
-        """Likelihood from which a visible object counts as an answer."""
-        return self.trained.threshold(self._level)
+    def thresholds(self) -> torch.Tensor:
+        """Likelihoods from which a visible object counts as an answer, by facet, (F,)."""
+        return self.trained.thresholds(self._level)
 
     @cached_property
     def seen(self) -> list[str]:
@@ -302,7 +302,7 @@ class Asker:
         stated = answers.stated
         if stated.any() and (stated < answers.degrees).any():
             seen = self._see(image, stated)
-            if seen.candidates(self.threshold).any():
+            if seen.candidates(self.thresholds).any():
                 return answers, stated
         return answers, answers.degrees
 
@@ -346,7 +346,7 @@ class Asker:
             wanted = np.array([facet == picked for facet in self.facets])
             unclear = "guess"
         agent = self.trained.answering(
-            wanted[None], unclear=unclear, threshold=self.threshold
+            wanted[None], unclear=unclear, thresholds=self.thresholds
         )
         film = record_episode(agent, self._env, episode)
         end = self._env.running
@@ -355,7 +355,7 @@ class Asker:
         nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
         named = self._named(seen.named[0].numpy())
-        may_answer = seen.candidates(self.threshold)[0].tolist()
+        may_answer = seen.candidates(self.thresholds)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
         return Asked(
             answers=answers,

@@ -296,7 +296,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     if is_unclear:
         options["unclear"] = subject.unclear
     if subject.level is not None:
-        options["threshold"] = trained.threshold(subject.level)
+        options["thresholds"] = trained.thresholds(subject.level)
     return trained.with_knowledge(knowledge, **options)
 
 

@@ -17,7 +17,7 @@ from knowarm.experiment.run_folder import RunFolder, given_network, stored_netwo
 from knowarm.learn import read_checkpoint
 from knowarm.learn.checkpoint import to_tensors
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
-from knowarm.perception.calibration import calibrated_threshold
+from knowarm.perception.calibration import calibrated_thresholds
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
@@ -103,10 +103,10 @@ class TrainedAgent:
         actions = self.agent.act({"image": images})
         return actions.reshape(*shape[:-3], -1)
 
-    def threshold(self, level: float) -> float:
-        """Return the likelihood from which its network takes an object for a possible answer."""
+    def thresholds(self, level: float) -> torch.Tensor:
+        """Return the likelihoods from which its network takes objects for answers, by facet."""
         assert self.network is not None
-        return calibrated_threshold(
+        return calibrated_thresholds(
             self.network, self.config.env, level, self.config.seed
         )
 

@@ -33,19 +33,25 @@ class SeenAnswers(NamedTuple):
     """Where they stand, (n, m) int64."""
     answering: Tensor
     """Whether these facets answer, more probably than not, (n, m) bool."""
-    likelihood: Tensor
-    """Probability that what stands there answers, (n, m) float32."""
+    likelihoods: Tensor
+    """Probability that each facet stands there and answers, (n, F, m) float32."""
 
     @property
     def visible(self) -> Tensor:
         """Number of the named facets that answer, (n,) int64."""
         return self.answering.sum(1)
 
-    def candidates(self, threshold: float | None) -> Tensor:
-        """Return which objects may answer: by a likelihood, or without one by name, (n, m)."""
-        if threshold is None:
+    def candidates(self, thresholds: Tensor | None) -> Tensor:
+        """Return which objects may answer, (n, m): by likelihoods, or without thresholds by name.
+
+        ``thresholds`` (F,) are the likelihoods from which a facet alone makes a candidate; several
+        facets together need shares of theirs that add up to 1.
+        """
+        if thresholds is None:
             return self.answering
-        return self.likelihood >= threshold
+        # 0 / 0: a threshold of 0 is always reached
+        shares = (self.likelihoods / thresholds[:, None]).nan_to_num(nan=1.0)
+        return shares.sum(1) >= 1
 
 
 class AnswerGrounding(FrameRecognition):
@@ -63,9 +69,9 @@ class AnswerGrounding(FrameRecognition):
         part = self.network.part_of
         is_other = part[:, None] != part[named][:, None]  # of another part, (n, F, m)
         likelihoods = at_place.masked_fill(is_other, -torch.inf).softmax(1)
-        likelihood = (likelihoods * knowledge[:, :, None]).sum(1)
+        likelihoods *= knowledge[:, :, None]
         answering = knowledge.gather(1, named) >= SURE
-        return SeenAnswers(frames, scores, named, places, answering, likelihood)
+        return SeenAnswers(frames, scores, named, places, answering, likelihoods)
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `FrameRecognition.place_scores`."""
@@ -132,8 +138,8 @@ class AnsweringAgent(PolicyAgent):
         policy: as `PolicyAgent`.
         recognition: the answers and where they stand.
         unclear: what to do where no visible object answers, or several do.
-        threshold: likelihood from which a visible object counts as an answer; see `calibration`.
-            None counts those whose name answers.
+        thresholds: likelihoods from which a visible object counts as an answer, by facet, (F,); see
+            `calibration`. None counts those whose name answers.
         **options: as `PolicyAgent`.
     """
 
@@ -145,12 +151,12 @@ class AnsweringAgent(PolicyAgent):
         recognition: AnswerGrounding,
         *,
         unclear: Unclear = "guess",
-        threshold: float | None = None,
+        thresholds: Tensor | None = None,
         **options: Any,
     ) -> None:
         super().__init__(policy, recognition=recognition, **options)
         self.unclear = unclear
-        self.threshold = threshold
+        self.thresholds = thresholds
 
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`; notes which objects may answer."""
@@ -159,7 +165,7 @@ class AnsweringAgent(PolicyAgent):
         seen = SeenAnswers(*map(torch.cat, zip(*batches, strict=True)))
         self.notes = {
             "places": seen.places.numpy(),
-            "candidates": seen.candidates(self.threshold).numpy(),
+            "candidates": seen.candidates(self.thresholds).numpy(),
         }
         return seen.frames
 
