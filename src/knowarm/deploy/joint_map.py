@@ -48,9 +48,11 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
     joints = dict.fromkeys((*robot.joint_map, *scene.joint_names), RealJoint())
     entries = []
     for joint, real in (joints | dict(robot.joint_map)).items():
-        scale, zero = _unit(joint, real.unit, *map(float, limits[joint]))
-        scale *= real.sign
-        offset = real.sign * zero + real.offset
+        ends = real.range or limits[joint]
+        scale, zero = _unit(joint, real.unit, *map(float, ends))
+        factor = real.sign * real.scale
+        scale *= factor
+        offset = factor * zero + real.offset
         if joint in others:  # The policy does not move it.
             offset += scale * held[joint]
             scale = 0.0
@@ -82,7 +84,8 @@ def _unit(joint: str, unit: str, lower: float, upper: float) -> tuple[float, flo
     if lower >= upper:
         raise UserError(
             f"joint_map.{joint}: {unit} is relative to the limits, which the model does "
-            "not state. Take rad or deg, with an offset."
+            "not state. Give range, such as range = [-1.5, 1.5], or take rad or deg, with an "
+            "offset."
         )
     low = -100.0 if unit == "range_m100_100" else 0.0
     scale = (100.0 - low) / (upper - lower)

@@ -1,6 +1,6 @@
 """``knowarm doctor``: checks of this installation or a robot, and drafts of descriptions."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,9 +11,19 @@ import tyro
 from knowarm.check import Check
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, printable
+from knowarm.own_robot.calibration import (
+    Unit,
+    joint_map_toml,
+    lerobot_map,
+    motor_names,
+    read_calibration,
+    unit_map,
+)
 from knowarm.own_robot.camera_check import check_camera
 from knowarm.own_robot.draft import Draft, draft_robot, read_overrides, shrink_distance
+from knowarm.own_robot.moved_joints import check_moved_joints
 from knowarm.own_robot.object_check import check_objects
+from knowarm.own_robot.plausible import ranges_of
 from knowarm.own_robot.repair import repair_draft
 from knowarm.own_robot.robot_check import check_robot
 from knowarm.own_robot.scene_image import write_scene_image
@@ -22,8 +32,14 @@ from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
-from knowarm.world.robots import DEFAULT_ROBOT
+from knowarm.world.robots import DEFAULT_ROBOT, find_robot
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import load_scene
+
+UNITS: tuple[Unit, ...] = ("rad", "deg")
+LEROBOT_UNITS: tuple[Unit, ...] = ("range", "deg")
+"""Units of all joints, and those in which LeRobot counts calibrated ones; the first by default."""
 
 DRAFT_OPTIONS = ("set", "write", "xacro", "package")
 """Options of the draft of a description from a bare model file."""
@@ -66,6 +82,15 @@ class Doctor(TableCommand):
     """Compare a photograph of the robot at its start with the simulated view, drawn to --image."""
     points: FilePath = None
     """CSV file with the columns point, x and y: pixels of known points in the photograph."""
+    calibration: FilePath = None
+    """LeRobot's calibration file of an arm, from which its joint_map is made; --write names the
+    TOML file that gets it. Default: none, the drafted joint_map counts in --unit."""
+    unit: Unit | None = None
+    """Unit of the real arm's joints in that map: rad, deg, or range for LeRobot's -100 to 100.
+    Default: range with --calibration, else rad."""
+    joints: FilePath = None
+    """CSV file of joints that were told to move by five degrees, with the columns joint, before,
+    after and unit: what the arm itself read."""
     runs: Path = Path("runs")
     """Output folder of training runs, checked for free disk space."""
 
@@ -106,12 +131,17 @@ class Doctor(TableCommand):
     def _checks(self) -> tuple[str, Iterable[Check]]:
         """Return what is checked, and the checks."""
         robot = self.robot or DEFAULT_ROBOT
+        if self.robot is None:
+            self._refuse("--robot", "calibration", "unit", "joints")
         if self.camera is not None:
             self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
             config = EnvConfig(robot=robot)
             overlay = self.image or Path("camera.png")
             checks = check_camera(config, self.camera, self.points, overlay)
             return f"camera of robot {config.robot}", checks
+        if self.joints is not None:
+            self._refuse("no --joints", *DRAFT_OPTIONS, "task", "targets")
+            return f"joints of robot {robot}", check_moved_joints(robot, self.joints)
         if self.task is not None:
             return f"objects of robot {robot}", self._check_robot(robot)
         if self.robot is not None:
@@ -126,11 +156,15 @@ class Doctor(TableCommand):
 
     def _check_robot(self, robot: str) -> Iterator[Check]:
         """Check a description, after drafting it where the robot is a bare model file."""
+        new = self.write
         if not robot.endswith(MODEL_SUFFIXES):
-            self._refuse("--robot with an MJCF, URDF or xacro file", *DRAFT_OPTIONS)
+            maps = self.calibration is not None or self.unit is not None
+            options = [name for name in DRAFT_OPTIONS if name != "write" or not maps]
+            self._refuse("--robot with an MJCF, URDF or xacro file", *options)
+            if maps:
+                self._write_map(find_robot(robot))
             yield from self._check(robot)
             return
-        new = self.write
         if new is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(
                 f"--write must name a {SUFFIX} file that does not exist, got {new}."
@@ -145,7 +179,12 @@ class Doctor(TableCommand):
             )
             targets = self.targets or EnvConfig().targets
             given = read_overrides(self.set)
+            if self.calibration is not None:
+                given["joint_map"] = self._calibrated(model, given, {})
             draft = draft_robot(model, targets, given)
+            if self.unit is not None and self.calibration is None:
+                joints = draft.robot.joints
+                draft.fields["joint_map"] = unit_map(joints, self._unit(UNITS))
             if self.task is None:
                 draft = repair_draft(draft, targets, given)
                 draft = shrink_distance(draft, targets)
@@ -179,6 +218,46 @@ class Doctor(TableCommand):
             success_angle_deg=self.angle_deg or 0.0,
             ignore_roll=self.ignore_roll,
         )
+
+    def _write_map(self, robot: Robot) -> None:
+        """Print the joint map of a description's real arm, or write it to a TOML file."""
+        if self.calibration is None:
+            entries = unit_map(robot.joints, self._unit(UNITS))
+        else:
+            names = motor_names(robot.joint_map)
+            given = {"joint_ranges": robot.joint_ranges}
+            entries = self._calibrated(robot.mjcf, given, names)
+        text = joint_map_toml(entries)
+        if self.write is None:
+            print(text)
+            return
+        if self.write.suffix != SUFFIX or self.write.exists():
+            raise UserError(
+                f"--write must name a {SUFFIX} file that does not exist, got {self.write}."
+            )
+        with replacing(self.write) as temporary:
+            temporary.write_text(text, "utf-8")
+        print(f"Wrote {self.write}; use it: knowarm serve RUN --joint-map {self.write}")
+
+    def _unit(self, allowed: Sequence[Unit]) -> Unit:
+        """Return the unit that is given, the first of those allowed by default."""
+        unit = self.unit or allowed[0]
+        if unit not in allowed:
+            raise UserError(
+                f"--unit must be {' or '.join(allowed)} here, got {unit}. The unit range needs "
+                "--calibration, and LeRobot counts in no radians."
+            )
+        return unit
+
+    def _calibrated(
+        self, mjcf: Path, given: Mapping[str, Any], names: Mapping[str, str]
+    ) -> dict[str, Any]:
+        """Return the joint map that a calibration file gives the joints of a model."""
+        assert self.calibration is not None
+        model = read_mjcf(mjcf, str(mjcf)).compile()
+        ranges = ranges_of(model, given.get("joint_ranges", {}))
+        motors = read_calibration(self.calibration)
+        return lerobot_map(motors, ranges, names, self._unit(LEROBOT_UNITS))
 
     def _print(self, draft: Draft, text: str, file: Path) -> None:
         """Print a draft, and the commands that come next."""

@@ -55,8 +55,9 @@ START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
 
 JOINT_MAP = """
-# The real arm, for knowarm serve, ros, record and export, in its order: value = sign * angle
-# + offset, in the unit: "rad", "deg", or LeRobot's "range_0_100" and "range_m100_100".
+# The real arm, for knowarm serve, ros, record and export, in its order: value = sign * scale
+# * angle + offset, in the unit: "rad", "deg", or LeRobot's "range_0_100" and "range_m100_100",
+# whose ends are the model's limits or range = [-1.9, 1.9]. knowarm doctor --calibration fills it.
 [joint_map]"""
 UNCHANGED = 'sign = 1, offset = 0.0, unit = "rad"'
 """Lines of a drafted joint map, which converts nothing; a held joint is sent if it is named."""

@@ -69,7 +69,7 @@ POSITIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class RealJoint:
-    """A joint as the real arm names and counts it: value = sign * angle in its unit + offset."""
+    """A joint as the real arm counts it: value = sign * scale * angle in its unit + offset."""
 
     name: str = ""
     """Name on the real arm; empty: that of the model."""
@@ -77,8 +77,27 @@ class RealJoint:
     """-1 where the real arm counts the other way."""
     offset: float = 0.0
     """What the real arm reads, in its unit, where the model's angle is 0 (ranges: is added)."""
+    scale: float = 1.0
+    """What the real arm counts per unit, such as for a gear that its maker leaves out."""
+    range: tuple[float, float] | None = None
+    """Angles of the model at which the unit's range begins and ends [rad] (slides: [m]), as the
+    unit at hand was calibrated; None: the limits of the joint."""
     unit: Literal["rad", "deg", "range_0_100", "range_m100_100"] = "rad"
-    """Radians (slides: metres), degrees, or LeRobot's ranges over the joint's limits."""
+    """Radians (slides: metres), degrees, or LeRobot's ranges, over ``range``."""
+
+    def __post_init__(self) -> None:
+        if self.scale <= 0:
+            raise UserError(
+                f"RealJoint.scale must be positive, got {self.scale}; sign = -1 turns a joint."
+            )
+        if self.range is None:
+            return
+        low, high = self.range
+        if low >= high or not self.unit.startswith("range"):
+            raise UserError(
+                f"RealJoint.range is of the units range_0_100 and range_m100_100, with the lower "
+                f"end first; got {low} to {high} of the unit {self.unit!r}."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

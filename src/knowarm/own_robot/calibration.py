@@ -1,0 +1,154 @@
+"""Joint maps of real arms: from LeRobot's calibration file, or one unit for all joints."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from knowarm.arrays import Floats
+from knowarm.config import from_dict
+from knowarm.errors import UserError
+from knowarm.own_robot.poses import Fields
+from knowarm.reading import read_json
+from knowarm.world.robots.robot import RealJoint
+
+TICKS = 4096  # Of a turn of the motors that LeRobot calibrates
+POSITION = ".pos"  # Ends LeRobot's names of joint positions
+GRIPPER_WORDS = ("gripper", "jaw")
+"""Motors with these words in their names open from 0 to 100, in either of LeRobot's units."""
+
+REMEDY = "Give the JSON file that LeRobot wrote when the arm was calibrated."
+
+Unit = Literal["rad", "deg", "range"]
+"""Unit of an arm: radians, degrees, or LeRobot's ranges of its calibration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+    """A motor of a calibration file."""
+
+    id: int = 0
+    """Number on the bus."""
+    drive_mode: int = 0
+    """1 where it counts the other way, which LeRobot or the motor corrects."""
+    homing_offset: int = 0
+    """Shift of its zero, which the motor applies itself [ticks]."""
+    range_min: int
+    """Lowest place of the joint [ticks]."""
+    range_max: int
+    """Highest place of the joint [ticks]."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.range_min < self.range_max < TICKS:
+            raise UserError(
+                f"range_min {self.range_min} and range_max {self.range_max} must lie in 0 to "
+                f"{TICKS - 1}, the lower one first. Calibrate the arm again."
+            )
+
+    @property
+    def span_rad(self) -> float:
+        """Angle between both ends of the range [rad]."""
+        return (self.range_max - self.range_min) * 2 * math.pi / TICKS
+
+    @property
+    def turns(self) -> bool:
+        """Whether the joint turns without end, so that its middle is where it was calibrated."""
+        return self.range_max - self.range_min == TICKS - 1
+
+
+def read_calibration(path: Path) -> dict[str, Motor]:
+    """Read LeRobot's calibration of an arm: its motors by name."""
+    values = read_json(path, remedy=REMEDY)
+    motors = {}
+    for name, fields in values.items():
+        if not isinstance(fields, Mapping) or "range_min" not in fields:
+            raise UserError(
+                f"{path}: {name!r} has no range_min. Files of LeRobot before 0.3 lack it: "
+                "calibrate the arm again with a newer one."
+            )
+        motors[name] = from_dict(Motor, fields, where=f"{path}: {name}")
+    return motors
+
+
+def lerobot_map(
+    motors: Mapping[str, Motor],
+    ranges: Mapping[str, Floats],
+    names: Mapping[str, str],
+    unit: Unit = "range",
+) -> Fields:
+    """Return the joint map of an arm that LeRobot drives, as the fields of its joints.
+
+    LeRobot counts from the middle of the range that was recorded for the unit at hand. That is the
+    middle of the model's range; of a gripper, the closed ends are the same, and of a joint that
+    turns without end the middle is the model's zero.
+
+    Args:
+        motors: the calibration.
+        ranges: limits of the model's joints by name [rad].
+        names: names of motors by those of joints, where they differ.
+        unit: "deg" if LeRobot was set to ``use_degrees``.
+
+    Raises:
+        UserError: motors are not joints of the model.
+    """
+    joints = {names.get(joint, joint): joint for joint in ranges}
+    unknown = [motor for motor in motors if motor not in joints]
+    if unknown:
+        example = f'{{{next(iter(ranges))} = {{name = "{unknown[0]}{POSITION}"}}}}'
+        raise UserError(
+            f"The calibration has the motors {', '.join(unknown)}, which are no joints of the "
+            f"model: {', '.join(ranges)}. Name the motors in the description, such as joint_map = "
+            f"{example}."
+        )
+    entries: Fields = {}
+    for name, motor in motors.items():
+        joint = joints[name]
+        entries[joint] = _entry(name, motor, ranges[joint], unit)
+    return entries
+
+
+def _entry(name: str, motor: Motor, limits: Floats, unit: Unit) -> Fields:
+    """Return the fields of a joint whose motor is calibrated, and whose limits are the model's."""
+    low, high = map(float, limits)
+    middle = 0.0 if motor.turns else (low + high) / 2
+    entry: Fields = {"name": name + POSITION}
+    if any(word in name.lower() for word in GRIPPER_WORDS):
+        entry["unit"] = "range_0_100"
+        entry["range"] = [round(low, 5), round(low + motor.span_rad, 5)]
+    elif unit == "deg":
+        scale = TICKS / (TICKS - 1)
+        entry["unit"] = "deg"
+        entry["scale"] = round(scale, 6)
+        entry["offset"] = round(-scale * math.degrees(middle), 3) + 0.0  # no -0.0
+    else:
+        half = motor.span_rad / 2
+        entry["unit"] = "range_m100_100"
+        entry["range"] = [round(middle - half, 5), round(middle + half, 5)]
+    return entry
+
+
+def unit_map(joints: Iterable[str], unit: Unit) -> Fields:
+    """Return the joint map of an arm that counts all joints in a unit, from the model's zero."""
+    return {joint: {"name": joint, "unit": unit} for joint in joints}
+
+
+def motor_names(joint_map: Mapping[str, RealJoint]) -> dict[str, str]:
+    """Return the motors' names that a joint map gives, by those of the joints."""
+    names = {}
+    for joint, real in joint_map.items():
+        if real.name:
+            names[joint] = real.name.removesuffix(POSITION)
+    return names
+
+
+def joint_map_toml(entries: Mapping[str, Any]) -> str:
+    """Return a joint map as a table in TOML's notation."""
+    lines = ["[joint_map]"]
+    for joint, entry in entries.items():
+        values = ", ".join(
+            f"{key} = {json.dumps(value)}" for key, value in entry.items()
+        )
+        lines.append(f"{json.dumps(joint)} = {{{values}}}")
+    return "\n".join(lines) + "\n"
