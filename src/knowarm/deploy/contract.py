@@ -259,7 +259,12 @@ def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Descrip
 
 def _camera(scene: Scene, size: int) -> Description:
     robot = scene.robot
+    lens = {}
+    if robot.camera_intrinsics is not None:
+        lens["intrinsics"] = robot.camera_intrinsics
+        lens["distortion"] = robot.camera_distortion
     return {
+        **lens,
         "size": size,
         "colours": "RGB",
         "dtype": "uint8",

@@ -174,6 +174,16 @@ class Robot:
     """Point at the centre of the image [m]."""
     camera_fovy_deg: float
     """Vertical field of view [deg]."""
+    camera_roll_deg: float = 0.0
+    """Turn of the camera about its optical axis, from level: positive turns its right side down
+    [deg]."""
+    camera_intrinsics: tuple[float, float, float, float] | None = None
+    """Of the real camera: focal lengths along x and y and the principal point from the upper left
+    corner, x and y, all in heights of its images; None: the field of view is
+    ``camera_fovy_deg``, and the principal point is the centre."""
+    camera_distortion: tuple[float, ...] = ()
+    """Of the real camera's lens: OpenCV's k1, k2, p1, p2, k3; empty: none. The simulated image has
+    none: images of the real camera are rectified."""
     success_distance_m: float | None = None
     """Distance below which a target counts as reached in training [m]; None: 5 cm."""
     success_angle_deg: float | None = None
@@ -237,6 +247,18 @@ class Robot:
         yield min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"
         fovy = self.camera_fovy_deg
         yield 0 < fovy < 180, f"camera_fovy_deg must lie between 0 and 180, got {fovy}"
+        lens = self.camera_distortion
+        has_focus = self.camera_intrinsics is not None
+        yield (
+            len(lens) in (0, 4, 5) and (has_focus or not lens),
+            f"camera_distortion must be k1, k2, p1, p2, k3, beside camera_intrinsics; got {lens}",
+        )
+        if self.camera_intrinsics is not None:
+            focus = self.camera_intrinsics[:2]
+            yield (
+                min(focus) > 0,
+                f"camera_intrinsics must begin with focal lengths, got {focus}",
+            )
         for name in POSITIVE:
             value = getattr(self, name)
             is_positive = value is None or value > 0

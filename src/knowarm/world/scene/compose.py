@@ -226,7 +226,7 @@ def _check_joint(robot: Robot, name: str, joint: Any) -> None:
 
 
 def _add_camera(world: mujoco.MjsBody, robot: Robot) -> None:
-    """Add the policy's camera, level."""
+    """Add the policy's camera, level or rolled."""
     position = np.array(robot.camera_position_m)
     backward = position - np.array(robot.camera_look_at_m)
     if np.linalg.norm(backward[:2]) < 1e-6:
@@ -235,7 +235,8 @@ def _add_camera(world: mujoco.MjsBody, robot: Robot) -> None:
             f"straight above or below camera_look_at_m {robot.camera_look_at_m}; shift one of them."
         )
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, level_axes(backward).ravel())
+    axes = roll(level_axes(backward), robot.camera_roll_deg)
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
     world.add_camera(
         name=CAMERA, pos=position, quat=quaternion, fovy=robot.camera_fovy_deg
     )
@@ -246,6 +247,14 @@ def level_axes(backward: Floats) -> Floats:
     right = np.cross([0.0, 0.0, 1.0], backward)
     axes = np.stack([right, np.cross(backward, right), backward], axis=1)
     return np.asarray(axes / np.linalg.norm(axes, axis=0))
+
+
+def roll(axes: Floats, degrees: float) -> Floats:
+    """Turn a camera's axes (3, 3) about the third, its right side down [deg]."""
+    turn = np.radians(-degrees)
+    right = np.cos(turn) * axes[:, 0] + np.sin(turn) * axes[:, 1]
+    up = np.cos(turn) * axes[:, 1] - np.sin(turn) * axes[:, 0]
+    return np.stack([right, up, axes[:, 2]], axis=1)
 
 
 def _table(table: Table) -> str:
