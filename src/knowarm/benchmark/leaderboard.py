@@ -11,6 +11,7 @@ from markupsafe import Markup
 from knowarm.benchmark.rows import Row, query_gain, read_row
 from knowarm.benchmark.suites import CONTROLS, Suite, by_table, read_suite
 from knowarm.errors import UserError
+from knowarm.escapes import markdown
 from knowarm.reading import replacing
 from knowarm.statistics import Interval
 from knowarm.svg import style_sheet
@@ -127,6 +128,7 @@ def write_leaderboard(rows: Sequence[Row], path: Path) -> list[Path]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    templates.filters["markdown"] = markdown
     templates.filters["percent"] = lambda share: f"{100 * share:.1f}"
     paths = [path.with_suffix(".html"), path.with_suffix(".md")]
     contents = {

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError, packages_of
+from knowarm.escapes import markdown
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.reading import one_line, read_bytes
@@ -129,8 +130,9 @@ def _run_text(folder: RunFolder) -> str:
     """Describe a run, with success and controls of every stored evaluation."""
     config = folder.experiment()
     lines = [
-        f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
-        f"`{config.env.task.name}`, algorithm `{config.learner}`, {folder.steps_trained:,} steps. "
+        f"Policy {markdown(config.name)}, training seed {config.seed}: robot "
+        f"{markdown(config.env.robot)}, task {markdown(config.env.task.name)}, algorithm "
+        f"{markdown(config.learner)}, {folder.steps_trained:,} steps. "
         "One training seed: no claim about the agent.",
         "",
         "| evaluation | episodes | success % | open-loop % | black images % |",
@@ -141,7 +143,7 @@ def _run_text(folder: RunFolder) -> str:
         low = _percent(success.low)
         high = _percent(success.high)
         cells = [
-            summary.label,
+            markdown(summary.label),
             f"{summary['episodes']:,.0f}",
             f"{_percent(success.estimate)} [{low}, {high}]",
         ]

@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from knowarm.errors import UserError
+from knowarm.escapes import csv_cell
 from knowarm.reading import read_json, replacing, write_json, writing
 from knowarm.report.blocks import Column, DataTable, Page, Row, Verdict, flat
 from knowarm.report.collect import collect
@@ -116,9 +117,10 @@ def _write_table(table: DataTable, folder: Path, start: Path) -> Row:
         replacing(path) as temporary,
         temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
     ):
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(_csv_cell, columns))
+        for row in rows:
+            writer.writerow(map(_csv_cell, row.values()))
     return {
         "title": table.title,
         "note": table.note,
@@ -227,6 +229,12 @@ def _plain(value: Any, start: Path) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
+
+
+def _csv_cell(value: Any) -> Any:
+    """Return a value of `_plain` as the CSV holds it: text is no formula."""
+    is_number = value is None or isinstance(value, int | float)
+    return value if is_number else csv_cell(str(value))
 
 
 def _raw(value: Any, start: Path) -> str:

@@ -1,0 +1,36 @@
+"""Escapes: how each output format holds text that a stranger wrote."""
+
+import re
+from collections.abc import Callable, Mapping
+
+from knowarm.errors import printable
+from knowarm.svg import escape
+
+_FORMULA = re.compile(
+    r"(^|[,;|\t\r\n])([\s\ufeff\u200b]*)(?=[=+\-@\uff1d\uff0b\uff0d\uff20])"
+)
+"""Where a spreadsheet begins a cell, also with another separator than the comma, and a formula."""
+_NUMBER = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?")
+_MARKDOWN = re.compile(r"[\\`*_\[\]<>!|&~$\"']")
+
+
+def csv_cell(text: str) -> str:
+    """Return text that no spreadsheet takes for a formula; numbers stay."""
+    if _NUMBER.fullmatch(text):
+        return text
+    return _FORMULA.sub(r"\1\2'", text)
+
+
+def markdown(text: str) -> str:
+    """Return text in one line without links, images, markup and cells of a table."""
+    line = " ".join(printable(text).split())
+    return _MARKDOWN.sub(lambda match: f"&#{ord(match[0])};", line)
+
+
+ESCAPES: Mapping[str, Callable[[str], str]] = {
+    "terminal": printable,
+    "markup": escape,
+    "csv": csv_cell,
+    "markdown": markdown,
+}
+"""Escape by format: HTML, SVG and XML are markup; JSON, Parquet and ONNX escape by themselves."""
