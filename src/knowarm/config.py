@@ -31,6 +31,42 @@ TAGS = ("kind", "name")
 MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
+LEAST_FLOAT = 1e-12
+"""Smallest size of a floating-point number that is not 0."""
+MOST = {
+    "total_steps": 1e12,
+    "every_steps": 1e12,
+    "steps": 1e6,
+    "num_envs": 1e5,
+    "envs_per_worker": 1e5,
+    "images": 1e9,
+    "episodes": 1e8,
+    "learning_rate": 10,
+    "learning_rate_final": 100,
+    "clip_range": 10,
+    "coef": 1e6,
+    "norm": 1e6,
+    "scale": 1e4,
+    "gain": 1e4,
+    "factor": 1e3,
+    "distance_m": 2,
+    "m": 1e3,
+    "rad": 100,
+    "deg": 360,
+    "s": 1e6,
+    "kg": 1e3,
+    "hz": 1e4,
+    "gib": 1e6,
+}
+"""Largest size of a number by the last words of its field: what it counts, or its unit."""
+MOST_INT = 1e5
+"""Largest size of other integers: sizes of networks, passes, processes."""
+MOST_FLOAT = 1e6
+"""Largest size of other floating-point numbers."""
+
+LARGEST_SHOWN = 1e300
+"""Size above which Python may refuse to print an integer."""
+
 _hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
 Fields = Mapping[str, Any]
 """Values of a config's fields, by name."""
@@ -39,7 +75,10 @@ _Reader = Callable[[Any, str], Any]
 
 
 def check_values(config: Any, *, where: str = "") -> None:
-    """Check types and choices of a (nested) config, that numbers are finite, and seeds fit."""
+    """Check types and choices of a (nested) config, and that its numbers make sense.
+
+    They are finite and within `MOST`; a seed fits.
+    """
     if isinstance(config, float):
         if not math.isfinite(config):
             raise UserError(f"{where} must be a finite number, got {config}.")
@@ -57,9 +96,38 @@ def check_values(config: Any, *, where: str = "") -> None:
             if field.is_plain:
                 field.read(value, path)
             check_values(value, where=path)
+            _check_size(name, value, path)
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
+
+
+def _check_size(name: str, value: Any, path: str) -> None:
+    """Check that numbers of a field are of a size that makes sense, see `MOST`."""
+    if isinstance(value, tuple | list):
+        for item in value:
+            _check_size(name, item, path)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or name == "seed":
+        return
+    most = _most(name, MOST_FLOAT if isinstance(value, float) else MOST_INT)
+    if abs(value) > most:
+        given = f"{value}" if abs(value) < LARGEST_SHOWN else "a larger number"
+        raise UserError(f"{path} must be at most {most:g} in size, got {given}.")
+    if isinstance(value, float) and 0 < abs(value) < LEAST_FLOAT:
+        allowed = f"0, or at least {LEAST_FLOAT:g} in size"
+        raise UserError(f"{path} must be {allowed}, got {value}.")
+
+
+@cache
+def _most(name: str, other: float) -> float:
+    """Return the entry of `MOST` with the most last words of a field's name."""
+    words = name.split("_")
+    for first in range(len(words)):
+        most = MOST.get("_".join(words[first:]))
+        if most is not None:
+            return most
+    return other
 
 
 class _Field(NamedTuple):

@@ -486,7 +486,7 @@ def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
         == 0
     )
     assert main(["record", "oracle", "--seed", "-1", "--to", str(tmp_path / "e")]) == 2
-    assert "seed must be at least 0, got -1" in capsys.readouterr().err
+    assert "seed must lie between 0 and 2**63 - 1, got -1" in capsys.readouterr().err
     assert main(["evaluate", "oracle", "--env.task", "chose"]) == 2
     assert "'choose'" in capsys.readouterr().err
 

@@ -45,7 +45,7 @@ def test_without_a_file_a_page_is_opened_in_the_browser(
         (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
         (
             ["irb120", "--seed", "-1", "--strip", "x.png"],
-            "seed must be at least 0, got -1",
+            "seed must lie between 0 and 2**63 - 1, got -1",
         ),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
         (

@@ -113,7 +113,7 @@ def test_a_stop_before_the_first_update_evaluates_once(reach_run, tmp_path):
 @pytest.mark.parametrize("stop_after", [None, 2])
 def test_a_training_ends_early_once_its_rule_is_met(tmp_path, stop_after):
     easy = dataclasses.replace(
-        short().env, success_distance_m=10.0, success_angle_deg=180.0
+        short().env, success_distance_m=2.0, success_angle_deg=180.0
     )
     config = short(env=easy, stop_when=StopWhen(success=1.0, evaluations=5))
     if stop_after is not None:

@@ -155,7 +155,7 @@ def test_the_time_limit_truncates_and_success_terminates(face: Face) -> None:
     easy = face.make(
         2,
         max_episode_steps=1,
-        success_distance_m=9.0,
+        success_distance_m=2.0,
         success_angle_deg=181.0,
         dynamics="kinematic",
     )

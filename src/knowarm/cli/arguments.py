@@ -41,7 +41,7 @@ from tyro.constructors import (
     PrimitiveTypeInfo,
 )
 
-from knowarm.config import TAGS
+from knowarm.config import TAGS, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment import algorithms
 from knowarm.reading import read_text
@@ -216,7 +216,9 @@ def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str])
     """
     if isinstance(command, type):
         parse = getattr(command, "parse", partial(parse_options, command))
-        return parse(prog, arguments)
+        made = parse(prog, arguments)
+        check_values(made, where=prog.split()[-1])
+        return made
     name, *words = arguments or ["--help"]
     if name in HELP:
         summaries = {}

@@ -85,7 +85,6 @@ class View:
     def run(self) -> None:
         """Play the episodes and show or record them."""
         at_least(self, 1, "episodes")
-        at_least(self, 0, "seed")
         above_zero(self, "angle_deg")
         page = self.page
         if not any((page, self.video, self.strip, self.rrd)):

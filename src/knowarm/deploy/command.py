@@ -152,7 +152,6 @@ class Record:
     def run(self) -> None:
         """Play, write and say how many episodes succeeded."""
         at_least(self, 1, "episodes")
-        at_least(self, 0, "seed")
         if self.camera:
             file_name(self, "camera")
         trained = None if is_scripted(self.agent) else load_agent(self.agent)

@@ -36,7 +36,7 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     monkeypatch.setitem(ROBOTS, "irb120", robot)
     _load_scene.cache_clear()
     config = EvaluationConfig(
-        episodes=6, distance_m=9.0, angle_deg=180.0, probes=(LiftProbe(),)
+        episodes=6, distance_m=2.0, angle_deg=180.0, probes=(LiftProbe(),)
     )
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
     summary = evaluate(ZeroAgent(), env, config).summary
