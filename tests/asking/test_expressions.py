@@ -6,7 +6,7 @@ import pytest
 from knowarm.asking.answers import answer
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.formats import read_graph, shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import literal
@@ -318,3 +318,60 @@ def test_words_and_sparql_give_the_same_answers_to_random_questions_with_colours
         assert set(one) == set(other), words
         answered += any(name != "lamp" for name, _ in one)
     assert answered > 100
+
+
+KITCHEN = """@prefix : <http://x#> . @prefix o: <http://other#> .
+:mug :usedFor :drinking ; :near o:stove . :jar :usedFor :storing ."""
+
+
+@pytest.mark.parametrize(
+    ("question", "expected"),
+    [
+        ("SELECT ?object { ?object :usedFor :drinking }", {"mug"}),
+        ("SELECT ?object { ?object :near o:stove }", {"mug"}),
+        ("SELECT ?object { ?object :usedFor :storing ; :hasColor :blue }", {"jar"}),
+        ("SELECT ?object { ?object :hasColor <urn:knowarm:red> }", {"mug", "jar"}),
+        (
+            "PREFIX : <urn:knowarm:> SELECT ?object { ?object :hasColor :blue }",
+            {"mug", "jar"},
+        ),
+        ("usedFor drinking", {"mug"}),
+    ],
+)
+def test_sparql_knows_the_prefixes_of_the_file(tmp_path, question, expected):
+    path = tmp_path / "kitchen.ttl"
+    path.write_text(KITCHEN)
+    facets = [(name, hue) for name in ("mug", "jar") for hue in ("red", "blue")]
+    found = answer(read_graph(path), facets, question).evidence
+    assert {name for name, _ in found} == expected
+    hues = {hue for _, hue in found}
+    assert hues == {"red", "blue"} - {
+        other for hue, other in (("red", "blue"), ("blue", "red")) if hue in question
+    }
+
+
+@pytest.mark.parametrize(
+    ("question", "message"),
+    [
+        (
+            "SELECT ?object { ?object <urn:knowarm:usedFor> :drinking }",
+            r"not hold <urn:knowarm:usedFor> \(but <http://x#usedFor>\)\. Ask another",
+        ),
+        ("SELECT ?object { ?object :usedFor :drinkng }", "hold <http://x#drinkng>"),
+        (
+            "SELECT ?object { ?object k:usedFor :drinking }",
+            "nothing declares the prefix k: Known: :, .*o:",
+        ),
+        (
+            "SELECT ?object { ?object :usedFor :drinking, :storing }",
+            r"storing }'\. Ask another",
+        ),
+    ],
+)
+def test_sparql_without_an_answer_names_what_the_graph_lacks(
+    tmp_path, question, message
+):
+    path = tmp_path / "kitchen.ttl"
+    path.write_text(KITCHEN)
+    with pytest.raises(UserError, match=message):
+        answer(read_graph(path), [("mug", "red"), ("jar", "red")], question)

@@ -16,7 +16,7 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
-from knowarm.knowledge.graph.terms import local_name, name_key
+from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
 from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.questions import AND, COLOUR_RELATION, SURE, ObjectColour
 
@@ -276,8 +276,12 @@ class _Answering:
         text = f"No object of the task answers the question {answers.question!r}."
         if denied:
             text += f" What speaks against it: {'; '.join(list(dict.fromkeys(denied))[:4])}."
-        if not _SPARQL.match(answers.question):
-            text += f" {self.vocabulary.nearest(tokens(answers.question))}"
+        if _SPARQL.match(answers.question):
+            hint = SparqlQuery(self.graph, answers.question).hint
+        else:
+            hint = self.vocabulary.nearest(tokens(answers.question))
+        if hint:
+            text += f" {hint}"
         return UserError(
             f"{text} Ask another one, or add the missing triple to the graph."
         )
@@ -321,7 +325,14 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     """
     query = SparqlQuery(graph, text)
     ids = graph.relation_names.find_local(COLOUR_RELATION)
-    relations = {COLOUR_RELATION, *map(graph.relation_names.__getitem__, ids)}
+    own = query.prefixes[
+        ""
+    ]  # the query may write :hasColor and :blue without a fact of these
+    relations = {
+        COLOUR_RELATION,
+        name_of_iri(own + COLOUR_RELATION),
+        *map(graph.relation_names.__getitem__, ids),
+    }
 
     def judgement(individual: Individual) -> Judgement:
         if individual.entity is None:
@@ -330,7 +341,8 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
         colour = individual.colour
         shown = []
         if colour is not None:
-            shown = [graph.names[i] for i in graph.alike(colour)] or [colour]
+            plain = [colour, name_of_iri(own + colour)]
+            shown = graph.names.at(graph.alike(colour)) or plain
         with query.stating(name, relations, shown):
             result = query.answer()
         other = set(result.columns) - {"object", "colour", "color"}
