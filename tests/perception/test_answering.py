@@ -223,3 +223,20 @@ def test_of_two_visible_answers_the_surer_one_is_found(trained, labels):
     assert (either == 0).float().mean() < 0.8
     torch.testing.assert_close(nearest(0.3, 0.3)[0], either)  # alike: as if certain
     assert (seen.visible == 1).float().mean() > 0.9
+
+
+@torch.no_grad()
+def test_a_doubtful_fact_makes_the_same_candidates_as_a_certain_one(trained, labels):
+    """From one half on: how probable a fact is decides among answers, not whether one is seen."""
+    network = trained.network
+    count = len(network.spec.facets)
+    thresholds = torch.full((count,), 0.6)
+    certain = torch.nn.functional.one_hot(labels.facets[:, 0], count).float()
+    candidates = {}
+    for probability in (1.0, 0.55, 0.45):
+        known = probability * certain
+        seen = AnswerGrounding(network, known).see(labels.images, known)
+        candidates[probability] = seen.candidates(thresholds)
+    assert candidates[1.0].any(1).float().mean() > 0.8
+    assert torch.equal(candidates[0.55], candidates[1.0])
+    assert not candidates[0.45].any()

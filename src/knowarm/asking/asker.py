@@ -8,12 +8,13 @@ from functools import cached_property
 from itertools import compress, groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
 
 from knowarm.asking.answers import Answers, Words, answer, words
+from knowarm.asking.judgements import Judgement
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.knows import read_known_graph
@@ -101,17 +102,32 @@ class Asked:
         return outcome
 
     @property
-    def table(self) -> list[list[str]]:
-        """Answers by object: its name, the colours in which it answers, why the first one does."""
-        evidence = self.answers.evidence
+    def rows(self) -> "list[AnswerRow]":
+        """Answers by object."""
         rows = []
-        for name, group in groupby(evidence, key=itemgetter(0)):
+        for name, group in groupby(self.answers.judgements, key=itemgetter(0)):
             facets = list(group)
             colours = "any"
             if len(facets) < self.known[name]:
                 colours = ", ".join(colour for _, colour in facets)
-            rows.append([name, colours, "; ".join(evidence[facets[0]])])
+            rows.append(AnswerRow(name, colours, self.answers.judgements[facets[0]]))
         return rows
+
+    @property
+    def table(self) -> list[list[str]]:
+        """Answers by object: its name, the colours in which it answers, why the first one does."""
+        rows = []
+        for name, colours, judgement in self.rows:
+            rows.append([name, colours, "; ".join(judgement.evidence)])
+        return rows
+
+
+class AnswerRow(NamedTuple):
+    """An object that answers, the colours in which it does, and the judgement on the first."""
+
+    name: str
+    colours: str
+    judgement: Judgement
 
 
 def in_words(facet: ObjectColour) -> str:

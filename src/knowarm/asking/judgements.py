@@ -40,6 +40,8 @@ class Judgement:
     """Probability that the condition is true, by the confidence of facts."""
     is_stated: bool = True
     """Whether the graph or the image says so; False if it rests on what the graph does not say."""
+    is_denied: bool = False
+    """Whether the graph says so by denying something."""
     is_open: bool = False
     """Whether the places in a scene decide it, and none is known."""
     is_unsettled: bool = False
@@ -73,7 +75,7 @@ def settled(
             return Judgement(False, (f"not stated: {missing}",), 0.0, is_stated=False)
         return replace(stated, holds=stated.probability >= SURE)
     if stated is None or stated.probability < SURE:
-        return Judgement(False, denied.evidence, 0.0)
+        return Judgement(False, denied.evidence, 0.0, is_denied=True)
     both = (*stated.evidence, *denied.evidence)
     return Judgement(False, both, 0.0, is_unsettled=True)
 
@@ -103,6 +105,7 @@ def conjunction(judgements: Iterable[Judgement]) -> Judgement:
         evidence=evidence,
         probability=probability,
         is_stated=all(map(attrgetter("is_stated"), judgements)),
+        is_denied=any(map(attrgetter("is_denied"), judgements)),
         is_open=is_open,
         is_unsettled=is_unsettled,
     )

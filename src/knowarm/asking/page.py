@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from knowarm.asking.asker import SCENES, Asked, Asker, in_words
+from knowarm.asking.judgements import Judgement
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError
 from knowarm.local_server import ADDRESS, listen, refusal
@@ -34,6 +35,15 @@ WIDTH = 340.0
 """Sizes of a label and of the narrowest image that it fits in [px]."""
 HIGH = 100 * LINE / WIDTH
 """Height of a label, in % of the image."""
+BASES = {
+    "stated": "the graph says it.",
+    "seen": "the image or the name says it.",
+    "denied": "the graph says that it is not so, by a relation such as notUsedFor.",
+    "not stated": "the graph does not say it.",
+}
+"""On what an answer may rest, the surest first."""
+_SEEN = ("the image shows", "it is ", "by its place")
+"""How evidence begins that comes from the image and the name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +57,45 @@ class Label:
     y: float
     left: float
     top: float
+
+
+class Reason(NamedTuple):
+    """Objects that answer alike: on what basis, why, and with which probability."""
+
+    names: str
+    colours: str
+    basis: str
+    evidence: tuple[str, ...]
+    probability: float
+
+
+def reasons(asked: Asked) -> list[Reason]:
+    """Return why objects answer: what is stated first, then what is denied, then what neither is.
+
+    Objects with the same evidence share a row.
+    """
+    alike: dict[Reason, list[str]] = {}
+    for name, colours, judgement in asked.rows:
+        basis = _basis(judgement)
+        reason = Reason(
+            "", colours, basis, judgement.evidence, round(judgement.probability, 2)
+        )
+        alike.setdefault(reason, []).append(name)
+    rows = []
+    for reason, names in alike.items():
+        rows.append(reason._replace(names=", ".join(names)))
+    order = list(BASES)
+    return sorted(rows, key=lambda row: order.index(row.basis))
+
+
+def _basis(judgement: Judgement) -> str:
+    """Return on what a judgement rests, one of `BASES`."""
+    if not judgement.is_stated:
+        return "not stated"
+    if judgement.is_denied:
+        return "denied"
+    is_seen = [text.startswith(_SEEN) for text in judgement.evidence]
+    return "seen" if all(is_seen) else "stated"
 
 
 def place_labels(asked: Asked) -> list[Label]:
@@ -114,12 +163,15 @@ def page(
         "edits": edits,
         "asker": asker,
         "condition": condition,
+        "bases": BASES,
         "problem": problem,
         "style": Markup(style_sheet()),
         "scene": scene,
     }
     if asked is not None:
-        values.update(_pictures(asked), labels=place_labels(asked))
+        values.update(
+            _pictures(asked), labels=place_labels(asked), reasons=reasons(asked)
+        )
     elif asker is not None:
         image, facets = asker.look(min(scene or 0, SCENES - 1))
         values["image"] = data_uri("PNG", encode(image, "PNG"))

@@ -34,7 +34,7 @@ class SeenAnswers(NamedTuple):
     answering: Tensor
     """Whether these facets answer, more probably than not, (n, m) bool."""
     likelihoods: Tensor
-    """Probability that each facet stands there and answers, (n, F, m) float32."""
+    """Probability that each facet stands there, 0 where it does not answer, (n, F, m) float32."""
 
     @property
     def visible(self) -> Tensor:
@@ -69,7 +69,8 @@ class AnswerGrounding(FrameRecognition):
         part = self.network.part_of
         is_other = part[:, None] != part[named][:, None]  # of another part, (n, F, m)
         likelihoods = at_place.masked_fill(is_other, -torch.inf).softmax(1)
-        likelihoods *= knowledge[:, :, None]
+        # What answers more probably than not counts; how probably decides which one is chosen.
+        likelihoods *= (knowledge >= SURE)[:, :, None]
         answering = knowledge.gather(1, named) >= SURE
         return SeenAnswers(frames, scores, named, places, answering, likelihoods)
 
