@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
@@ -94,8 +95,9 @@ def _basis(judgement: Judgement) -> str:
         return "not stated"
     if judgement.is_denied:
         return "denied"
-    is_seen = [text.startswith(_SEEN) for text in judgement.evidence]
-    return "seen" if all(is_seen) else "stated"
+    if all(map(methodcaller("startswith", _SEEN), judgement.evidence)):
+        return "seen"
+    return "stated"
 
 
 def place_labels(asked: Asked) -> list[Label]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import compress, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import cast
 
@@ -94,13 +95,15 @@ class Queries(ObjectOptions, TableCommand):
         if self.split is None:
             return _print_overview(query_graph, splits)
         questions = _questions(splits.test(self.split))
-        rows = [[query, _listed(list(targets))] for query, targets in questions.items()]
+        rows = []
+        for query, targets in questions.items():
+            rows.append([query, _listed(list(targets))])
         _print_rows(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
         return {"split": self.split, "questions": questions}
 
     def _limited(self, facets: list[ObjectColour]) -> list[ObjectColour]:
         """Return the facets of the first objects, and say so, if there are too many."""
-        objects = list(dict.fromkeys(name for name, _ in facets))
+        objects = list(dict.fromkeys(map(itemgetter(0), facets)))
         if self.objects or len(objects) <= self.most_objects:
             return facets
         print(

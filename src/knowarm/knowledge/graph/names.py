@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import compress
+from itertools import chain
 from typing import SupportsIndex
 
 import numpy as np
@@ -82,8 +82,11 @@ class Index:
         wanted = hash(text)
         low = np.searchsorted(self._sorted, wanted)
         high = np.searchsorted(self._sorted, wanted, "right")
-        rows = self._order[low:high].tolist()
-        return sorted({self.ids[row] for row in rows if self.texts[row] == text})
+        ids = set[int]()
+        for row in self._order[low:high]:
+            if self.texts[row] == text:
+                ids.add(self.ids[row])
+        return sorted(ids)
 
 
 class AmbiguousNameError(UserError):
@@ -135,8 +138,9 @@ class Spellings:
         key = name_key(name)
         ids = set(self._by_key[key])
         if is_iri(name):
-            last = self._by_key[name_key(local_name(name))]
-            ids.update(i for i in last if name_key(self.names[i]) == key)
+            for index in self._by_key[name_key(local_name(name))]:
+                if name_key(self.names[index]) == key:
+                    ids.add(index)
         yield sorted(ids)
 
     @cached_property
@@ -156,8 +160,12 @@ class Spellings:
     @cached_property
     def _by_key(self) -> Index:
         by_local = self.names.by_local
-        ids = [*by_local.ids, *self._labelled]
-        texts = [*by_local.texts, *self._labelled.values()]
-        is_named = [not self.names[index].startswith(('"', "_:")) for index in ids]
-        keys = list(map(name_key, compress(texts, is_named)))
-        return Index(keys, list(compress(ids, is_named)))
+        ids = []
+        keys = []
+        for index, text in chain(
+            zip(by_local.ids, by_local.texts, strict=True), self._labelled.items()
+        ):
+            if not self.names[index].startswith(('"', "_:")):
+                ids.append(index)
+                keys.append(name_key(text))
+        return Index(keys, ids)

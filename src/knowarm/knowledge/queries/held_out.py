@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 from numpy.random import Generator
@@ -210,17 +211,17 @@ class HeldOutQuestions:
     def asked_in_training(self) -> set[Condition]:
         """Conditions that training asks for some object; read it when all draws are done."""
         asked = set[Condition]()
-        singles = [Query((condition,)) for condition in self.holders]
-        may_ask = self.in_training(singles)
+        may_ask = self.in_training(list(map(Query.of, self.holders)))
         for (condition, names), row in zip(self.holders.items(), may_ask, strict=True):
-            if any(row[self._numbers[name]] for name in names):
+            if row[list(map(self._numbers.__getitem__, names))].any():
                 asked.add(condition)
         return asked
 
     @cached_property
     def _numbers(self) -> dict[str, int]:
         """The number of each object."""
-        return {name: number for number, name in enumerate(self.asked.objects)}
+        names = self.asked.objects
+        return dict(zip(names, range(len(names)), strict=True))
 
     def _left_out(self, queries: Sequence[Query]) -> tuple[Mask, Mask, Mask]:
         """Return what training leaves out: objects (1, O), values (Q, 1) and pairs (Q, O)."""
@@ -249,8 +250,8 @@ class HeldOutQuestions:
 
     def is_new_object(self, queries: Sequence[Query]) -> Mask:
         """Return which are questions of S3, S3a or S3b, (Q, O)."""
-        asked = self.asked_in_training
-        is_asked = [asked.issuperset(query.conditions) for query in queries]
+        conditions = map(attrgetter("conditions"), queries)
+        is_asked = list(map(self.asked_in_training.issuperset, conditions))
         objects, _, _ = self._left_out(queries)
         return np.array(is_asked)[:, None] & objects
 

@@ -188,9 +188,9 @@ class SparqlQuery:
         """Return the error for a query that the parser refuses."""
         _, undeclared = self._names()
         if undeclared and "Prefix not found" in str(error.msg):
-            known = ", ".join(f"{prefix}:" for prefix in self.prefixes)
+            known = ":, ".join(self.prefixes)
             return UserError(
-                f"SPARQL query: nothing declares the prefix {undeclared[0]}: Known: {known}. "
+                f"SPARQL query: nothing declares the prefix {undeclared[0]}: Known: {known}:. "
                 f"Take one of these, or begin with PREFIX {undeclared[0]}: and its IRI in <>."
             )
         match = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
