@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from knowarm.world.robots.robot import RealJoint
 
 TICKS = 4096  # Of a turn of the motors that LeRobot calibrates
 POSITION = ".pos"  # Ends LeRobot's names of joint positions
-GRIPPER_WORDS = ("gripper", "jaw")
+GRIPPER_WORDS = re.compile("gripper|jaw", re.IGNORECASE)
 """Motors with these words in their names open from 0 to 100, in either of LeRobot's units."""
 
 REMEDY = "Give the JSON file that LeRobot wrote when the arm was calibrated."
@@ -114,7 +115,7 @@ def _entry(name: str, motor: Motor, limits: Floats, unit: Unit) -> Fields:
     low, high = map(float, limits)
     middle = 0.0 if motor.turns else (low + high) / 2
     entry: Fields = {"name": name + POSITION}
-    if any(word in name.lower() for word in GRIPPER_WORDS):
+    if GRIPPER_WORDS.search(name):
         entry["unit"] = "range_0_100"
         entry["range"] = [round(low, 5), round(low + motor.span_rad, 5)]
     elif unit == "deg":

@@ -152,8 +152,8 @@ def _compare(
 
 def _has_lens(cameras: Sequence[Camera]) -> bool:
     """Return whether cameras agree that the lens distorts, and to which side."""
-    low, high = _interval([camera.lens[0] for camera in cameras])
-    return low > 0 or high < 0
+    low, high = _intervals(cameras)[:, -1]
+    return bool(low > 0 or high < 0)
 
 
 def _grasps_and_corners(scene: Scene) -> Floats:
@@ -170,25 +170,38 @@ def _apart(one: Camera, other: Camera, places: Floats) -> float:
     )
 
 
-def _interval(values: Sequence[float] | Floats) -> tuple[float, float]:
-    """Return the interval of a number that cameras fitted to redrawn clicks have."""
-    low, high = np.quantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return float(low), float(high)
+NUMBERS = (
+    ("x", "m"),
+    ("y", "m"),
+    ("z", "m"),
+    ("roll", "degrees"),
+    ("field of view", "degrees"),
+    ("distortion k1", ""),
+)
+"""What of a camera is reported, each with its unit."""
+
+
+def _numbers(camera: Camera) -> Floats:
+    """Return the `NUMBERS` of a camera, (6,)."""
+    return np.array(
+        [*camera.position, camera.roll_deg, camera.fovy_deg, camera.lens[0]]
+    )
+
+
+def _intervals(cameras: Sequence[Camera]) -> Floats:
+    """Return lower and upper ends of the `NUMBERS` of cameras fitted to redrawn clicks, (2, 6)."""
+    values = np.stack([_numbers(camera) for camera in cameras])
+    shares = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+    return np.asarray(np.quantile(values, shares, axis=0))
 
 
 def _describe(camera: Camera, cameras: Sequence[Camera]) -> str:
-    """Return a camera's numbers with their intervals."""
+    """Return a camera's numbers with their intervals; those that are not fitted are left out."""
     texts = []
-    for i, axis in enumerate("xyz"):
-        low, high = _interval([one.position[i] for one in cameras])
-        texts.append(f"{axis} {camera.position[i]:.3f} [{low:.3f}, {high:.3f}] m")
-    low, high = _interval([one.roll_deg for one in cameras])
-    texts.append(f"roll {camera.roll_deg:.1f} [{low:.1f}, {high:.1f}] degrees")
-    low, high = _interval([one.fovy_deg for one in cameras])
-    texts.append(f"field of view {camera.fovy_deg:.1f} [{low:.1f}, {high:.1f}] degrees")
-    low, high = _interval([one.lens[0] for one in cameras])
-    if low < high:
-        texts.append(f"distortion k1 {camera.lens[0]:.3f} [{low:.3f}, {high:.3f}]")
+    columns = zip(NUMBERS, _numbers(camera), *_intervals(cameras), strict=True)
+    for (name, unit), value, low, high in columns:
+        if low < high:
+            texts.append(f"{name} {value:.3f} [{low:.3f}, {high:.3f}] {unit}".strip())
     return ", ".join(texts)
 
 

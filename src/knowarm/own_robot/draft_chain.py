@@ -16,7 +16,7 @@ GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNO
 """Joints with these words in their name open the gripper."""
 
 TOOL_WORDS = (
-    ".*tcp.*",
+    r"\w*tcp\w*",
     "pinch(ing)?",
     "grasp(ing)?",
     "tool(cent(er|re))?",
@@ -29,7 +29,7 @@ TOOL_WORDS = (
 """Frames at the tool centre point have one of these words in their name, best first."""
 
 OTHER_WORDS = (
-    "led|light|lamp|laser|.*cam(era)?|optical|depth|rgb|lens|projector|.*sensor|imu|gyro|"
+    r"led|light|lamp|laser|\w*cam(era)?|optical|depth|rgb|lens|projector|\w*sensor|imu|gyro|"
     "accel(erometer)?|ft|force|torque|touch|motor|tag|marker|screw|cable"
 )
 """Frames with one of these words in their name are those of something else."""
@@ -254,11 +254,11 @@ def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
 def _tool_rank(name: str) -> int | None:
     """Return the place among `TOOL_WORDS` of a frame's name; None if it names no tool."""
     words = re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    words = [re.sub(SUFFIXES, "", word.lower()) for word in words]
-    if any(re.fullmatch(OTHER_WORDS, word) for word in words):
+    text = " ".join(re.sub(SUFFIXES, "", word.lower()) for word in words)
+    if re.search(rf"\b({OTHER_WORDS})\b", text):
         return None
     for rank, pattern in enumerate(TOOL_WORDS):
-        if any(re.fullmatch(pattern, word) for word in words):
+        if re.search(rf"\b({pattern})\b", text):
             return rank
     return None
 

@@ -11,7 +11,13 @@ from numpy.linalg import norm
 
 from knowarm.arrays import Floats
 from knowarm.check import Check
-from knowarm.own_robot.draft_chain import Ids, geoms_of, is_slide, joints_of
+from knowarm.own_robot.draft_chain import (
+    Ids,
+    geoms_of,
+    is_slide,
+    joint_names,
+    joints_of,
+)
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.surface import surface_points
@@ -41,7 +47,7 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
         solid = [geom for geom in geoms if model.geom_contype[geom] != 0]
         surfaces = [surface_points(data, geom) for geom in solid or geoms]
         spans.append(np.concatenate(surfaces) @ frame[:, 1:])
-    end = max(points[:, 1].max() for points in spans)
+    end = np.concatenate(spans)[:, 1].max()
     sides = []
     for points in spans:
         tip = points[points[:, 1] > end - TIP_M, 0]
@@ -60,7 +66,7 @@ def widest_opening(
     Where fingers could pass through each other, the one counts in which each is on its own side.
     """
     model = data.model
-    names = [model.joint(j).name for j in joints]
+    names = joint_names(model, joints)
     address = model.jnt_qposadr[joints]
     at_first = data.qpos.copy()
     best = None
@@ -84,9 +90,10 @@ def _is_apart(data: MjData, joints: Ids, fingers: list[Ids], frame: Floats) -> b
     begins = data.xpos[model.jnt_bodyid[joints]] - data.xaxis[joints] * moved[:, None]
     if norm(begins[0] - begins[1]) < SAME_M:
         return True
-    sides = [data.geom_xpos[geoms].mean(axis=0) for geoms in fingers]
+    one, other = fingers
+    apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
     across = frame[:, 1]
-    return bool((sides[0] - sides[1]) @ across * ((begins[0] - begins[1]) @ across) > 0)
+    return bool(apart @ across * ((begins[0] - begins[1]) @ across) > 0)
 
 
 def _ends(model: MjModel, joints: Ids) -> Iterator[list[float]]:

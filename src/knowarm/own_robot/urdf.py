@@ -32,7 +32,9 @@ MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
 
 XACRO = ".xacro"
-XACRO_MARKS = ("/xacro}", "${", "$(")  # In tags and attributes of xacro files
+XACRO_MARKS = re.compile(r"[/.]ros\.org/[^\"]*xacro|\$[{(]")
+"""Of the namespace of xacro's elements, where there are any, and of its expressions."""
+
 MESHES = "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
@@ -162,13 +164,8 @@ def _folders(packages: Mapping[str, str]) -> dict[str, Path]:
 
 def _is_xacro(root: Element) -> bool:
     """Return whether a robot's XML has xacro's elements or expressions."""
-    if root.tag != "robot":
-        return False
-    for element in root.iter():
-        values = [element.tag, *element.attrib.values()]
-        if any(mark in value for value in values for mark in XACRO_MARKS):
-            return True
-    return False
+    text = ElementTree.tostring(root, encoding="unicode")
+    return root.tag == "robot" and bool(XACRO_MARKS.search(text))
 
 
 def _expand(path: Path, find: FindPackage, arguments: Mapping[str, str]) -> Element:
@@ -225,6 +222,10 @@ def _remove(element: Element, tag: str) -> None:
         element.remove(child)
 
 
+SOFT_LIMITS = {"soft_lower_limit", "soft_upper_limit"}
+"""Attributes of a joint's safety_controller."""
+
+
 def _set_limits(root: Element, path: Path) -> Iterator[str]:
     """Take the soft limits of joints, which a controller enforces; name those joints.
 
@@ -237,17 +238,18 @@ def _set_limits(root: Element, path: Path) -> Iterator[str]:
         limit = joint.find("limit")
         if limit is None or joint.get("type") not in ("revolute", "prismatic"):
             continue
-        low, high = (_number(limit, key, path, name) for key in ("lower", "upper"))
+        low = _number(limit, "lower", path, name)
+        high = _number(limit, "upper", path, name)
         if low > high:
             raise UserError(
                 f"Joint {name!r} of {path} has a lower limit of {low:g} and an upper one of "
                 f"{high:g}. Exchange or correct them in the file."
             )
         soft = joint.find("safety_controller")
-        keys = ("soft_lower_limit", "soft_upper_limit")
-        if soft is None or not set(keys) <= set(soft.attrib):
+        if soft is None or not set(soft.attrib) >= SOFT_LIMITS:
             continue
-        soft_low, soft_high = (_number(soft, key, path, name) for key in keys)
+        soft_low = _number(soft, "soft_lower_limit", path, name)
+        soft_high = _number(soft, "soft_upper_limit", path, name)
         ends = (max(low, soft_low), min(high, soft_high))
         if ends != (low, high) and ends[0] < ends[1]:
             limit.attrib.update(lower=str(ends[0]), upper=str(ends[1]))

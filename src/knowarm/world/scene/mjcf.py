@@ -92,8 +92,8 @@ def set_range(
 
 FLOORS = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 FURNITURE = re.compile(
-    "(table|desk|counter|bench|shelf|wall|floor|ground|ceiling|cupboard|cabinet)"
-    "(top|leg|plate|board|surface)?s?"
+    "(?<![a-z])(table|desk|counter|bench|shelf|wall|floor|ground|ceiling|cupboard|cabinet)"
+    "(top|leg|plate|board|surface)?s?(?![a-z])"
 )
 """Names, by words, of what stands around a robot."""
 
@@ -119,8 +119,7 @@ def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
 
 def _is_furniture(geom: mujoco.MjsGeom) -> bool:
     """Return whether a geom of the world is named as furniture, or is a box as wide as a table."""
-    words = re.findall("[a-z]+", f"{geom.name} {geom.meshname}".lower())
-    if any(FURNITURE.fullmatch(word) for word in words):
+    if FURNITURE.search(f"{geom.name} {geom.meshname}".lower()):
         return True
     is_box = geom.type == mujoco.mjtGeom.mjGEOM_BOX
     sides = 2 * np.sort(geom.size)
