@@ -259,7 +259,7 @@ def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Descrip
 
 def _camera(scene: Scene, size: int) -> Description:
     robot = scene.robot
-    lens = {}
+    lens: Description = {}
     if robot.camera_intrinsics is not None:
         lens["intrinsics"] = robot.camera_intrinsics
         lens["distortion"] = robot.camera_distortion

@@ -105,8 +105,8 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     elif outer:
         source = "between the ends of the gripper's fingers"
         if sites:
-            names = ", ".join(repr(model.site(s).name) for s in sites)
-            source += f", where {names} is not"
+            elsewhere = ", ".join(repr(model.site(s).name) for s in sites)
+            source += f", where {elsewhere} is not"
     else:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"

@@ -111,8 +111,8 @@ def _ends(model: MjModel, joints: Ids) -> Iterator[list[float]]:
             return
     if model.jnt_limited[joints].all():
         ends = model.jnt_range[joints].round(5).tolist()
-        for values in product(*ends):
-            yield list(values)
+        for one, other in product(*ends):
+            yield [one, other]
 
 
 def _coupling(model: MjModel, follower: int, leader: int) -> Floats | None:

@@ -1,7 +1,7 @@
 """What no arm has and files state: ranges beyond a turn and a half, tables above the targets."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import mujoco
@@ -138,7 +138,7 @@ def stands_on(robot: Robot, low_m: float) -> bool:
 
 
 def ranges_of(
-    model: mujoco.MjModel, given: Mapping[str, list[float]]
+    model: mujoco.MjModel, given: Mapping[str, Sequence[float]]
 ) -> dict[str, Floats]:
     """Return the ranges of a file's joints by name, in place of some those that are given."""
     ranges = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}

@@ -6,6 +6,8 @@ from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from knowarm.errors import UserError
 from knowarm.own_robot.draft import Draft
 from knowarm.own_robot.draft_reach import YAWS_DEG
@@ -59,9 +61,9 @@ def _changes(
                 if yaw != robot.yaw_deg(name):
                     yield {"target_yaws_deg": yaws | {name: yaw}}
     steps: list[Fields] = [{}, *larger]
-    for factor, step in product(SMALLER, steps):
-        x, y = robot.rectangle_half_size_m
-        yield {"rectangle_half_size_m": rounded([factor * x, factor * y]), **step}
+    half = np.array(robot.rectangle_half_size_m)
+    for factor, faster in product(SMALLER, steps):
+        yield {"rectangle_half_size_m": rounded(factor * half), **faster}
 
 
 def _failed(draft: Draft, targets: Sequence[str], changes: Fields) -> list[str]:

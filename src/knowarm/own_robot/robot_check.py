@@ -151,7 +151,7 @@ def _textured(scene: Scene) -> list[str]:
     model = scene.model
     has_texture = (model.mat_texid >= 0).any(axis=1)
     geoms = np.flatnonzero(model.geom_matid >= 0)
-    owners = {}
+    owners: dict[str, None] = {}
     for geom in geoms[has_texture[model.geom_matid[geoms]]].tolist():
         target = scene.geom_target[geom]
         owner = scene.robot if target < 0 else scene.targets[target]
@@ -197,9 +197,9 @@ def check_joints(scene: Scene) -> Check:
         is_free &= len(set(robot.joints).intersection(coupled)) < 2
     if freed:
         found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
-    question, ranges = question_ranges(scene)
+    question, toml = question_ranges(scene)
     if question:
-        remedy = f"As to ranges, {question}: {ranges}."
+        remedy = f"As to ranges, {question}: {toml}."
     return Check("joints", is_free and not question, found, remedy)
 
 
