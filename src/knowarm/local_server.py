@@ -1,6 +1,7 @@
 """HTTP servers that only this machine reaches: their port, and the requests that they refuse."""
 
 import socket
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -9,6 +10,24 @@ from knowarm.errors import UserError
 ADDRESS = "127.0.0.1"  # The loopback interface, which other machines cannot reach
 LOOPBACK = (ADDRESS, "localhost", "::1")  # Its names
 PORTS = range(8080, 8180)  # Ports that are tried if none is given
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+    "form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+}
+"""Headers of every answer: a page without scripts, which no other page holds in a frame."""
+
+
+class LocalHandler(BaseHTTPRequestHandler):
+    """Handler of requests whose answers have the headers of a page without scripts."""
+
+    def end_headers(self) -> None:
+        """Send the headers of every answer, and the empty line after them."""
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
 
 
 def listen(port: int) -> socket.socket:
@@ -34,6 +53,7 @@ def refusal(path: str, headers: Any) -> str | None:
     hosts = headers.get_all("Host") or []
     origins = headers.get_all("Origin") or []
     sites = headers.get_all("Sec-Fetch-Site") or []
+    accepted = ",".join(headers.get_all("Accept") or [])
     try:
         names = [urlsplit(f"//{host}").hostname for host in hosts]
         urlsplit(path)
@@ -46,4 +66,7 @@ def refusal(path: str, headers: Any) -> str | None:
         "none",
     }:
         return "The request comes from a page of another site."
+    if "image/" in accepted and "text/html" not in accepted:
+        # Old browsers send no Sec-Fetch-Site.
+        return "The request is one for an image, and this server has none."
     return None

@@ -5,7 +5,7 @@ import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from http.server import HTTPServer, ThreadingHTTPServer
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from knowarm.asking.asker import SCENES, Asked, Asker, in_words
 from knowarm.asking.judgements import Judgement
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError
-from knowarm.local_server import ADDRESS, listen, refusal
+from knowarm.local_server import ADDRESS, LocalHandler, listen, refusal
 from knowarm.perception.config import Unclear
 from knowarm.pictures import animation, data_uri, encode
 from knowarm.reading import replacing
@@ -211,7 +211,7 @@ def make_server(
     """Make a server on the loopback interface, which listens and answers one question at a time."""
     computing = threading.Lock()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(LocalHandler):
         timeout = 1.0  # [s]: browsers keep connections that ask nothing
 
         def do_GET(self) -> None:
