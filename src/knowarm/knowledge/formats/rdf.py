@@ -20,6 +20,7 @@ from xml.sax.saxutils import XMLGenerator
 from pyoxigraph import BlankNode, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError, packages_of, warn
+from knowarm.fence import ParserError, fenced
 from knowarm.knowledge.formats.files import open_bytes, open_compressed
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -49,6 +50,20 @@ _GENERATED = re.compile(r"_:[a-f][0-9a-f]{25,31}")
 """Random names that pyoxigraph gives to blank nodes without a name."""
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
+_OWL_PARSER = """
+import pyhornedowl
+def parse(data):
+    ontology = pyhornedowl.open_ontology_from_string(data.decode(), "{syntax}")
+    return ontology.save_to_string("owl").encode()
+"""
+_JSON_LD_PARSER = """
+import pyoxigraph
+def parse(data):
+    for _ in pyoxigraph.parse(data, format=pyoxigraph.RdfFormat.JSON_LD, lenient=True):
+        pass
+    return b""
+"""
+"""Parsers that are run in a `fenced` process: deep input ends them."""
 LINES = (RdfFormat.N_TRIPLES, RdfFormat.N_QUADS)
 """Syntaxes with one statement per line."""
 TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
@@ -73,6 +88,9 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
+        if syntax == RdfFormat.JSON_LD:
+            with open_bytes(path) as file, suppress(ParserError):
+                fenced(_JSON_LD_PARSER, file.read())
         try:
             try:
                 return _read(partial(open_bytes, path), path, syntax)
@@ -94,7 +112,7 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
     py-horned-owl translates it to RDF, by the mapping of the OWL 2 standard. Imports are not read.
     """
     with packages_of("owl", f"{path} is no RDF and"):
-        import pyhornedowl
+        import pyhornedowl  # noqa: F401
     with reading(path, "Correct the file."):
         # py-horned-owl reads XML that is cut off for ever.
         opened = _plain_xml if syntax == "owx" else open_bytes
@@ -107,8 +125,8 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
                 f"{error.getMessage()}. Correct, copy or compress it again."
             ) from error
         try:
-            ontology = pyhornedowl.open_ontology_from_string(text, syntax)
-        except ValueError as error:
+            as_rdf = fenced(_OWL_PARSER.format(syntax=syntax), text.encode())
+        except ParserError as error:
             line = re.search(r"line_col: Pos\(\((\d+)", str(error))
             where = str(path)
             if line is not None:
@@ -116,7 +134,6 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
             raise UserError(
                 f"{where}: not well-formed {OWL_SYNTAXES[syntax]}. Correct it."
             ) from error
-        as_rdf = ontology.save_to_string("owl").encode()
         return _read(partial(io.BytesIO, as_rdf), path, RdfFormat.RDF_XML)
 
 
