@@ -1,5 +1,7 @@
 """Questions: what answers them, with which evidence, and what a mistake is answered with."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import literal
 from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.questions import Query
 from knowarm.world.config import facets_of, questions_of
 
@@ -375,3 +378,36 @@ def test_sparql_without_an_answer_names_what_the_graph_lacks(
     path.write_text(KITCHEN)
     with pytest.raises(UserError, match=message):
         answer(read_graph(path), [("mug", "red"), ("jar", "red")], question)
+
+
+def test_sparql_that_reads_no_colours_runs_once_with_the_same_answers(monkeypatch):
+    graph = shipped_graph("objects")
+    patterns = (
+        "?object :usedFor :drinking",
+        "?object :usedFor/:relatedTo ?x",
+        "?object :hasPart ?x . ?y :hasPart ?x FILTER(?y != ?object)",
+        "?object :hasPart :handle MINUS { ?object :usedFor :drinking }",
+        "?object :isMadeOf ?x FILTER NOT EXISTS { ?z :isMadeOf ?x ; :usedFor :cooking }",
+        "{ ?object :contains ?x } UNION { ?object :usedFor :lighting }",
+        "SELECT ?object { ?object :hasPart ?x } GROUP BY ?object HAVING (COUNT(?x) > 2)",
+        "SELECT ?object { ?object :hasPart ?x } ORDER BY ?object LIMIT 2",
+        "?object :hasColor :red ; :usedFor :drinking",
+        "?object ?p :red",
+    )
+    runs = Counter()
+    run = SparqlQuery.answer
+
+    def counted(query, about=None):
+        runs[query.query] += 1
+        return run(query, about)
+
+    monkeypatch.setattr(SparqlQuery, "answer", counted)
+    for pattern in patterns:
+        query = pattern if "SELECT" in pattern else f"SELECT ?object {{ {pattern} }}"
+        found = answer(graph, FACETS, query).evidence
+        once = runs.pop(query)
+        with monkeypatch.context() as context:
+            context.setattr(SparqlQuery, "may_read", lambda query, local: True)
+            assert answer(graph, FACETS, query).evidence == found
+        assert runs.pop(query) >= len(FACETS) > 5
+        assert (once == 1) == (":red" not in pattern), pattern

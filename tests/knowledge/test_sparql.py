@@ -190,3 +190,56 @@ def test_nobody_answers_and_the_hint_names_what_the_graph_lacks(
     hints = [line for line in lines if "does not hold" in line]
     assert hints == [f"The graph does not hold {name}." for name in missing]
     assert not json.loads((tmp_path / "a.json").read_text()).get("facts")
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "?object ?p ?x",
+        "?object :usedFor ?u ; ?p :red",
+        ":mug ?p ?object",
+        "?object !:usedFor ?x",
+        "?object :a|!(:b|:c) ?x",
+        "?object :usedFor* ?x",
+        "?object :usedFor? ?x",
+        "[ ?p ?object ]",
+        "?object :hasColor :red",
+        "?object <http://x#hasColor> :red",
+        "?object c:olor :red",
+        "?object <urn:knowarm:has\\u0043olor> :red",
+        '?object ?p "red"',
+        "?object?p?x",
+        "?object # {\n ?p ?x",
+        "?x :a ?object . ?object\n?p\n?y",
+        "{ ?object :usedFor ?x } UNION { ?object ?q <x:y> }",
+        "?object ?p []",
+        "?object ?p (1)",
+        "?object ?p true",
+        "?object ?p k:x",
+        "?object $p ?x",
+        "?object ?p _:x",
+        "?object ?p .5",
+        "?object ?p -5",
+    ],
+)
+def test_colours_may_be_read_where_any_relation_may(pattern):
+    query = f"PREFIX c: <urn:knowarm:hasC> SELECT ?object {{ {pattern} }}"
+    assert SparqlQuery(household(), query).may_read("hasColor")
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "?object :usedFor :drinking",
+        "?object :usedFor ?u . ?u :relatedTo ?t FILTER(?t != :tea)",
+        "?object :usedFor/:relatedTo+ ?x MINUS { ?object :isA ?y }",
+        "?object a :Cup ; :on ?t , ?u1 . ?t :in ?v",
+        "{ ?object :a ?x } UNION { ?object :b 'x ?p ?o' }",
+        "?object :p ?x OPTIONAL { ?x :q ?y } # ?a ?p ?o\n",
+        "?object :p 5 . ?x :q ?object",
+        "VALUES ?x { :a :b } ?object :p ?x",
+    ],
+)
+def test_colours_are_not_read_where_all_relations_are_named(pattern):
+    query = f"SELECT ?object {{ {pattern} }} ORDER BY ?object LIMIT 3"
+    assert not SparqlQuery(household(), query).may_read("hasColor")

@@ -1,7 +1,7 @@
 """Answers to questions in words or SPARQL, with their evidence."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
-from knowarm.knowledge.queries.sparql import SparqlQuery
+from knowarm.knowledge.queries.sparql import Answer, SparqlQuery
 from knowarm.questions import AND, COLOUR_RELATION, SURE, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
@@ -321,45 +321,66 @@ def words(
 def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     """Return what a SPARQL query selects as ?object and, if it does, in the colour ?colour.
 
-    It runs once per facet, whose colour the graph then states, as the image shows it.
+    It runs once per facet, whose colour the graph then states, as the image shows it; once for all
+    if it reads no colours.
     """
     query = SparqlQuery(graph, text)
     ids = graph.relation_names.find_local(COLOUR_RELATION)
-    own = query.prefixes[
-        ""
-    ]  # the query may write :hasColor and :blue without a fact of these
+    # The query may write :hasColor and :blue without a fact of these.
+    own = query.prefixes[""]
     relations = {
         COLOUR_RELATION,
         name_of_iri(own + COLOUR_RELATION),
         *map(graph.relation_names.__getitem__, ids),
     }
 
+    selected: dict[str, dict[str, str]] | None = None
+    if not query.may_read(COLOUR_RELATION):
+        selected = {}
+        for values in _rows(query.answer()):
+            selected.setdefault(values["object"], values)
+
     def judgement(individual: Individual) -> Judgement:
         if individual.entity is None:
             return Judgement(False, is_unsettled=True)
         name = graph.names[individual.entity]
         colour = individual.colour
+        if selected is not None:
+            return _selected([selected[name]] if name in selected else [], colour)
         shown = []
         if colour is not None:
             plain = [colour, name_of_iri(own + colour)]
             shown = graph.names.at(graph.alike(colour)) or plain
         with query.stating(name, relations, shown):
-            result = query.answer()
-        other = set(result.columns) - {"object", "colour", "color"}
-        if "object" not in result.columns or other:
-            raise UserError(
-                "A question in SPARQL must select ?object, and may select ?colour, and no more; "
-                f"got {', '.join(result.columns) or 'no variables'}. Example: SELECT ?object "
-                "WHERE { ?object :usedFor :drinking }"
-            )
-        for row in result.rows:
-            values = dict(zip(result.columns, row, strict=True))
-            if values["object"] == name and _in_colour(values, colour):
-                reasons = [f"?{key} = {local_name(values[key])}" for key in values]
-                return Judgement(True, tuple(reasons))
-        return Judgement(False, is_stated=False)
+            rows = _rows(query.answer(name))
+        return _selected([row for row in rows if row["object"] == name], colour)
 
     return judgement
+
+
+def _rows(result: Answer) -> list[dict[str, str]]:
+    """Return the rows of a query, by variable.
+
+    Raises:
+        UserError: it selects other things than ?object and ?colour.
+    """
+    other = set(result.columns) - {"object", "colour", "color"}
+    if "object" not in result.columns or other:
+        raise UserError(
+            "A question in SPARQL must select ?object, and may select ?colour, and no more; "
+            f"got {', '.join(result.columns) or 'no variables'}. Example: SELECT ?object "
+            "WHERE { ?object :usedFor :drinking }"
+        )
+    return [dict(zip(result.columns, row, strict=True)) for row in result.rows]
+
+
+def _selected(rows: Iterable[Mapping[str, str]], colour: str | None) -> Judgement:
+    """Return the judgement on an object in a colour by the rows in which a query selects it."""
+    for row in rows:
+        if _in_colour(row, colour):
+            reasons = [f"?{key} = {local_name(row[key])}" for key in row]
+            return Judgement(True, tuple(reasons))
+    return Judgement(False, is_stated=False)
 
 
 def _in_colour(values: Mapping[str, str], colour: str | None) -> bool:

@@ -4,6 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
+from operator import methodcaller
 from typing import Any, NamedTuple
 from urllib.parse import urljoin
 
@@ -20,6 +21,7 @@ from knowarm.knowledge.graph.terms import (
     local_name,
     name_of_iri,
     name_of_term,
+    object_term,
 )
 from knowarm.knowledge.queries.store import store_of
 from knowarm.reading import one_line
@@ -46,6 +48,12 @@ _NAMES = re.compile(
     re.DOTALL | re.IGNORECASE | re.VERBOSE,
 )
 """Declarations, and names that are neither datatypes nor functions."""
+_ANY_RELATION = re.compile(
+    r"""[^\s{}.]\s*[?$]\w++\s*(?=[?$_"'\[(<:\d+-]|\.\d|[^\W\d][\w.-]*:|true\b|false\b)|
+    !(?!=)|\*|[\w>)]\?""",
+    re.IGNORECASE | re.VERBOSE,
+)
+"""Variables between two terms, which may stand for relations, and paths of any relation."""
 _ESCAPE = re.compile(r"\\(.)")
 
 
@@ -88,8 +96,11 @@ class SparqlQuery:
         self.prefixes = {**PREFIXES, **graph.prefixes}
         self._store = store_of(graph)
 
-    def answer(self) -> Answer:
+    def answer(self, about: str | None = None) -> Answer:
         """Run the query; blank nodes that it made are numbered in the order of the answer.
+
+        Args:
+            about: a name without which rows are left out; None keeps all.
 
         Raises:
             UserError: the query is malformed.
@@ -105,7 +116,7 @@ class SparqlQuery:
 
         try:
             with self._store.lock:
-                return self._run(name)
+                return self._run(name, about)
         except UserError:
             raise
         except SyntaxError as error:
@@ -135,7 +146,22 @@ class SparqlQuery:
             return ""
         return f"The graph does not hold {', '.join(unknown[:5])}."
 
-    def _run(self, name: Callable[[Any], str]) -> Answer:
+    def may_read(self, local: str) -> bool:
+        """Return whether triples of relations with this last part may change the answer.
+
+        In doubt they may: where a variable or a path can stand for any relation.
+        """
+        iris, _ = self._names()
+        if any(map(methodcaller("__contains__", local), (self.query, *iris))):
+            return True
+        if "\\" in self.query or "%" in self.query:  # other spellings of the name
+            return True
+        text = _QUIET_OR_IRI.sub(
+            lambda quiet: " " if quiet["comment"] else " _ ", self.query
+        )
+        return _ANY_RELATION.search(text) is not None
+
+    def _run(self, name: Callable[[Any], str], about: str | None) -> Answer:
         """Run the query; ``name`` gives the terms their names."""
         result: Any = self._store.store.query(self.query, prefixes=self.prefixes)
         if isinstance(result, QueryTriples):
@@ -146,7 +172,11 @@ class SparqlQuery:
         if isinstance(result, QueryBoolean):
             return Answer(("answer",), (("yes" if result else "no",),))
         columns = tuple(variable.value for variable in result.variables)
-        rows = sorted(tuple(map(name, row)) for row in result)
+        terms: Iterable[tuple[Any, ...]] = map(tuple, result)
+        if about is not None:
+            wanted = object_term(about)
+            terms = [row for row in terms if wanted in row]
+        rows = sorted(tuple(map(name, row)) for row in terms)
         return Answer(columns, tuple(rows))
 
     def _names(self) -> tuple[list[str], list[str]]:
