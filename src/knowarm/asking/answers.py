@@ -334,28 +334,30 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
         *map(graph.relation_names.__getitem__, ids),
     }
 
-    selected: dict[str, dict[str, str]] | None = None
+    by_object: dict[str, dict[str, str]] | None = None
     if not query.may_read(COLOUR_RELATION):
-        selected = {}
+        by_object = {}
         for values in _rows(query.answer()):
-            selected.setdefault(values["object"], values)
+            by_object.setdefault(values["object"], values)
 
-    def judgement(individual: Individual) -> Judgement:
-        if individual.entity is None:
-            return Judgement(False, is_unsettled=True)
-        name = graph.names[individual.entity]
-        colour = individual.colour
-        if selected is not None:
-            return _selected([selected[name]] if name in selected else [], colour)
+    def rows(name: str, colour: str | None) -> list[dict[str, str]]:
+        """Return the rows that select an entity, as if it had a colour alone."""
+        if by_object is not None:
+            return [by_object[name]] if name in by_object else []
         shown = []
         if colour is not None:
             plain = [colour, name_of_iri(own + colour)]
             shown = graph.names.at(graph.alike(colour)) or plain
         with query.stating(name, relations, shown):
-            rows = _rows(query.answer(name))
-        return _selected([row for row in rows if row["object"] == name], colour)
+            return [row for row in _rows(query.answer(name)) if row["object"] == name]
 
-    return judgement
+    def part(individual: Individual) -> Judgement:
+        if individual.entity is None:
+            return Judgement(False, is_unsettled=True)
+        name = graph.names[individual.entity]
+        return _selected(rows(name, individual.colour), individual.colour)
+
+    return part
 
 
 def _rows(result: Answer) -> list[dict[str, str]]:
