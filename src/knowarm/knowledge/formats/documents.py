@@ -2,15 +2,17 @@
 
 import json
 import warnings
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import ROLES, columns_of, listed, name_of_cell
 from knowarm.knowledge.formats.files import open_bytes
+from knowarm.knowledge.formats.scenes import read_scene
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, literal
 from knowarm.reading import reading
 
 _LISTS = ("links", "edges", "relationships", "triples", "facts")
@@ -25,6 +27,9 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     """
     with reading(path, "Correct the file."), open_bytes(path) as file:
         links = json.load(file)
+    scene = read_scene(links, path)
+    if scene is not None:
+        return scene
     nodes: Any = []
     if isinstance(links, dict):
         nodes = links.get("nodes", [])
@@ -84,6 +89,7 @@ class _Records:
         self.path = path
         self.builder = GraphBuilder()
         self.nodes: dict[Any, str] = {}  # name by identifier
+        self.labels = defaultdict[str, list[str]](list)  # names by label
         self.left_out: set[str] = set()
 
     def add_node(self, key: Any, values: dict[str, Any]) -> None:
@@ -98,6 +104,7 @@ class _Records:
         label = values.get("label", values.get("name"))
         if isinstance(label, str) and label != name:
             self.builder.add_statement(name, LABEL_RELATIONS[0], literal(label))
+            self.labels[label].append(name)
 
     def add_link(self, values: Any) -> None:
         """Add a triple."""
@@ -124,7 +131,18 @@ class _Records:
         return self.nodes.get(value) or name_of_cell(str(value))
 
     def build(self) -> KnowledgeGraph:
-        """Return the graph; say what is not in it."""
+        """Return the graph; say what is not in it. Nodes with one label are individuals of it."""
+        shared = {
+            label: names for label, names in self.labels.items() if len(names) > 1
+        }
+        for label, names in shared.items():
+            for name in names:
+                self.builder.add(name, RDF_TYPE, label)
+        if shared:
+            warn(
+                f"{self.path}: several nodes have one label, so they count as individuals of a "
+                f"class of this name: {listed(sorted(shared)[:8])}."
+            )
         others = sorted(self.left_out - {"id", "key"})
         if others:
             warn(f"{self.path}: these values of links are not read: {listed(others)}.")
