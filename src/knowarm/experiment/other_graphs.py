@@ -1,7 +1,6 @@
 """Other graphs of the questions than that of training."""
 
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from itertools import compress
 
@@ -13,7 +12,8 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge, asked, described
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph, write_graph
-from knowarm.knowledge.graph.names import AmbiguousNameError
+from knowarm.knowledge.graph.homonyms import find_object
+from knowarm.knowledge.graph.individuals import meant
 from knowarm.world.cache import cache_file
 from knowarm.world.config import EnvConfig, facets_of
 
@@ -62,7 +62,7 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
     labels = dict(graph.labels)
     for name, other in names.items():
         entity = graph.entity_id(other)
-        namesake = graph.find_entity(name)
+        namesake = find_object(graph, name)
         if namesake is not None and namesake != entity:
             raise UserError(
                 f"The graph {path} has an entity {graph.names[namesake]!r} of its own, so that "
@@ -95,24 +95,23 @@ def meeting(
         objects: what the policy recognizes.
         names: the graph's names for objects, where they differ by more than their spelling.
     """
-    recognized: dict[int, str] = {}
-    missing = []
-    for name in dict.fromkeys(objects):
-        entity = None
-        with suppress(AmbiguousNameError):
-            entity = graph.find_entity((names or {}).get(name, name))
-        if entity is None:
-            missing.append(name)
-        else:
-            recognized[entity] = name
+    described_as = meant(graph, dict.fromkeys(objects), names or {})
+    recognized = set[int]()
+    for name in described_as:
+        entity, individuals = described_as[name]
+        recognized.update(individuals)
+        if entity is not None:
+            recognized.add(entity)
     described_only = []
-    for entity in np.setdiff1d(graph.heads, graph.tails).tolist():
-        is_blank = graph.names[entity].startswith("_:")
-        if entity not in recognized and not is_blank:
-            described_only.append(graph.names.short(entity))
+    for other in np.setdiff1d(graph.heads, graph.tails).tolist():
+        is_blank = graph.names[other].startswith("_:")
+        if other not in recognized and not is_blank:
+            described_only.append(graph.names.short(other))
     return {
-        "recognized and described": list(recognized.values()),
-        "recognized only": missing,
+        "recognized and described": list(described_as),
+        "recognized only": [
+            name for name in dict.fromkeys(objects) if name not in described_as
+        ],
         "described only": described_only,
     }
 

@@ -9,6 +9,7 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
+from knowarm.knowledge.graph.homonyms import object_id
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.vectors.source import Facet, SentencePart
 from knowarm.questions import Condition, ObjectColour
@@ -163,7 +164,7 @@ def graph_facets(
         relations = [relation]
     pairs = list[tuple[str, str]]()
     for name in objects:
-        rows = graph.out_rows(graph.entity_id(name))
+        rows = graph.out_rows(object_id(graph, name))
         tails = graph.tails[rows][np.isin(graph.relations[rows], relations)]
         for tail in np.sort(tails):
             pairs.append((name, local_name(graph.names[tail])))

@@ -1,6 +1,6 @@
 """Options shared by the `knowarm knowledge` commands: graph, objects, embedding and source."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -16,6 +16,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
+from knowarm.knowledge.graph.homonyms import best_described
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION
@@ -56,10 +57,7 @@ class ObjectOptions(GraphOptions):
         """Return the objects with the colours that each can have."""
         names = self.objects
         if not names:
-            roots = map(graph.names.short, np.setdiff1d(graph.heads, graph.tails))
-            # But blank nodes
-            named = [name for name in roots if not name.startswith("_:")]
-            names = tuple(name for name in named if name not in self.colours)
+            names = tuple(self._names(graph))
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets: list[tuple[str, str]] = []
         for name in names:
@@ -72,6 +70,14 @@ class ObjectOptions(GraphOptions):
                     colours = stated
             facets += product([name], colours)
         return facets
+
+    def _names(self, graph: KnowledgeGraph) -> Iterator[str]:
+        """Yield the names of the heads that are tails of no triple, each the one of a name."""
+        for entity in np.setdiff1d(graph.heads, graph.tails).tolist():
+            name = graph.names.short(entity)
+            is_object = not name.startswith("_:") and name not in self.colours
+            if is_object and best_described(graph, name) == [entity]:
+                yield name
 
 
 def _colours_in(

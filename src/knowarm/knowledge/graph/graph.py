@@ -1,22 +1,39 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal, get_args
 
 import numpy as np
 
-from knowarm.errors import UserError, unknown_name, warn
-from knowarm.knowledge.graph.names import AmbiguousNameError, Names, Spellings
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal, local_name
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.names import Names, Spellings
+from knowarm.knowledge.graph.terms import (
+    LABEL_RELATIONS,
+    literal,
+    local_name,
+    name_key,
+)
+from knowarm.questions import SURE
 
 Ids = np.ndarray
 """Ids of entities or relations, or numbers of triples."""
 Triple = tuple[str, str, str]
 """(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
 Direction = Literal["out", "in", "both"]
+_TYPES = {
+    "type",
+    "hastype",
+    "rdftype",
+    "instanceof",
+    "isinstanceof",
+    "class",
+    "hasclass",
+}
+_SUBCLASSES = {"subclassof", "issubclassof"}
+"""Names of relations to classes, as `name_key` spells them."""
 _FEW = 20_000
 """With more entities than this, an error suggests names with the same first letter only."""
 _NO_NODES = np.empty(0, np.int32)
@@ -84,6 +101,21 @@ class KnowledgeGraph:
         for ids in (self.heads, self.tails, self._alone):
             is_node[ids] = True
         return np.flatnonzero(is_node).astype(np.int32)
+
+    @cached_property
+    def type_relations(self) -> list[int]:
+        """The ids of the relations that lead from an individual to its class."""
+        return self._relations_called(_TYPES)
+
+    @cached_property
+    def is_a_relations(self) -> list[int]:
+        """The ids of the relations that lead to a class from an individual, or a class below."""
+        return self._relations_called({"isa"})
+
+    @cached_property
+    def subclass_relations(self) -> list[int]:
+        """The ids of the relations that lead from a class to the one above it."""
+        return self._relations_called(_SUBCLASSES)
 
     @cached_property
     def by_tail(self) -> Ids:
@@ -169,6 +201,13 @@ class KnowledgeGraph:
         low, high = _range(self.tails_sorted, entity)
         return self.by_tail[low:high]
 
+    def believed(self, rows: Ids) -> Ids:
+        """Return those rows whose triples are as probable as not, (k,)."""
+        if not self.confidence:
+            return rows
+        sure = [self.confidence.get(triple, 1) >= SURE for triple in self.rows(rows)]
+        return rows[np.array(sure, bool)]
+
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         subgraph = copy.copy(self)
@@ -198,15 +237,7 @@ class KnowledgeGraph:
         Raises:
             AmbiguousNameError: several are found alike.
         """
-        return self.entity_spellings.find(name, "entities", self._has_node)
-
-    def described(self, name: str) -> int | None:
-        """Return the id as `find_entity`; where several are found alike, warn and return None."""
-        try:
-            return self.find_entity(name)
-        except AmbiguousNameError as error:
-            warn(f"{error} Until then it counts as not described.")
-            return None
+        return self.entity_spellings.find(name, "entities", self.has_node)
 
     def entity_id(self, name: str) -> int:
         """Return the id as `find_entity`; raise a `UserError` without."""
@@ -222,7 +253,7 @@ class KnowledgeGraph:
 
     def values(self, name: str) -> list[int]:
         """Return the ids of what a value names: an entity, and all literals of this text."""
-        ids = list(filter(self._has_node, self.names.find_literals(name)))
+        ids = list(filter(self.has_node, self.names.find_literals(name)))
         entity = self.find_entity(name)
         if entity is not None and entity not in ids:
             ids.insert(0, entity)
@@ -232,7 +263,7 @@ class KnowledgeGraph:
         """Return the ids of all entities and literals that a name may stand for."""
         ids = set(chain.from_iterable(self.entity_spellings.alike(name)))
         ids.update(self.names.find_literals(name))
-        return sorted(filter(self._has_node, ids))
+        return sorted(filter(self.has_node, ids))
 
     def find_relation(self, name: str) -> int | None:
         """Return the id as `find_entity`."""
@@ -245,7 +276,16 @@ class KnowledgeGraph:
             return relation
         raise unknown_name("relation", name, map(local_name, self.relation_names))
 
-    def _has_node(self, entity: int) -> bool:
+    def _relations_called(self, keys: Collection[str]) -> list[int]:
+        ids = []
+        for relation, name in enumerate(self.relation_names):
+            words = {name_key(local_name(name)), name_key(self.labels.get(name, name))}
+            if not words.isdisjoint(keys):
+                ids.append(relation)
+        return ids
+
+    def has_node(self, entity: int) -> bool:
+        """Return whether an entity id is in this graph."""
         low, high = _range(self.nodes, entity)
         return low < high
 

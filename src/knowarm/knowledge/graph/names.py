@@ -9,7 +9,10 @@ from typing import SupportsIndex
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.terms import is_iri, local_name, name_key
+from knowarm.knowledge.graph.terms import is_iri, letters_of, local_name, name_key
+
+Counts = Callable[[int], bool]
+"""Whether an id counts."""
 
 
 class Names(tuple[str, ...]):
@@ -29,6 +32,21 @@ class Names(tuple[str, ...]):
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
         return self.by_local[local]
+
+    def find_beginning(self, word: str) -> list[int]:
+        """Return the ids of the names, but for literals, whose last part begins with a word.
+
+        Case and separators make no difference, nor does a bracket.
+        """
+        text, starts = self._letters
+        found = []
+        for begin in ("\0", "\0<"):  # as of "<mug> (3)"
+            wanted = begin + letters_of(word)
+            start = text.find(wanted)
+            while start >= 0:
+                found.append(self.by_local.ids[np.searchsorted(starts, start)])
+                start = text.find(wanted, start + 1)
+        return found
 
     def find_literals(self, text: str) -> list[int]:
         """Return the ids of the literals of this text, in any case, ascending."""
@@ -55,6 +73,13 @@ class Names(tuple[str, ...]):
         """The ids of the names, but for literals, by `local_name`."""
         ids = [*range(self.literals.start), *range(self.literals.stop, len(self))]
         return Index(list(map(local_name, self.at(ids))), ids)
+
+    @cached_property
+    def _letters(self) -> tuple[str, np.ndarray]:
+        """The letters of the texts of `by_local`, a zero byte before each, and where, (n,)."""
+        letters = letters_of("\0".join(self.by_local.texts))
+        lengths = [1 + len(text) for text in letters.split("\0")]
+        return f"\0{letters}", np.cumsum([0, *lengths[:-1]])
 
     @cached_property
     def _by_text(self) -> "Index":
@@ -93,6 +118,14 @@ class AmbiguousNameError(UserError):
     """A name that several entities or relations have."""
 
 
+def several(name: str, kind: str, full: Sequence[str]) -> AmbiguousNameError:
+    """Return the error of a name that several of a kind have, with their full names."""
+    return AmbiguousNameError(
+        f"{name!r} names {len(full)} {kind} of the graph: {', '.join(full[:5])}. "
+        f"Give the full name of one of them."
+    )
+
+
 class Spellings:
     """Finds names that are written otherwise, or by their labels."""
 
@@ -100,7 +133,7 @@ class Spellings:
         self.names = names
         self.labels = labels
 
-    def find(self, name: str, kind: str, counts: Callable[[int], bool]) -> int | None:
+    def find(self, name: str, kind: str, counts: Counts) -> int | None:
         """Return the id of a name, its last part, its label or another spelling; None without.
 
         Raises:
@@ -112,14 +145,30 @@ class Spellings:
         for candidates in self.alike(name):
             ids = list(filter(counts, candidates))
             if len(ids) > 1:
-                full = ", ".join(self.names.at(ids[:5]))
-                raise AmbiguousNameError(
-                    f"{name!r} names {len(ids)} {kind} of the graph: {full}. "
-                    f"Give the full name of one of them."
-                )
+                raise several(name, kind, self.names.at(ids))
             if ids:
                 return ids[0]
         return None
+
+    def same_name(self, name: str, counts: Counts) -> list[int]:
+        """Return the ids that count of one name, ascending.
+
+        They have its letters, in any case and with any separators, or its label; where none has it
+        as its name, last part or label, they have one spelling in common, such as the plural.
+        """
+        by_local, by_label, alike = self.alike(name)
+        ids = {*by_local, *by_label}
+        exact = self.names.find(name)
+        if exact is not None:
+            ids.add(exact)
+        if any(map(counts, ids)):
+            letters = letters_of(local_name(name))
+            for index in alike:
+                if letters_of(local_name(self.names[index])) == letters:
+                    ids.add(index)
+        else:
+            ids.update(alike)
+        return sorted(filter(counts, ids))
 
     def near(self, name: str) -> list[str]:
         """Return the last parts of names that end with a name ("CoffeeMug"), shortest first."""

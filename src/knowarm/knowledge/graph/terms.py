@@ -13,6 +13,7 @@ import unicodedata
 from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from itertools import count
+from typing import NamedTuple
 from urllib.parse import quote, unquote
 
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
@@ -39,6 +40,20 @@ _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SPACE = re.compile(r"[\s_\-]+")
 _SENSE = re.compile(r"\.[a-z](\.\d+)?$")
 """Kind or sense behind a word, as in WordNet's mug.n.04."""
+_YEAR = r"(?:1[5-9]|20)\d\d$"
+_NUMBERS = (
+    rf"(?!{_YEAR})\d+"
+    # Digits and letters a to f
+    r"|(?=(?:\D*\d){2})(?=\d*[a-fA-F])[\da-fA-F]{4,}"
+    # Random letters in both cases and digits, but no word with a number behind it
+    r"|(?=.*[a-z])(?=.*[A-Z])(?=.*\d)(?![A-Z]?[a-z]+\d+$)(?!\d+[a-z]+$)[\dA-Za-z]{6,12}"
+    r"|[\da-f]{8}(?:-[\da-f]{4}){3}-[\da-f]{12}"
+)
+"""Numbers of individuals, no years: the ends of mug_0, mug_12ab and Mug_n8p9V6."""
+_PARTED = re.compile(rf"<?([^|]*?[^\W_])>?[\s_.#-]*[\s_.#(\[-](?:{_NUMBERS})[)\]]?")
+_JOINED = re.compile(r"(.*[^\W\d_])\d{1,3}")
+_AT_PLACE = re.compile(r"([^|]*[^\W_])\|[|\w.+-]*\d[|\w.+-]*")
+"""The name of an object and its place or number, as in AI2-THOR: Mug|-00.53|+01.15|+00.10."""
 _CONCEPT = re.compile(r"^/(?:c/\w+|r)/([^/]+).*")
 """Name of ConceptNet: /c/en/mug/n, /r/UsedFor."""
 _PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", "us": "us",
@@ -46,6 +61,14 @@ _PLURALS = {"ies": "i", "ie": "i", "y": "i", "oes": "o", "oe": "o", "ss": "ss", 
 """Endings that one word has in singular or plural, and what stands for both; the longest counts."""
 _LAST = frozenset(ending[-1] for ending in _PLURALS)
 Term = NamedNode | BlankNode | Literal
+
+
+class NumberedName(NamedTuple):
+    """A word with a number, such as "mug_0"."""
+
+    word: str
+    is_parted: bool
+    """Whether a sign parts the number from it, as in "mug_0" but not in "mug1"."""
 
 
 def literal(
@@ -144,7 +167,7 @@ def name_key(text: str) -> str:
     key = text
     if "." in key:
         key = _SENSE.sub("", key)
-    key = "".join(key.split()).replace("_", "").replace("-", "")
+    key = "".join(key.split()).replace("_", "").replace("-", "")  # fast
     if not key.isalpha() and not any(map(str.isalpha, key)):
         return text
     if key[-1] not in _LAST:
@@ -154,6 +177,25 @@ def name_key(text: str) -> str:
         if ending in _PLURALS and len(key) > max(length, 3):
             return key[:-length] + _PLURALS[ending]
     return key
+
+
+def numbered(name: str) -> NumberedName | None:
+    """Return the word of a name that ends with a number: mug of "mug_0", "mug.001" and "mug1".
+
+    "mug_rack", "mug_2019", "mug.n.04" and "mug_500ml" do not.
+    """
+    if _SENSE.search(name):
+        return None
+    parted = _PARTED.fullmatch(name) or _AT_PLACE.fullmatch(name)
+    match = parted or _JOINED.fullmatch(name)
+    if match is None or not any(map(str.isalpha, match[1])):
+        return None
+    return NumberedName(match[1], parted is not None)
+
+
+def letters_of(text: str) -> str:
+    """Return a text without separators, in lower case: "wineglass" of "Wine_Glass"."""
+    return "".join(text.split()).replace("_", "").replace("-", "").casefold()
 
 
 def label_of(name: str, labels: Mapping[str, str]) -> str:

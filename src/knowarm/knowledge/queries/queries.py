@@ -12,6 +12,7 @@ from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.homonyms import object_id
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import (
@@ -167,7 +168,7 @@ class QueryGraph:
 
     def _object(self, name: str) -> int:
         try:
-            return self.graph.entity_id(name)
+            return object_id(self.graph, name)
         except UserError as error:
             raise UserError(
                 f"The graph says nothing about the object {name!r}. {error} Add triples about "

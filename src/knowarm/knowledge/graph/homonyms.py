@@ -1,0 +1,190 @@
+"""Homonyms: which of the entities of one name an object of a task, or a value, stands for.
+
+Equal letters are no reason: of `Mug` and `mug`, or of `http://a.org/mug` and `http://b.org/mug`,
+the class is meant, or else the one about which more is stated. A `DataWarning` names the others.
+"""
+
+import numpy as np
+
+from knowarm.errors import warn
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
+from knowarm.knowledge.graph.names import AmbiguousNameError, Counts, several
+from knowarm.knowledge.graph.terms import (
+    is_iri,
+    label_of,
+    local_name,
+    name_key,
+    numbered,
+)
+
+_DEEDS = {"action", "activity", "event", "process", "motion", "verb"}
+"""Last words of classes of what is done or happens."""
+_OPEN = {"NamedIndividual", "Thing", "Resource"}
+"""Last parts of classes that leave open what their individuals are."""
+
+
+def find_object(graph: KnowledgeGraph, name: str) -> int | None:
+    """Return the id of an object of a task, by its full IRI or its name; None without.
+
+    Warns:
+        DataWarning: others have the name, too; several are described alike, or it is the name of
+            an action or an event: then the object counts as not described.
+    """
+    try:
+        entity = _object(graph, name)
+    except AmbiguousNameError as error:
+        warn(f"{error} Until then it counts as not described.")
+        return None
+    if entity is None or not is_deed(graph, entity):
+        return entity
+    warn(
+        f"{name!r} is {graph.names[entity]} in the graph, an action or an event and no object, "
+        "so it counts as not described. Give the full name to mean it."
+    )
+    return None
+
+
+def object_id(graph: KnowledgeGraph, name: str) -> int:
+    """Return the id of an object as `find_object`, which may be an action.
+
+    Raises:
+        AmbiguousNameError: several are described alike.
+        UserError: there is none.
+    """
+    entity = _object(graph, name)
+    return graph.entity_id(name) if entity is None else entity
+
+
+def value_id(graph: KnowledgeGraph, name: str, counts: Counts) -> int | None:
+    """Return the id of the value that is meant of those that count; None without.
+
+    Of several that are described alike it is the one that is spelled like the name.
+
+    Raises:
+        AmbiguousNameError: several are spelled and described alike.
+
+    Warns:
+        DataWarning: others have the name, too.
+    """
+    best, others = _best(graph, name, counts)
+    entity = graph.entity_spellings.find(name, "entities", best.__contains__)
+    if entity is not None:
+        others = [*others, *(other for other in best if other != entity)]
+        _warn_of(graph, name, entity, others)
+    return entity
+
+
+def best_described(graph: KnowledgeGraph, name: str) -> list[int]:
+    """Return the ids of a name that are described best, several if they are alike."""
+    return _best(graph, name, _counts(graph, name))[0]
+
+
+def short(graph: KnowledgeGraph, entity: int) -> str:
+    """Return the last part of a name, or the whole where other names have its letters."""
+    name = graph.names[entity]
+    local = local_name(name)
+    if len(graph.entity_spellings.same_name(local, graph.has_node)) > 1:
+        return name
+    return local
+
+
+def is_class(graph: KnowledgeGraph, entity: int) -> bool:
+    """Return whether something is typed by an entity or below it, or it is called a class."""
+    kinds = graph.type_relations + graph.subclass_relations
+    if not kinds:
+        return False
+    if np.isin(graph.relations[graph.in_rows(entity)], kinds).any():
+        return True
+    types = graph.names.at(_tails(graph, entity, graph.type_relations))
+    is_subclass = len(_tails(graph, entity, graph.subclass_relations)) > 0
+    return is_subclass or "Class" in map(local_name, types)
+
+
+def is_deed(graph: KnowledgeGraph, entity: int) -> bool:
+    """Return whether all classes of an entity, and above it, are of actions or events."""
+    relations = graph.type_relations + graph.is_a_relations + graph.subclass_relations
+    last_words = set()
+    for name in graph.names.at(_tails(graph, entity, relations)):
+        if local_name(name) not in _OPEN:
+            last_words.add(label_of(name, graph.labels).split(" ")[-1])
+    return bool(last_words) and last_words <= _DEEDS
+
+
+def types_of(graph: KnowledgeGraph, entity: int) -> list[int]:
+    """Return the ids of the classes that are stated as types of an individual."""
+    relations = graph.type_relations
+    if numbered(local_name(graph.names[entity])) is not None:
+        relations = relations + graph.is_a_relations
+    kinds = _tails(graph, entity, relations).tolist()
+    return [kind for kind in kinds if local_name(graph.names[kind]) not in _OPEN]
+
+
+def _tails(graph: KnowledgeGraph, entity: int, relations: list[int]) -> Ids:
+    """Return what some relations lead to from an entity, (k,)."""
+    if not relations:
+        return np.empty(0, np.int32)
+    rows = graph.out_rows(entity)
+    rows = rows[np.isin(graph.relations[rows], relations)]
+    return graph.tails[graph.believed(rows)]
+
+
+def _object(graph: KnowledgeGraph, name: str) -> int | None:
+    exact = graph.names.find(name)
+    if exact is not None and is_iri(name) and graph.has_node(exact):
+        return exact
+    best, others = _best(graph, name, _counts(graph, name))
+    if len(best) > 1:
+        raise several(name, "entities", graph.names.at(best))
+    for entity in best:
+        _warn_of(graph, name, entity, others)
+        return entity
+    return None
+
+
+def _warn_of(graph: KnowledgeGraph, name: str, entity: int, others: list[int]) -> None:
+    if others:
+        warn(
+            f"{name!r} is taken for {graph.names[entity]}, and not for "
+            f"{', '.join(graph.names.at(others[:5]))}. Give the full name to mean another one."
+        )
+
+
+def _best(
+    graph: KnowledgeGraph, name: str, counts: Counts
+) -> tuple[list[int], list[int]]:
+    """Return the ids of a name that are described best, and the others that are described."""
+    same = graph.entity_spellings.same_name(name, counts)
+    if len(same) < 2:
+        return same, []
+    merits = {}
+    for entity in same:
+        facts = len(graph.out_rows(entity))
+        merits[entity] = (not is_deed(graph, entity), is_class(graph, entity), facts)
+    most = max(merits.values())
+    best = []
+    others = []
+    for entity, (_, *merit) in merits.items():
+        if merits[entity] == most:
+            best.append(entity)
+        elif any(merit):
+            others.append(entity)
+    return best, others
+
+
+def _counts(graph: KnowledgeGraph, name: str) -> Counts:
+    """Return whether an id counts as of this name.
+
+    Of several none does that is called after its class, as `mug_0` with the label "mug".
+    """
+    same = set(graph.entity_spellings.same_name(name, graph.has_node))
+    key = name_key(name)
+
+    def counts(entity: int) -> bool:
+        if len(same) == 1:
+            return entity in same
+        word = numbered(local_name(graph.names[entity]))
+        is_counted = word is not None and name_key(word.word) == key
+        is_typed = not same.isdisjoint(types_of(graph, entity))
+        return entity in same and not is_counted and not is_typed
+
+    return counts
