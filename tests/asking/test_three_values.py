@@ -8,6 +8,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.denials import denial, negative_words, stance
+from knowarm.knowledge.graph.homonyms import find_object
 from knowarm.knowledge.graph.terms import RDF_TYPE
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import Query
@@ -124,7 +125,11 @@ def test_what_a_graph_states_and_denies_answers_neither():
 )
 def test_a_condition_stays_one_where_nobody_answers(graph, question, hint):
     shipped = shipped_graph(graph)
-    objects = [name for name in ("mug", "pan", "bowl") if shipped.described(name)]
+    objects = [
+        name
+        for name in ("mug", "pan", "bowl")
+        if find_object(shipped, name) is not None
+    ]
     facets = [(name, "red") for name in objects]
     extended = graph_of([*shipped, ("thing", *question.split(" "))])
     assert reading(extended, facets, question) == question

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -15,12 +16,18 @@ from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.homonyms import short
+from knowarm.knowledge.graph.individuals import Meant, classes_of, may_have, meant
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
 from knowarm.knowledge.queries.sparql import Answer, SparqlQuery
 from knowarm.questions import AND, COLOUR_RELATION, SURE, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
+
+_LOOKED_AT = 2_000
+_TOLD = 4
+"""Most entities that are no objects of a task: looked at and told of, where no object answers."""
 
 Words = Mapping[str, Mapping[str, Sequence[str]]]
 """Objects by relation and value."""
@@ -169,7 +176,7 @@ class _Answering:
     Attributes:
         colours: the colours of the facets.
         objects: their names.
-        entities: the entities of those that the graph describes.
+        meant: what those that the graph describes stand for.
     """
 
     def __init__(
@@ -179,34 +186,33 @@ class _Answering:
         self.facets = facets
         self.colours = dict.fromkeys(colour for _, colour in facets)
         self.objects = dict.fromkeys(name for name, _ in facets)
-        self.entities = self._entities(names or {})
+        self._individuals: dict[ObjectColour, list[Individual]] = {}
+        self.meant = self._meant(names or {})
+        if not self.meant:
+            raise self._none_described()
 
-    def _entities(self, names: NamesInGraph) -> dict[str, int]:
+    def _meant(self, names: NamesInGraph) -> dict[str, Meant]:
         for name in names:
             if name not in self.objects:
                 raise unknown_name("object of the task", name, self.objects)
-        entities = {}
+        described = meant(self.graph, self.objects, names)
+        for name in names.keys() - described.keys():
+            self.graph.entity_id(names[name])  # which raises the error
+        return described
+
+    def _none_described(self) -> UserError:
+        example = "mug=MyMug"
         for name in self.objects:
-            if name not in names:
-                entity = self.graph.described(name)
-            else:
-                entity = self.graph.entity_id(names[name])
-            if entity is not None:
-                entities[name] = entity
-        if not entities:
-            example = "mug=MyMug"
-            for name in self.objects:
-                near = self.graph.entity_spellings.near(name)
-                if near:
-                    example = f"{name}={near[0]}"
-                    break
-            raise UserError(
-                f"The graph describes none of the {len(self.objects)} objects of the task, such "
-                f"as {next(iter(self.objects))!r}. Give its names for them, such as ",
-                Argument("names", example),
-                ", or give another graph.",
-            )
-        return entities
+            near = self.graph.entity_spellings.near(name)
+            if near:
+                example = f"{name}={near[0]}"
+                break
+        return UserError(
+            f"The graph describes none of the {len(self.objects)} objects of the task, such "
+            f"as {next(iter(self.objects))!r}. Give its names for them, such as ",
+            Argument("names", example),
+            ", or give another graph.",
+        )
 
     def read(self, text: str) -> str:
         """Return a question as it is if it is one in conditions, or plain English as conditions."""
@@ -231,17 +237,40 @@ class _Answering:
     @cached_property
     def vocabulary(self) -> Vocabulary:
         """What can be asked in plain English."""
-        known = list(self.entities.values())
+        known = list(dict.fromkeys(chain.from_iterable(map(self.known, self.meant))))
         return Vocabulary(self.graph, known, self.colours, self.objects)
+
+    def known(self, name: str) -> list[int]:
+        """Return the entities whose facts are known of an object: its individuals and classes."""
+        known = []
+        for entity in self.meant[name].candidates:
+            known += [entity, *classes_of(self.graph, entity)]
+        if self.meant[name].entity is not None:
+            known.append(self.meant[name].entity)
+        return list(dict.fromkeys(known))
 
     def reader(self, text: str) -> QuestionReader:
         """Return a reader of a question in conditions."""
         return QuestionReader(text, self.graph, self.colours, self.objects)
 
     def individuals(self, facet: ObjectColour) -> list[Individual]:
-        """Return what an object may be in the graph; none of its entities if it has none."""
-        name, colour = facet
-        return [Individual(self.entities.get(name), name, colour)]
+        """Return what an object may be in the graph; none of its entities if it has none.
+
+        It is no individual of which the graph states another colour.
+        """
+        if facet not in self._individuals:
+            name, colour = facet
+            may_be = self.meant.get(name, Meant(None, ()))
+            entities: list[int | None] = [
+                entity
+                for entity in may_be.individuals
+                if may_have(self.graph, entity, colour)
+            ]
+            self._individuals[facet] = [
+                Individual(entity, name, colour)
+                for entity in entities or [may_be.entity]
+            ]
+        return self._individuals[facet]
 
     def answers(self, text: str) -> Answers:
         """Answer a question in SPARQL or conditions."""
@@ -264,18 +293,21 @@ class _Answering:
     def holders(self, text: str) -> set[int]:
         """Return the entities of the objects that answer a question."""
         names = {name for name, _ in self.answers(text).judgements}
-        return {self.entities[name] for name in names if name in self.entities}
+        return set(chain.from_iterable(map(self.known, names & self.meant.keys())))
 
     def no_answer(self, answers: Answers) -> UserError:
         """Return the error of a question that no object answers: what denies it, what is near."""
         denied: list[str] = []
         for facet in self.facets:
             judgement = surest(map(answers.part, self.individuals(facet)))
-            if judgement.is_stated and facet[0] in self.entities:
+            if judgement.is_stated and facet[0] in self.meant:
                 denied += judgement.evidence
         text = f"No object of the task answers the question {answers.question!r}."
         if denied:
             text += f" What speaks against it: {'; '.join(list(dict.fromkeys(denied))[:4])}."
+        others = self.others(answers.part)
+        if others:
+            text += f" In the graph it is true of {', '.join(others)}: no object stands for that."
         if _SPARQL.match(answers.question):
             hint = SparqlQuery(self.graph, answers.question).hint
         else:
@@ -285,6 +317,16 @@ class _Answering:
         return UserError(
             f"{text} Ask another one, or add the missing triple to the graph."
         )
+
+    def others(self, part: Part) -> list[str]:
+        """Return some entities of which the graph states what a question says."""
+        others = []
+        for entity in np.unique(self.graph.heads)[:_LOOKED_AT].tolist():
+            judgement = part(Individual(entity))
+            is_stated = judgement.is_stated and not judgement.is_open
+            if judgement.answers and is_stated:
+                others.append(self.graph.names[entity])
+        return others[:_TOLD]
 
 
 def words(
@@ -300,21 +342,19 @@ def words(
     objects: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
     for name, colour in facets:
         objects[COLOUR_RELATION].setdefault(colour, []).append(name)
-    for name, entity in _Answering(graph, facets, names).entities.items():
-        for row in graph.out_rows(entity):
+    answering = _Answering(graph, facets, names)
+    for name in answering.meant:
+        rows = np.concatenate(list(map(graph.out_rows, answering.known(name))))
+        for row in graph.believed(rows):
             tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
-            triple = (
-                graph.names[entity],
-                graph.relation_names[graph.relations[row]],
-                graph.names[tail],
-            )
             is_unnamed = graph.names[tail].startswith(('"', "_:"))
-            is_sure = graph.confidence.get(triple, 1.0) >= SURE
-            if is_unnamed or local_name(relation) == COLOUR_RELATION or not is_sure:
+            if is_unnamed or local_name(relation) == COLOUR_RELATION:
                 continue
-            value = graph.names.short(tail)
-            objects.setdefault(relation, {}).setdefault(value, []).append(name)
+            value = short(graph, tail)
+            names_of_value = objects.setdefault(relation, {}).setdefault(value, [])
+            if name not in names_of_value:
+                names_of_value.append(name)
     return objects
 
 
@@ -354,8 +394,11 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     def part(individual: Individual) -> Judgement:
         if individual.entity is None:
             return Judgement(False, is_unsettled=True)
-        name = graph.names[individual.entity]
-        return _selected(rows(name, individual.colour), individual.colour)
+        judgements = []
+        for entity in (individual.entity, *classes_of(graph, individual.entity)):
+            selecting = rows(graph.names[entity], individual.colour)
+            judgements.append(_selected(selecting, individual.colour))
+        return surest(judgements)
 
     return part
 

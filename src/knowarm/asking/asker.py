@@ -6,7 +6,6 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -103,14 +102,20 @@ class Asked:
 
     @property
     def rows(self) -> "list[AnswerRow]":
-        """Answers by object."""
+        """Answers by object, which has several rows if it answers in other colours otherwise."""
+        judgements = self.answers.judgements
+
+        def reasons(facet: ObjectColour) -> tuple[str, ...]:
+            seen = f"the image shows {facet[1]}"
+            return (facet[0], *filter(seen.__ne__, judgements[facet].evidence))
+
         rows = []
-        for name, group in groupby(self.answers.judgements, key=itemgetter(0)):
+        for (name, *_), group in groupby(judgements, key=reasons):
             facets = list(group)
             colours = "any"
             if len(facets) < self.known[name]:
                 colours = ", ".join(colour for _, colour in facets)
-            rows.append(AnswerRow(name, colours, self.answers.judgements[facets[0]]))
+            rows.append(AnswerRow(name, colours, judgements[facets[0]]))
         return rows
 
     @property

@@ -18,6 +18,7 @@ from knowarm.errors import UserError, printable
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import meeting
 from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.homonyms import object_id
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import ObjectColour
 
@@ -169,7 +170,12 @@ class AnswerCommand(ObjectOptions, TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, and print the objects that answer."""
         graph = self.read()
-        answers = answer(graph, self.facets(graph), self.question)
+        facets = self.facets(graph)
+        names = {}
+        if not self.objects:  # they are of the graph, whatever they are
+            for name in dict.fromkeys(name for name, _ in facets):
+                names[name] = graph.names[object_id(graph, name)]
+        answers = answer(graph, facets, self.question, names)
         objects = [*answers.evidence]
         print_table(f"Answers to: {answers.question}", ["object", "colour"], objects)
         return {"query": answers.question, "answers": objects}

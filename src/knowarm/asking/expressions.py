@@ -48,6 +48,7 @@ from knowarm.asking.quotes import QUOTED, unquoted
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.individuals import classes_of, values_of
 from knowarm.knowledge.graph.terms import RDF_TYPE, label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
 
@@ -249,7 +250,7 @@ class QuestionReader:
         value = self.value("a name or class")
         kinds = self.kinds()
         key = name_key(value)
-        ids = set(self.graph.values(value))
+        ids = values_of(self.graph, value, self.graph.has_node)
         names = {name for name in self.objects if name_key(name) == key}
         classes = self.tails(kinds)
         if not names and ids.isdisjoint(classes):
@@ -258,11 +259,13 @@ class QuestionReader:
         by_graph = self.leading_to(kinds, ids, f"is {value}")
 
         def judgement(individual: Individual) -> Judgement:
-            if individual.name in names or individual.entity in ids:
+            stated = Judgement(False, (f"it is {individual.name}",), 0.0)
+            if individual.name not in names and ids:
+                stated = by_graph(individual)
+            is_it = individual.name in names or individual.entity in ids
+            if is_it and not stated.answers:
                 return Judgement(True, (f"it is {value}",))
-            if not ids:
-                return Judgement(False, (f"it is {individual.name}",), 0.0)
-            return by_graph(individual)
+            return stated
 
         return judgement
 
@@ -318,7 +321,8 @@ class QuestionReader:
 
     def values(self, relation: _Relation, value: str) -> set[int]:
         """Return the ids of what a value names, and of numbers and dates equal to it."""
-        ids = set(self.graph.values(value))
+        tails = set(self.tails(relation))
+        ids = values_of(self.graph, value, tails.__contains__)
         wanted = _quantity(value)
         if wanted is not None:
             for tail, quantity in self.quantities(relation):
@@ -333,11 +337,31 @@ class QuestionReader:
             if individual.entity is None:
                 reason = f"the graph does not describe {individual.name}"
                 return Judgement(False, (reason,), 0.0, is_unsettled=True)
-            stated = self.evidence(individual, relation.ids, of)
-            denied = self.evidence(individual, relation.opposed, of)
-            return settled(stated, denied, text)
+            for entities in self.told_of(individual, relation):
+                stated = self.evidence(individual, entities, relation.ids, of)
+                denied = self.evidence(individual, entities, relation.opposed, of)
+                if stated is not None or denied is not None:
+                    return settled(stated, denied, text)
+            return settled(None, None, text)
 
         return judgement
+
+    def told_of(self, individual: Individual, relation: _Relation) -> list[list[int]]:
+        """Return the entities whose facts tell of an individual: itself, and then its classes.
+
+        A class does not tell where an individual is, if that is stated of the individual itself.
+        """
+        graph = self.graph
+        assert individual.entity is not None
+        told_of = [[individual.entity]]
+        classes = classes_of(graph, individual.entity)
+        stated = graph.relations[graph.out_rows(individual.entity)]
+        is_place = re.search(
+            FAMILIES["location"].relations, label_of(relation.name, {})
+        )
+        if classes and not (is_place and np.isin(stated, relation.ids).any()):
+            told_of.append(classes)
+        return told_of
 
     def leading_to(self, relation: _Relation, ids: Collection[int], text: str) -> Part:
         """Return the part that is true where a relation leads to one of some entities."""
@@ -403,7 +427,8 @@ class QuestionReader:
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
                 return Judgement(False, is_unsettled=True)
-            facts = list(self.facts(individual, relation.ids, of))
+            entities = list(chain.from_iterable(self.told_of(individual, relation)))
+            facts = list(self.facts(individual, entities, relation.ids, of))
             evidence = tuple(chain.from_iterable(fact.evidence for fact in facts))
             is_it = SIGNS[sign](len(facts), int(number))
             return Judgement(is_it, (*evidence, f"counted: {len(facts)}"), float(is_it))
@@ -441,13 +466,17 @@ class QuestionReader:
         return _Relation(name, ids, denying)
 
     def evidence(
-        self, individual: Individual, relations: Collection[int], of: Part
+        self,
+        individual: Individual,
+        entities: Collection[int],
+        relations: Collection[int],
+        of: Part,
     ) -> Judgement | None:
         """Return what says that one of some relations leads to something of which a part is true.
 
         None without; of several facts the most probable one is the evidence.
         """
-        facts = list(self.facts(individual, relations, of))
+        facts = list(self.facts(individual, entities, relations, of))
         if not facts:
             return None
         is_false = 1.0
@@ -456,16 +485,25 @@ class QuestionReader:
         return replace(surest(facts), probability=1 - is_false)
 
     def facts(
-        self, individual: Individual, relations: Collection[int], of: Part
+        self,
+        individual: Individual,
+        entities: Collection[int],
+        relations: Collection[int],
+        of: Part,
     ) -> Iterator[Judgement]:
-        """Yield each triple of relations whose tail a part is true of, with its probability."""
+        """Yield each fact that entities tell of an individual by relations, with its probability.
+
+        A part is true of its tail; what several entities tell alike counts once.
+        """
         graph = self.graph
-        assert individual.entity is not None
-        for row in graph.out_rows(individual.entity):
+        rows = np.concatenate(list(map(graph.out_rows, entities)))
+        seen = set()
+        for row in rows:
             relation = graph.relations[row]
-            if relation not in relations:
-                continue
             tail = int(graph.tails[row])
+            if relation not in relations or (relation, tail) in seen:
+                continue
+            seen.add((relation, tail))
             told = Individual(tail)
             if tail == individual.entity:
                 told = individual
