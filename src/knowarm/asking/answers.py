@@ -242,12 +242,15 @@ class _Answering:
 
     def known(self, name: str) -> list[int]:
         """Return the entities whose facts are known of an object: its individuals and classes."""
-        known = []
-        for entity in self.meant[name].candidates:
-            known += [entity, *classes_of(self.graph, entity)]
-        if self.meant[name].entity is not None:
-            known.append(self.meant[name].entity)
-        return list(dict.fromkeys(known))
+        entity, individuals = self.meant[name]
+        known: dict[int, None] = {}
+        for individual in individuals:
+            known.update(
+                dict.fromkeys([individual, *classes_of(self.graph, individual)])
+            )
+        if entity is not None:
+            known.update(dict.fromkeys([entity, *classes_of(self.graph, entity)]))
+        return list(known)
 
     def reader(self, text: str) -> QuestionReader:
         """Return a reader of a question in conditions."""

@@ -139,13 +139,19 @@ class _Scene:
     def link_all(self, records: list[_Record]) -> None:
         """Add the relations of records."""
         for record in records:
-            keys = next((keys for keys in LINKS if record.keys() >= set(keys)), None)
-            if keys is None:
-                names = list(record)
-                keys = [names[column] for column in columns_of(names, self.path) or ()]
+            keys = self._keys(record)
             head, relation, tail = map(record.__getitem__, keys)
             self.link(_identifier(head), relation, _identifier(tail))
             self._unread.update(record.keys() - {*keys, *_KEYS})
+
+    def _keys(self, edge: _Record) -> tuple[str, ...]:
+        """Return the keys of head, relation and tail of an edge."""
+        for keys in LINKS:
+            if edge.keys() >= set(keys):
+                return keys
+        names = list(edge)
+        columns = columns_of(names, self.path) or ()
+        return tuple(map(names.__getitem__, columns))
 
     def build(self) -> KnowledgeGraph:
         """Return the graph; say what is not in it."""
@@ -321,7 +327,7 @@ def _ends(relation: _Record) -> list[_Record]:
     """Return the two objects of a relation of ConceptGraphs, [] where it does not describe them."""
     if "object1" in relation:
         return [relation["object1"], relation["object2"]]
-    ends = []
+    ends: list[_Record] = []
     for number in (1, 2):
         if f"object_{number}_tag" in relation:
             tag = relation[f"object_{number}_tag"]

@@ -1,6 +1,6 @@
 """Individuals of classes: what the name of an object stands for in the graph of a scene."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,13 +32,6 @@ class Meant(NamedTuple):
     """The entity of this name, which may be a class."""
     individuals: tuple[int, ...]
     """Its individuals, ascending."""
-
-    @property
-    def candidates(self) -> tuple[int, ...]:
-        """What a seen object may be: one of the individuals, and without any the entity."""
-        if self.individuals or self.entity is None:
-            return self.individuals
-        return (self.entity,)
 
 
 def meant(
@@ -186,7 +179,7 @@ def _typed(graph: KnowledgeGraph, kind: int) -> list[int]:
     return [head for head in typed if not is_class(graph, head)]
 
 
-def _heads(graph: KnowledgeGraph, tail: int, relations: Collection[int]) -> list[int]:
+def _heads(graph: KnowledgeGraph, tail: int, relations: list[int]) -> list[int]:
     """Return the heads of the triples that lead to a tail by one of some relations."""
     if not relations:
         return []
