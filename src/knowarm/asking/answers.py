@@ -21,7 +21,7 @@ from knowarm.knowledge.graph.individuals import Meant, classes_of, may_have, mea
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
 from knowarm.knowledge.queries.sparql import Answer, SparqlQuery
-from knowarm.questions import AND, COLOUR_RELATION, SURE, ObjectColour
+from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
 
