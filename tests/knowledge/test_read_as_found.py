@@ -1,14 +1,19 @@
 """Graphs as other programs and people write them: read right, or refused or warned in one line."""
 
 import csv
+import gzip
 import io
 import json
 import re
+import shlex
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
 import hypothesis.strategies as st
 import networkx
+import pyhornedowl
 import pytest
 import rdflib
 from hypothesis import given, settings
@@ -19,7 +24,12 @@ from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.graph.builder import union
 from knowarm.knowledge.graph.edits import edited
-from knowarm.knowledge.graph.terms import iri_of_name, literal, parse_literal
+from knowarm.knowledge.graph.terms import (
+    iri_of_name,
+    literal,
+    local_name,
+    parse_literal,
+)
 
 MUG, BOTTLE = ("mug", "usedFor", "drinking"), ("bottle", "usedFor", "drinking")
 CUP = ("mug", "isA", "cup")
@@ -110,10 +120,10 @@ def test_what_people_have_is_read_right_and_without_a_warning(tmp_path, name, co
         ),
         (
             "a.csv",
-            "Thing,Link,Other\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"
+            "Kram,Link,Other\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"
             "mug,isA,cup\nbottle,isA,cup\n",
-            {MUG, BOTTLE, CUP, ("bottle", "isA", "cup"), ("Thing", "Link", "Other")},
-            "line 1: Thing, Link, Other was read as a triple, but no word of it occurs again",
+            {MUG, BOTTLE, CUP, ("bottle", "isA", "cup"), ("Kram", "Link", "Other")},
+            "line 1: Kram, Link, Other was read as a triple, but no word of it occurs again",
         ),
     ],
 )  # fmt: skip
@@ -126,26 +136,128 @@ def test_what_is_left_out_or_doubtful_is_said_in_one_line(
     assert [str(each.message).count("\n") for each in caught] == [0]
 
 
+def run_remedy(message, folder):
+    """Run the command that a message ends with, and return what it printed."""
+    command = re.search(r"(?:: |^)((?:python|tr|iconv) .*?)\.?$", message)[1]
+    command = command.replace("python -c", f"{shlex.quote(sys.executable)} -c", 1)
+    return subprocess.run(
+        command, shell=True, check=True, cwd=folder, capture_output=True, text=True
+    ).stdout
+
+
+THINGS = "mug,drinking,clay\nbowl,eating,clay\n"
+WIDE = {
+    "commas": ("a.csv", f"object,affordance,material\n{THINGS}", 4),
+    "case 04": ("a.csv", "object,affordance,material\nmug,drinking,ceramic\nbowl,eating,ceramic\n"
+                "bottle,pouring,glass\nkettle,boiling,steel\n", 8),
+    "tabs": ("a.tsv", "name\taffordance\tmaterial\nmug\tdrinking\tclay\nbowl\tx\tclay\n", 4),
+    "semicolons": ("a.csv", f"Item;affordance;material\n{THINGS}".replace(",", ";"), 4),
+    "excel": ("a.csv", "sep=;\n" + f"Items,affordance,material\n{THINGS}".replace(",", ";"), 4),
+    "no first name": ("a.csv", f",affordance,material\n{THINGS}", 4),
+    "quotes": ("a.csv", '"","affordance","the ""material"""\n"mug","drinking","a, b"\n', 2),
+    "after blanks": ("a.csv", 'thing, affordance, of\nmug, drinking, "a, b"\nb, c, d\n', 4),
+    "utf-16": ("a.csv", f",affordance,material\n{THINGS}".encode("utf-16"), 4),
+    "a mark": ("a.csv", "\ufeffname,affordance,material\nmug,drinking,é\nbowl,eating,clay\n", 4),
+    "a path with blanks": ("it's my $HOME.csv", f"id,affordance,material\n{THINGS}", 4),
+    "four columns": ("a.csv", "object,affordance,material,weight\nmug,drinking,,1\n", 2),
+    "capitals": ("a.csv", "Objects,affordance,weight\nmug,drinking,1\nbowl,eating,0\n", 4),
+    "seven": ("a.csv", "cosa,affordance,b,c,d,e,f\nmug,drinking,,1,0,x,y\ncan,0,a,,1,x,z\n", 10),
+    "gzip": ("a.csv.gz", gzip.compress(f"name,affordance,material\n{THINGS}".encode()), 4),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ["", "a folder/"])
+@pytest.mark.parametrize(("name", "content", "count"), WIDE.values(), ids=WIDE)
 def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(
-    tmp_path, monkeypatch
+    tmp_path, monkeypatch, name, content, count, path
 ):
     pandas = pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
-    write(Path("a.csv"), "thing,a,b,c,d,e,f\nmug,1,,tea,0,x,y\ncan,0,oil,,1,x,z\n")
-    with pytest.raises(UserError, match="a line per property") as refused:
-        read_graph(Path("a.csv"))
-    code = re.search(r"(pandas.*\))\.$", str(refused.value))[1]
-    eval(code, {"pandas": pandas})
-    assert set(read_graph(Path("triples.csv"))) == {
-        *(
-            ("mug", r, t)
-            for r, t in zip("acdef", ["1", "tea", "0", "x", "y"], strict=True)
-        ),
-        *(
-            ("can", r, t)
-            for r, t in zip("abdef", ["0", "oil", "1", "x", "z"], strict=True)
-        ),
-    }
+    Path("a folder").mkdir()
+    file = write(Path(path + name), content)
+    with pytest.raises(UserError, match="a line per property: python") as refused:
+        read_graph(file)
+    assert "\n" not in str(refused.value)
+    run_remedy(str(refused.value), tmp_path)
+    graph = read_graph(Path("triples.csv"))
+    assert ("mug", "affordance", "drinking") in graph
+    table = pandas.read_csv("triples.csv", dtype=str)
+    assert set(table.itertuples(index=False, name=None)) == set(graph)
+    assert len(graph) == count
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "mug,drinking,ceramic\nbowl,eating,clay\nbottle,pouring,glass\n",
+        "Ding;Zweck;Stoff\nTasse;Trinken;Ton\nSchale;Essen;Ton\n",
+        "mug,red,0.3\nbowl,blue,0.3\nbottle,green,0.2\nkettle,red,1.2\n",
+    ],
+)
+def test_columns_without_relations_are_doubted(tmp_path, text):
+    with pytest.warns(DataWarning, match="were read as relations, but hardly"):
+        read_graph(write(tmp_path / "a.csv", text))
+
+
+@pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "mug,usedFor,drinking\n",
+        "mug,usedFor,tea\nbowl,madeOf,clay\nbottle,contains,water\nkettle,hasPart,lid\n",
+        "mug,on,table\nbowl,in,sink\nlamp,near,window\n",
+        "mug,used for,tea\nbowl,made of,clay\nlamp,lights,room\n",
+        "name,isA,word\nmug,isA,cup\n",
+        "object,kind,thing\nobject,has,weight\nmug,holds,tea\n",
+    ],
+)
+def test_small_graphs_are_not_doubted(tmp_path, text):
+    assert len(read_graph(write(tmp_path / "a.csv", text))) == text.count("\n")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["sep=;\n{}", '"sep=;"\n{}', "SEP=;\r\n{}", "\ufeffsep=;\n{}"],
+)
+@pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.txt"])
+@pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
+def test_the_separator_that_excel_writes_first(tmp_path, name, text):
+    for rows in (
+        "head;relation;tail\nmug;usedFor;drinking\n",
+        "mug;usedFor;drinking\n",
+    ):
+        path = write(tmp_path / name, text.format(rows))
+        assert list(read_graph(path)) == [MUG]
+    path.write_bytes("sep=\t\nmug\tusedFor\tdrinking\n".encode("utf-16"))
+    assert list(read_graph(path)) == [MUG]
+
+
+def test_columns_are_named_in_pairs(tmp_path):
+    """A source beside an object is where a row comes from."""
+    text = "object,type,source\nmug,cup,Wikipedia\nbowl,dish,Wikipedia\n"
+    with pytest.raises(
+        UserError, match="source names a head and object a tail, but not"
+    ):
+        read_graph(write(tmp_path / "a.csv", text))
+    header = "source,subject,relation,object\nwiki,mug,usedFor,drinking\n"
+    with pytest.warns(DataWarning, match="not read: source"):
+        assert list(read_graph(write(tmp_path / "a.csv", header))) == [MUG]
+
+
+def test_a_file_of_latin_letters_is_converted_by_the_printed_command(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name, text in {
+        "my graph.csv": "head,relation,tail\ncafé,isA,place\n",
+        "a.nt": '<urn:knowarm:mug> <urn:knowarm:name> "café" .\n',
+    }.items():
+        file = write(Path(name), text.encode("latin-1"))
+        with pytest.raises(UserError, match="not UTF-8") as refused:
+            read_graph(file)
+        run_remedy(str(refused.value), tmp_path)
+        graph = read_graph(file.with_stem(f"{file.stem}-utf8"))
+        assert any("café" in name for name in graph.entities)
 
 
 @pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
@@ -198,7 +310,23 @@ def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
         write_graph(graph, tmp_path / "b.ttl")
 
 
-@pytest.mark.parametrize("value", ["1.5", "-1", "sure", "nan"])
+@pytest.mark.parametrize(
+    "name", ["confidence", "Confidence", "probability", "certainty"]
+)
+def test_a_fact_of_confidence_zero_states_nothing(tmp_path, name):
+    tables = {
+        "a.csv": f"head,relation,tail,{name}\nmug,usedFor,drinking,0\nmug,holds,tea,0.25\n",
+        "b.csv": f"head;relation;tail;{name}\nmug;usedFor;drinking;0,0\nmug;holds;tea;0,25\n",
+        "a.json": json.dumps([{"h": "mug", "r": "usedFor", "t": "drinking", name: 0},
+                              {"h": "mug", "r": "holds", "t": "tea", name: 0.25}]),
+    }  # fmt: skip
+    for file, text in tables.items():
+        with pytest.warns(DataWarning, match="1 facts of confidence 0 state nothing"):
+            graph = read_graph(write(tmp_path / file, text))
+        assert (list(graph), graph.confidence) == ([*DOUBTED], DOUBTED)
+
+
+@pytest.mark.parametrize("value", ["1.5", "-1", "sure", "nan", "95%"])
 def test_a_confidence_that_is_no_probability_is_refused(tmp_path, value):
     path = write(
         tmp_path / "a.csv",
@@ -277,6 +405,135 @@ def test_terms_of_obo_are_read(tmp_path):
     assert (obo + "X_1", obo + "x#in", obo + "X_3") in set(graph)
 
 
+ADMINISTRATION = """format-version: 1.4
+ontology: h
+date: 01:02:2024 10:00
+saved-by: someone
+default-namespace: household
+subsetdef: kitchen "Things of the kitchen"
+
+[Term]
+id: H:0001
+name: mug
+namespace: household
+alt_id: H:0009
+def: "A cup with a handle." [ISBN:123]
+subset: kitchen
+synonym: "beaker" EXACT [X:1]
+xref: Wikidata:Q81727
+is_a: H:0002 ! cup
+relationship: used_for H:0003 ! drinking
+created_by: brush
+creation_date: 2011-02-03T10:00:00Z
+
+[Term]
+id: H:0002
+name: cup
+
+[Term]
+id: H:0003
+name: drinking
+"""
+
+
+@pytest.mark.parametrize("suffix", ["obo", "owl", "ttl"])
+def test_administrative_annotations_of_obo_are_left_out_with_a_line(tmp_path, suffix):
+    path = write(tmp_path / "a.obo", ADMINISTRATION)
+    if suffix != "obo":  # as others publish such ontologies
+        ontology = pyhornedowl.open_ontology_from_string(ADMINISTRATION, "obo")
+        text = ontology.save_to_string("owl")
+        path = tmp_path / f"a.{suffix}"
+        rdflib.Graph().parse(data=text, format="xml").serialize(
+            path, format="xml" if suffix == "owl" else "turtle"
+        )
+    left_out = "are left out: .*created_by, creation_date, .*hasDbXref, .*hasOBONamespace, id, inS"
+    with pytest.warns(
+        DataWarning, match=f"administrative annotations of OBO {left_out}"
+    ):
+        graph = read_graph(path)
+    mug = graph.entity_id("mug")
+    said = {
+        local_name(graph.relation_names[graph.relations[row]])
+        for row in graph.out_rows(mug)
+    }
+    assert said == {"subClassOf", "type", "used_for", "hasExactSynonym", "IAO_0000115"}
+    for name in (
+        "id",
+        "brush",
+        "household",
+        "kitchen",
+        "created by",
+        "Wikidata:Q81727",
+    ):
+        assert graph.find_entity(name) is None
+        assert graph.find_relation(name) is None
+        assert not graph.names.find_literals(name)
+
+
+def test_dates_of_other_graphs_are_kept(tmp_path):
+    text = "@prefix d: <http://purl.org/dc/terms/> . <urn:knowarm:book> d:creator <urn:knowarm:i> ."
+    assert len(read_graph(write(tmp_path / "a.ttl", text))) == 1
+
+
+BRACKETS = {
+    "an empty one": (
+        "[] <http://e.org/p> <http://e.org/o> .",
+        ["a.ttl", "a.trig", "a.txt", "a.n3"],
+    ),
+    "with a blank": (
+        "# a\n[ ] <http://e.org/p> <http://e.org/o> .",
+        ["a.ttl", "a.trig", "a.txt"],
+    ),
+    "of a prefix": (
+        "@prefix e: <http://e.org/> . [] e:p e:o .",
+        ["a.ttl", "a.trig", "a.txt"],
+    ),
+    "with a predicate": (
+        "[ <http://e.org/p> <http://e.org/o> ] .",
+        ["a.ttl", "a.trig"],
+    ),
+    "of a graph": (
+        "[] { <http://e.org/s> <http://e.org/p> <http://e.org/o> . }",
+        ["a.trig"],
+    ),
+    "a collection": ("() <http://e.org/p> <http://e.org/o> .", ["a.ttl", "a.trig"]),
+}
+
+
+@pytest.mark.parametrize(("text", "names"), BRACKETS.values(), ids=BRACKETS)
+def test_turtle_that_begins_with_brackets(tmp_path, text, names):
+    """Case 07."""
+    for name in names:
+        ((_, relation, tail),) = read_graph(write(tmp_path / name, text))
+        assert (relation, tail) == (E + "p", E + "o")
+
+
+RELATIVE = """<?xml version="1.0"?>
+<rdf:RDF xmlns="test_kitchen#" xml:base="test_kitchen" xmlns:e="http://e.org/"
+ xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="#mug"><usedFor rdf:resource="test_kitchen#drinking"/></rdf:Description>
+<rdf:Description rdf:ID="bowl"><e:on rdf:resource=""/></rdf:Description>
+<rdf:Description xml:base="deeper/a" rdf:about="#lamp"><e:on rdf:resource="b"/></rdf:Description>
+<rdf:Description rdf:about="#lamp"><e:on rdf:resource="http://e.org/desk"/></rdf:Description>
+</rdf:RDF>"""
+
+
+@pytest.mark.parametrize("text", [
+    RELATIVE,
+    RELATIVE.replace(' xml:base="test_kitchen"', ""),
+    RELATIVE.replace('xml:base="test_kitchen"', 'xml:base=""'),
+    RELATIVE.replace('xml:base="test_kitchen"', 'xml:base="http://e.org/home"'),
+    RELATIVE.replace('xml:base="test_kitchen"', 'xml:base="../other/#part"'),
+])  # fmt: skip
+def test_relative_bases_of_xml_are_what_rdflib_reads(tmp_path, text):
+    """Case 13."""
+    path = write(tmp_path / "a.owl", text)
+    triples = {
+        tuple(map(str, triple)) for triple in rdflib.Graph().parse(path, format="xml")
+    }
+    assert set(read_graph(path)) == triples
+
+
 REFUSED = [
     ("a.csv", "", "holds no triples"),
     ("a.csv", "head,relation,tail\n", "holds no triples"),
@@ -287,7 +544,7 @@ REFUSED = [
     ("a.json", '[{"image_id": 1, "relationships": []}]', "is no link with the names of a head"),
     ("a.json", '{"nodes": [{"id": ["a"]}], "links": []}', "a node is named by text or a number"),
     ("a.json", '[["mug", "usedFor"]]', "is no link"),
-    ("a.json", '[["mug", "usedFor", "drinking"]', "a.json is damaged or of another format"),
+    ("a.json", '[["mug", "usedFor", "drinking"]', "a.json, line 1: not well-formed JSON"),
     ("a.json", '[{"source": "mug", "target": "lamp", "weight": 3}]', "names the relation"),
     ("a.jsonld", '{"@context": {"usedFor": "http://e.org/usedFor"}}', "holds no triples"),
     ("a.graphml", GRAPHML.replace("directed", "undirected"), "edges without a direction"),
@@ -381,8 +638,11 @@ def test_a_folder_of_train_valid_and_test(tmp_path):
     (tmp_path / "train.txt").write_text(
         "mug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n"
     )
-    (tmp_path / "valid.txt").write_text("pot\tusedFor\tcooking\n")
+    (tmp_path / "valid.txt").write_text(
+        "head\trelation\ttail\tconfidence\npot\tusedFor\tcooking\t0.5\n"
+    )
     graph = read_graph(tmp_path)
+    assert graph.confidence == {("pot", "usedFor", "cooking"): 0.5}
     assert set(graph) == {MUG, BOTTLE, ("pot", "usedFor", "cooking")}
     _, parts = read_parts(tmp_path)
     assert {name: len(part) for name, part in parts.items()} == {

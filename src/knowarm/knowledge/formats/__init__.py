@@ -10,11 +10,14 @@ from typing import NamedTuple
 from pyoxigraph import RdfFormat
 
 from knowarm.errors import UserError, unknown_name, warn
+from knowarm.knowledge.formats.annotations import without_administration
 from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
 from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
+from knowarm.knowledge.formats.others import refuse_others
 from knowarm.knowledge.formats.rdf import read_owl, read_rdf, write_rdf
 from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
+from knowarm.knowledge.formats.written import looks_written, read_written
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.owl import with_class_axioms
 from knowarm.reading import reading, replacing
@@ -29,6 +32,15 @@ class Format(NamedTuple):
     read: Reader
     suffixes: tuple[str, ...] = ()  # Each may be followed by one of `COMPRESSED`
     begins: str = ""  # Regular expression of how the content begins, behind comments
+    looks: Callable[[str], bool] | None = (
+        None  # Or whether the first lines look like it
+    )
+
+    def recognizes(self, content: str) -> bool:
+        """Return whether a file begins like one of this format."""
+        if self.looks is not None:
+            return self.looks(content)
+        return _begins(self.begins, content)
 
 
 def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "") -> Format:
@@ -46,7 +58,11 @@ def _network(kind: str) -> Format:
 
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
 """What may stand before the first element of XML."""
-_JSON = r'(?:\{\s*["}]|\[\s*[\[{"\]])'
+_JSON = r'(?:\{\s*["}]|\[\s*(?:[\[{"]|\]\s*\Z))'
+
+_CONCEPTNET_API = r'"@id"\s*:\s*"/a/\[|"rel"\s*:\s*\{'
+_JSON_LD = rf'(?={_JSON})(?!.*(?:{_CONCEPTNET_API})).*"@[a-z]+"'
+"""A key of JSON-LD, and none of the edges of ConceptNet's API, which refer to a remote context."""
 
 FORMATS: dict[str, Format] = {
     "rdfxml": _rdf(
@@ -58,25 +74,35 @@ FORMATS: dict[str, Format] = {
     ),
     "graphml": _network("graphml"),
     "gexf": _network("gexf"),
+    "gml": Format(
+        partial(read_with_networkx, kind="gml"),
+        (".gml",),
+        r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\[",
+    ),
     "ofn": _owl("ofn", r"(Prefix|Ontology)\("),
     "omn": _owl("omn", "(Prefix|Ontology):"),
     "owx": _owl("owx", _PROLOG + r"<(\w+:)?Ontology\b"),
     "obo": _owl("obo", "format-version:"),
-    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=rf'(?={_JSON}).*"@[a-z]+"'),
-    "json": Format(read_json_graph, (".json",), _JSON),
+    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=_JSON_LD),
+    "json": Format(
+        read_json_graph, (".json", ".jsonl", ".ndjson", ".hext", ".srj", ".rj"), _JSON
+    ),
     "turtle": _rdf(
         RdfFormat.TURTLE,
         ".ttl",
         ".turtle",
-        begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<",
+        begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<|\[\s*\]\s*<",
     ),
-    "ntriples": _rdf(RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]+>\s+<[^<>\s]+>\s"),
+    "ntriples": _rdf(
+        RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]*:[^<>\s]*>\s+<[^<>\s]+>\s"
+    ),
     "nquads": _rdf(RdfFormat.N_QUADS, ".nq"),
     "trig": _rdf(RdfFormat.TRIG, ".trig"),
     "n3": _rdf(RdfFormat.N3, ".n3"),
     "csv": Format(partial(read_table, separator=","), (".csv",)),
     "tsv": Format(partial(read_table, separator="\t"), (".tsv", ".txt")),
     "conceptnet": Format(read_conceptnet, begins=r"/a/[^\t]*\t/r/"),
+    "written": Format(read_written, (".md", ".markdown"), looks=looks_written),
     "folder": Format(lambda folder: read_parts(folder)[0]),
 }
 """The formats by name. Content is tried in this order."""
@@ -151,6 +177,7 @@ def read_graph(
             f"{path} holds no triples (read as {format}). Check that it is complete, and that it "
             "is a graph."
         )
+    graph = without_administration(graph, path)
     graph, added, others = with_class_axioms(graph)
     if added or others:
         text = f"{path}: {added} facts follow from class axioms of OWL and were added"
@@ -196,10 +223,14 @@ def _format_of(path: Path) -> str:
     content = re.sub(r"\A(\s|#.*\n)*", "", beginning)
     with_suffix = (name for name in FORMATS if suffix in FORMATS[name].suffixes)
     by_suffix = next(with_suffix, None)
+    refuse_others(path, suffix, content)
     tried = list(FORMATS)
     if suffix in (".csv", ".tsv"):
-        tried = ["conceptnet", "json"]  # the first cell may look like any other format
-    alike = (name for name in tried if _begins(FORMATS[name].begins, content))
+        # The first cell may look like any other format.
+        tried = ["conceptnet", "json", "written"]
+    elif by_suffix in _TEXT_RDF:
+        tried.remove("written")
+    alike = (name for name in tried if FORMATS[name].recognizes(content))
     by_content = next(alike, None)
     if by_suffix in _TEXT_RDF and by_content in _TEXT_RDF:
         return by_suffix

@@ -8,22 +8,28 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, warn
+from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
 
 ROLES = {
     "head": ("head", "subject", "subj", "h", "s", "node1", "entity1", "e1", "start_id", "start",
-             "source", "src", "from"),
+             "source", "src", "from", "from_word", "arg1"),
     "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
-                 "edge", "edge_type", "label", "labels", "type", "name"),
+                 "edge", "edge_type", "interaction", "label", "labels", "type", "name"),
     "tail": ("tail", "object", "obj", "t", "o", "node2", "entity2", "e2", "end_id", "end",
-             "target", "dst", "to", "value"),
+             "target", "dst", "to", "to_word", "arg2", "value"),
 }  # fmt: skip
-"""Names of the three columns, the surest first: a source beside a subject is a reference."""
+"""Names of the three columns, the surest first: a source beside a subject is a reference. Head and
+tail have names of one pair, such as subject and object."""
+_SURE = 3
+"""The first names of head and of tail may be mixed, and stand beside "value"."""
 
 
 CONFIDENCE = "confidence"
 """Name of the column with the probability that a triple holds."""
+_CONFIDENCES = (CONFIDENCE, "probability", "certainty")
 
 
 class Columns(NamedTuple):
@@ -41,15 +47,32 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
         UserError: they name head and tail, and no relation.
     """
     keys = list(map(_key, names))
-    head, relation, tail = (_column(keys, role) for role in ROLES)
-    if head is None or tail is None:
+    heads = [name for name in ROLES["head"] if name in keys]
+    tails = [name for name in ROLES["tail"] if name in keys]
+    if not heads or not tails:
         return None
+    pairs = [(head, tail) for head in heads for tail in tails if _is_pair(head, tail)]
+    if not pairs:
+        raise UserError(
+            f"{where}: of {listed(names)}, {heads[0]} names a head and {tails[0]} a tail, but not "
+            f"of each other. Name them {', '.join(ROLES)}."
+        )
+    relation = _column(keys, "relation")
     if relation is None:
         raise UserError(
             f"{where}: none of {listed(names)} names the relation. Name the "
             f"relation one of {', '.join(ROLES['relation'])}."
         )
-    return Columns(head, relation, tail)
+    head, tail = pairs[0]
+    return Columns(keys.index(head), relation, keys.index(tail))
+
+
+def _is_pair(head: str, tail: str) -> bool:
+    """Return whether names of a head and a tail stand beside each other."""
+    head_rank = ROLES["head"].index(head)
+    tail_rank = ROLES["tail"].index(tail)
+    is_value = tail == "value" or tail_rank < _SURE
+    return head_rank == tail_rank or (head_rank < _SURE and is_value)
 
 
 def _column(keys: list[str], role: str) -> int | None:
@@ -82,15 +105,53 @@ def name_of_cell(cell: str) -> str:
     return unicodedata.normalize("NFC", " ".join(cell.split()))
 
 
+def confidence_key(names: Sequence[str]) -> int | None:
+    """Return the number of the column with confidence, None without."""
+    keys = list(map(_key, names))
+    for name in _CONFIDENCES:
+        if name in keys:
+            return keys.index(name)
+    return None
+
+
 def confidence_of(value: object, where: str) -> float:
     """Return the probability that a cell states; an empty one states that the triple is certain."""
     with suppress(ValueError):
-        confidence = float(str(value) or 1)
+        confidence = float(str(value).strip().replace(",", ".") or 1)
         if 0 <= confidence <= 1:
             return confidence
     raise UserError(
-        f"{where}: the confidence is {value!r}; it must be a number from 0 to 1, such as 0.9."
+        f"{where}: the confidence is {value!r}; it must be a number from 0 to 1, such as 0.9. "
+        "Divide percentages by 100, or rename a column that holds something else, such as weight."
     )
+
+
+class Statements:
+    """Triples with their confidence, of which those of confidence 0 state nothing."""
+
+    def __init__(self, path: Path, builder: GraphBuilder) -> None:
+        self.path = path
+        self.builder = builder
+        self.impossible = 0
+
+    def add(self, triple: Triple, confidence: float | None) -> None:
+        """Add a triple; one that is stated several times is as certain as the surest time."""
+        if confidence == 0:
+            self.impossible += 1
+            return
+        self.builder.add_statement(*triple)
+        if confidence is not None:
+            known = self.builder.confidence.get(triple, 0.0)
+            self.builder.confidence[triple] = max(known, confidence)
+
+    def build(self) -> KnowledgeGraph:
+        """Return the graph; say what is not in it."""
+        if self.impossible:
+            warn(
+                f"{self.path}: {self.impossible} facts of confidence 0 state nothing and are left "
+                "out."
+            )
+        return self.builder.build()
 
 
 def listed(names: Iterable[str]) -> str:

@@ -1,14 +1,22 @@
 """Graphs in one document: JSON (lists of triples, nodes with links), GraphML and GEXF."""
 
-import json
 import warnings
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import ROLES, columns_of, listed, name_of_cell
+from knowarm.knowledge.formats.columns import (
+    ROLES,
+    Statements,
+    columns_of,
+    confidence_key,
+    confidence_of,
+    listed,
+    name_of_cell,
+)
 from knowarm.knowledge.formats.files import open_bytes
+from knowarm.knowledge.formats.json_forms import json_value, plain_graph
 from knowarm.knowledge.formats.scenes import read_scene
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -23,13 +31,14 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     """Read lists of three, or objects with keys for head, relation and tail (see `ROLES`).
 
     They are the whole document, or lie beside ``nodes`` under one of the keys "links", "edges", ...
-    as NetworkX and D3 write them; a link may give the number of a node, or the node itself.
+    as NetworkX and D3 write them; a link may give the number of a node, or the node itself. Or the
+    document has a form of `json_forms`.
     """
-    with reading(path, "Correct the file."), open_bytes(path) as file:
-        links = json.load(file)
-    scene = read_scene(links, path)
+    document = json_value(path)
+    scene = read_scene(document, path)
     if scene is not None:
         return scene
+    links = plain_graph(document, path)
     nodes: Any = []
     if isinstance(links, dict):
         nodes = links.get("nodes", [])
@@ -58,7 +67,7 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
 
 
 def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
-    """Read "graphml" or "gexf", whose edges each have a relation such as the value "label"."""
+    """Read "graphml", "gexf" or "gml", whose edges have a relation such as the value "label"."""
     import networkx  # takes time to import
 
     with (
@@ -68,7 +77,8 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
     ):
         # Values without a type are read as text
         warnings.simplefilter("ignore", UserWarning)
-        network = getattr(networkx, f"read_{kind}")(file)
+        options = {"label": "id"} if kind == "gml" else {}
+        network = getattr(networkx, f"read_{kind}")(file, **options)
     if not network.is_directed():
         raise UserError(
             f"{path}: edges without a direction are no triples. Declare the edges as directed, if "
@@ -88,6 +98,7 @@ class _Records:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.builder = GraphBuilder()
+        self.statements = Statements(path, self.builder)
         self.nodes: dict[Any, str] = {}  # name by identifier
         self.labels = defaultdict[str, list[str]](list)  # names by label
         self.left_out: set[str] = set()
@@ -112,13 +123,18 @@ class _Records:
         columns = columns_of(keys, self.path) or ()
         named = [keys[column] for column in columns]
         triple = [self._name(values[key]) for key in named]
+        confidence = None
+        number = confidence_key(keys)
+        if number is not None and columns:
+            named.append(keys[number])
+            confidence = confidence_of(values[keys[number]], str(self.path))
         self.left_out.update(set(keys).difference(named))
         if not triple or not all(triple):
             raise UserError(
                 f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a "
                 "relation and a tail. Name them so, or write lists of three."
             )
-        self.builder.add_statement(*triple)
+        self.statements.add((triple[0], triple[1], triple[2]), confidence)
 
     def _name(self, value: Any) -> str:
         """Return the name of a node by its identifier or number or as it is, else of a value."""
@@ -146,4 +162,4 @@ class _Records:
         others = sorted(self.left_out - {"id", "key"})
         if others:
             warn(f"{self.path}: these values of links are not read: {listed(others)}.")
-        return self.builder.build()
+        return self.statements.build()

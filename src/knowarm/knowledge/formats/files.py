@@ -4,6 +4,7 @@ import bz2
 import gzip
 import io
 import lzma
+import shlex
 import zipfile
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
@@ -73,6 +74,17 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
         yield number, decode(line, path, number)
 
 
+def to_utf8(path: Path) -> str:
+    """Return the command that converts a file of Western Europe."""
+    converted = path.with_stem(f"{path.stem}-utf8")
+    return f"iconv -f latin1 -t utf-8 {quoted(path)} > {quoted(converted)}"
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a command line holds it."""
+    return shlex.quote(str(path))
+
+
 def decode(line: bytes, path: Path, number: int) -> str:
     """Decode one line."""
     try:
@@ -80,7 +92,7 @@ def decode(line: bytes, path: Path, number: int) -> str:
     except UnicodeDecodeError as error:
         raise UserError(
             f"{path}, line {number}: not UTF-8 ({error.reason} at byte {error.start}). "
-            f"Convert the file, e.g. `iconv -f latin1 -t utf-8`."
+            f"Convert the file: {to_utf8(path)}"
         ) from error
     if "\0" in text:
         raise UserError(

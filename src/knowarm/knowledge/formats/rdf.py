@@ -14,14 +14,16 @@ from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
+from urllib.parse import urljoin, urlsplit
 from xml.sax.handler import EntityResolver, feature_external_ges
 from xml.sax.saxutils import XMLGenerator
+from xml.sax.xmlreader import AttributesImpl
 
 from pyoxigraph import BlankNode, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError, packages_of, warn
 from knowarm.fence import ParserError, fenced
-from knowarm.knowledge.formats.files import open_bytes, open_compressed
+from knowarm.knowledge.formats.files import open_bytes, open_compressed, to_utf8
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
@@ -238,16 +240,47 @@ def _name(term: Term) -> str:
 
 
 def _plain_xml(path: Path) -> IO[bytes]:
-    """Return an XML file in UTF-8 without entities, which the parser of RDF/XML knows in part."""
+    """Return an XML file in UTF-8 without what the parser of RDF/XML knows in part.
+
+    These are entities, and relative IRIs of bases and namespaces.
+    """
     plain = io.BytesIO()
     parser = xml.sax.make_parser()
     parser.setFeature(feature_external_ges, True)  # else they would be left out
     parser.setEntityResolver(_NoOtherDocuments(path))
-    parser.setContentHandler(XMLGenerator(plain, "utf-8"))
+    parser.setContentHandler(_Absolute(plain, path.absolute().as_uri()))
     with open_compressed(path) as file:
         parser.parse(file)
     plain.seek(0)
     return plain
+
+
+class _Absolute(XMLGenerator):
+    """Writes XML with absolute IRIs of bases and namespaces."""
+
+    def __init__(self, out: IO[bytes], document: str) -> None:
+        super().__init__(out, "utf-8")
+        self.bases = [document]
+
+    def startElement(self, name: str, attrs: Any) -> None:
+        """Write the start of an element, whose base is relative to that around it."""
+        values = dict(attrs)
+        base = self.bases[-1]
+        if "xml:base" in values:
+            base = urljoin(base, values["xml:base"])
+            values["xml:base"] = base
+        self.bases.append(base)
+        for key, iri in values.items():
+            if key.startswith("xmlns") and iri and not urlsplit(iri).scheme:
+                # urljoin drops a "#" at the end.
+                end = "#" * iri.endswith("#")
+                values[key] = urljoin(base, iri).rstrip("#") + end
+        super().startElement(name, AttributesImpl(values))
+
+    def endElement(self, name: str) -> None:
+        """Write the end of an element."""
+        self.bases.pop()
+        super().endElement(name)
 
 
 class _NoOtherDocuments(EntityResolver):
@@ -312,7 +345,7 @@ def _malformed(
     if "Invalid UTF-8" in reason:
         return UserError(
             f"{path}, line {line}: not UTF-8 ({reason}). "
-            f"Convert the file, e.g. `iconv -f latin1 -t utf-8`."
+            f"Convert the file: {to_utf8(path)}"
         )
     if "LoadDocumentCallback" in reason:
         return UserError(

@@ -10,7 +10,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import read_table
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")
@@ -38,13 +38,16 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
             "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
         )
     labels = dict[str, str]()
+    confidence = dict[Triple, float]()
     graphs = dict[str, KnowledgeGraph]()
     for part in PARTS:
         file = folder / f"{part}.txt"
         if file.is_file():
             graphs[part] = read_table(file, "\t")
             labels.update(graphs[part].labels)
-    whole = graph_of(chain.from_iterable(graphs.values()), labels=labels)
+            confidence.update(graphs[part].confidence)
+    triples = chain.from_iterable(graphs.values())
+    whole = graph_of(triples, labels=labels, confidence=confidence)
     parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
     for part, graph in graphs.items():
         entities = np.array(list(map(whole.names.find, graph.names)))

@@ -3,26 +3,31 @@
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import (
     CONFIDENCE,
     ROLES,
     Columns,
+    Statements,
     cell_of_name,
     columns_of,
+    confidence_key,
     confidence_of,
     listed,
     name_of_cell,
 )
 from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
+from knowarm.knowledge.formats.wide import is_wide, melt, names_columns
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, literal
 
 Row = tuple[int, list[str]]
 """Number of a row's first line, and its cells."""
@@ -32,24 +37,49 @@ SEPARATORS = (",", "\t", ";", "|")
 _SAMPLE = 50
 """Lines by which the separator is recognized."""
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
+_SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
+"""The first line by which Excel knows the separator."""
+
+
+class Dialect(NamedTuple):
+    """How the cells of a table are separated."""
+
+    separator: str
+    skipped: int = 0  # Lines before the first row
 
 
 def read_table(path: Path, separator: str) -> KnowledgeGraph:
     """Read a table of names, whose first row may name the columns (see `ROLES`).
 
     The separator is another one of `SEPARATORS` where the first rows have equally many cells by
-    that one only. Quoted cells may hold separators and, but for tabs, line ends (RFC 4180).
+    that one only, or what a first line "sep=;" of Excel says. Quoted cells may hold separators and,
+    but for tabs, line ends (RFC 4180).
     """
     csv.field_size_limit(MAX_LINE)
+    dialect = _dialect(path, separator)
+    rows = _rows(path, dialect)
+    return read_rows(path, rows, melt(path, *dialect))
+
+
+def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
+    """Read rows of cells, of which the first may name the columns (see `ROLES`).
+
+    Args:
+        path: the file.
+        rows: its rows.
+        if_wide: what to do if a row holds a thing and its properties, a sentence without its end.
+    """
     builder = GraphBuilder()
-    rows = _rows(path, _separator(path, separator))
     first_row = next(rows, None)
     if first_row is None:
         return builder.build()
     names = first_row[1]
+    if {"_start", "_end", "_type"}.issubset(names):
+        return _read_apoc(path, names, rows)
     columns = columns_of(names, path)
     has_header = columns is not None
     if columns is None:
+        _refuse_header(path, first_row, if_wide)
         columns = Columns(0, 1, 2)
         names = list(ROLES)
         rows = chain([first_row], rows)
@@ -60,23 +90,23 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     for role, column in enumerate(columns):
         if f"{names[column]};label" in numbers:
             labels[numbers[f"{names[column]};label"]] = role
-    confidence_column = numbers.get(CONFIDENCE)
+    confidence_column = confidence_key(names)
     read = {*columns, *labels, confidence_column}
     others = [name for number, name in enumerate(names) if name and number not in read]
     if others:
         warn(f"{path}: these columns are not read: {listed(others)}.")
     words = set(map(name_of_cell, first_row[1]))
     occurs_again = has_header
+    statements = Statements(path, builder)
+    heads = set[str]()
+    relations = Counter[str]()
     count = 0
     for number, row in rows:
         triple = _triple(path, number, row, names, columns)
-        builder.add_statement(*triple)
+        confidence = None
         if confidence_column is not None:
             confidence = confidence_of(row[confidence_column], f"{path}, line {number}")
-            # A triple of several rows is as certain as the surest of them.
-            builder.confidence[triple] = max(
-                confidence, builder.confidence.get(triple, 0.0)
-            )
+        statements.add(triple, confidence)
         for column, role in labels.items():
             if row[column]:
                 builder.add_statement(
@@ -84,12 +114,112 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
                 )
         if count > 0 and not words.isdisjoint(triple):
             occurs_again = True
+        if not has_header:
+            heads.add(triple[0])
+            relations[triple[1]] += 1
         count += 1
-    if not occurs_again and max(3, len(builder.relations)) < count:
-        warn(
-            f"{path}, line {first_row[0]}: {listed(first_row[1])} was read as a triple, but no "
-            "word of it occurs again. If these are names of columns, write head,relation,tail."
+    if not has_header and is_wide(count, len(heads), relations):
+        _doubt_relations(path, first_row, if_wide, relations, occurs_again)
+    elif not occurs_again:
+        _doubt_header(path, first_row, if_wide, count, len(heads), len(relations))
+    return statements.build()
+
+
+def _refuse_header(path: Path, first_row: Row, if_wide: str) -> None:
+    """Refuse a first row with no head, or of more than three columns that it may name."""
+    number, cells = first_row
+    is_long = len(cells) > 2 * len(ROLES)
+    if any(cells[len(ROLES) :]) and (is_long or names_columns(cells)):
+        raise UserError(
+            f"{path}, line {number}: {listed(cells)} name columns, but not which are head, "
+            f"relation and tail; name them so. {if_wide}."
         )
+    if not cells[0]:
+        raise UserError(
+            f"{path}, line {number}: the head is empty. Fill it in. {if_wide}."
+        )
+
+
+def _doubt_header(
+    path: Path, first_row: Row, if_wide: str, rows: int, heads: int, relations: int
+) -> None:
+    """Warn of a first row that may name columns; refuse one that names those of a wide table."""
+    number, cells = first_row
+    where = f"{path}, line {number}: {listed(cells)}"
+    if rows > 1 and heads == rows and names_columns(cells):
+        raise _wide_header(where, if_wide)
+    if max(3, relations) < rows:
+        warn(
+            f"{where} was read as a triple, but no word of it occurs again. If these are names of "
+            "columns, write head,relation,tail."
+        )
+
+
+def _doubt_relations(
+    path: Path,
+    first_row: Row,
+    if_wide: str,
+    relations: Counter[str],
+    occurs_again: bool,
+) -> None:
+    """Warn of a middle column that holds no relations; refuse a first row that says as much."""
+    number, cells = first_row
+    if not occurs_again and names_columns(cells):
+        raise _wide_header(f"{path}, line {number}: {listed(cells)}", if_wide)
+    if occurs_again:
+        if_wide = (
+            "If a line describes one thing and each column one of its properties, name the columns "
+            "in a first line, such as object,use,material"
+        )
+    values = list(relations)[not occurs_again :]
+    warn(
+        f"{path}: {', '.join(values[:3])} were read as relations, but hardly one of them occurs "
+        f"again. {if_wide}."
+    )
+
+
+def _wide_header(where: str, if_wide: str) -> UserError:
+    """Return the error for a first row that names the columns of a wide table."""
+    return UserError(
+        f"{where} name columns, and none of them is the relation. If these are triples, write "
+        f"head,relation,tail above them. {if_wide}."
+    )
+
+
+def _read_apoc(path: Path, names: list[str], rows: Iterator[Row]) -> KnowledgeGraph:
+    """Read the nodes and relationships of `apoc.export.csv` of Neo4j, one of them per row.
+
+    A node is named by its number and has the label "name"; its labels are its types.
+    """
+    builder = GraphBuilder()
+    own = ("_id", "_labels", "_start", "_end", "_type", "name")
+    others = [name for name in names if name and name not in own]
+    if others:
+        warn(f"{path}: these columns are not read: {listed(others)}.")
+    for number, row in rows:
+        if len(row) != len(names):
+            raise _uneven(path, number, row, names, "Export it again.")
+        cells = dict(zip(names, row, strict=True))
+        if cells["_type"]:
+            triple = (cells["_start"], cells["_type"], cells["_end"])
+            if not all(triple):
+                raise UserError(
+                    f"{path}, line {number}: the relationship {cells['_type']} has no start or no "
+                    "end. Export it again."
+                )
+            builder.add(*map(name_of_cell, triple))
+            continue
+        node = name_of_cell(cells.get("_id", ""))
+        if not node:
+            raise UserError(
+                f"{path}, line {number}: is neither a node with an _id nor a relationship with a "
+                "_type. Export it again."
+            )
+        builder.add_node(node)
+        for kind in filter(None, cells.get("_labels", "").split(":")):
+            builder.add(node, RDF_TYPE, name_of_cell(kind))
+        if cells.get("name"):
+            builder.add_statement(node, LABEL_RELATIONS[0], literal(cells["name"]))
     return builder.build()
 
 
@@ -119,20 +249,10 @@ def _triple(
     """Return the names of head, relation and tail of a row."""
     if len(row) < len(names) or any(row[len(names) :]):
         remedy = (
-            "Correct the line, or name all columns in the first line, such as "
-            "head,relation,tail,weight."
+            "Correct the line, delete it if it is no row, or name all columns in the first line, "
+            "such as head,relation,tail,weight."
         )
-        if number == 1 and len(row) > 2 * len(ROLES):
-            remedy = (
-                "If a line describes one thing and each column one of its properties, write a line "
-                f"per property: pandas.read_csv({path.name!r}).melt({row[0]!r}).dropna()"
-                ".to_csv('triples.csv', index=False, header=False)."
-            )
-        plural = "" if len(row) == 1 else "s"
-        raise UserError(
-            f"{path}, line {number}: has {len(row)} column{plural}, but a row has "
-            f"{len(names)} ({listed(names)}). {remedy}"
-        )
+        raise _uneven(path, number, row, names, remedy)
     head, relation, tail = (name_of_cell(row[column]) for column in columns)
     for role, name in zip(ROLES, (head, relation, tail), strict=True):
         if not name:
@@ -142,25 +262,40 @@ def _triple(
     return head, relation, tail
 
 
-def _separator(path: Path, expected: str) -> str:
+def _uneven(
+    path: Path, number: int, row: list[str], names: Sequence[str], remedy: str
+) -> UserError:
+    """Return the error for a row with another number of cells than there are columns."""
+    plural = "" if len(row) == 1 else "s"
+    return UserError(
+        f"{path}, line {number}: has {len(row)} column{plural}, but a row has "
+        f"{len(names)} ({listed(names)}). {remedy}"
+    )
+
+
+def _dialect(path: Path, expected: str) -> Dialect:
     """Return the separator that gives the first rows equally many cells, three or more."""
     lines = [line for _, line in islice(text_lines(path), _SAMPLE)]
+    stated = _SEPARATOR_LINE.fullmatch(lines[0]) if lines else None
+    if stated is not None:
+        return Dialect(stated[1], skipped=1)
     for separator in dict.fromkeys((expected, *SEPARATORS)):
         with suppress(csv.Error):  # one that does not fit
             counts = {
                 len(row) for row in csv.reader(lines, delimiter=separator) if any(row)
             }
             if len(counts) == 1 and max(counts) >= 3:
-                return separator
-    return expected
+                return Dialect(separator)
+    return Dialect(expected)
 
 
-def _rows(path: Path, separator: str) -> Iterator[Row]:
+def _rows(path: Path, dialect: Dialect) -> Iterator[Row]:
     """Yield rows that are not blank, their cells without blanks around them."""
+    separator = dialect.separator
     rows = _tab_rows(path) if separator == "\t" else _csv_rows(path, separator)
     for number, row in rows:
         cells = list(map(str.strip, row))
-        if any(cells):
+        if any(cells) and number > dialect.skipped:
             yield number, cells
 
 

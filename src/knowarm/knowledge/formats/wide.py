@@ -1,0 +1,62 @@
+"""Wide tables: a row per thing and a column per property, which are recognized and not read."""
+
+import json
+import re
+import shlex
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from knowarm.knowledge.formats.files import open_compressed
+
+_FIRST_COLUMNS = {
+    "", "object", "item", "name", "entity", "thing", "id", "index", "class", "category", "concept",
+    "noun", "word", "cue", "product", "title", "label", "key", "instance", "node", "term", "synset",
+}  # fmt: skip
+"""What the column of the things is called, which is the first."""
+_RELATION = re.compile(
+    r".*[^\W\d_][_\-:/#. ].*|.*[a-z][A-Z].*|.*(s|of|for|in|on|at|to|by|with|from|is|has)"
+)
+"""How names of relations are spelled: of several words, or a verb or a preposition."""
+
+
+def names_columns(cells: Sequence[str]) -> bool:
+    """Return whether a row names the columns of a wide table: things come first."""
+    return cells[0].casefold().strip("_#").removesuffix("s") in _FIRST_COLUMNS
+
+
+def is_wide(
+    rows: int, different_heads: int, rows_by_relation: Mapping[str, int]
+) -> bool:
+    """Return whether three columns are a thing and two properties: nothing in them is a relation.
+
+    Each thing has one row, and the values of the middle column differ nearly as often as the rows
+    and are not spelled as relations are.
+    """
+    if rows < 3 or different_heads < rows or len(rows_by_relation) < 0.6 * rows:
+        return False
+    as_relations = sum(
+        count for name, count in rows_by_relation.items() if _RELATION.fullmatch(name)
+    )
+    return as_relations < rows / 2
+
+
+def melt(path: Path, separator: str, skipped: int = 0) -> str:
+    """Return the command that writes a row per property, which is then read."""
+    options = [json.dumps(str(path), ensure_ascii=False)]
+    if separator != ",":
+        options.append(f"sep={json.dumps(separator)}")
+    with open_compressed(path) as file:
+        if file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE):
+            options.append('encoding="utf-16"')
+    if skipped:
+        options.append(f"skiprows={skipped}")
+    code = (
+        f"import pandas; pandas.read_csv({', '.join(options)}, dtype=str, index_col=0, "
+        "skipinitialspace=True).melt(ignore_index=False).dropna()"
+        '.to_csv("triples.csv", index_label="head", header=["relation", "tail"])'
+    )
+    return (
+        "If a line describes one thing and each column one of its properties, write a line per "
+        f"property: python -c {shlex.quote(code)}"
+    )

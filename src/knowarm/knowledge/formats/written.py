@@ -1,0 +1,309 @@
+"""Triples as people and language models write them: in brackets, in lists, with arrows, in tables.
+
+A line is a triple if something sets it off from prose and from tables: brackets around it, a bullet
+or a number before it, arrows between its cells, or the bars of a Markdown table.
+"""
+
+import ast
+import csv
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+
+from knowarm.errors import UserError, warn
+from knowarm.knowledge.formats.columns import ROLES, columns_of, name_of_cell
+from knowarm.knowledge.formats.files import text_lines
+from knowarm.knowledge.formats.tables import Row, read_rows
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+
+_BULLET = re.compile(r"\s*(?:[-*+•‣–]|\(?\d{1,5}[.):]|\[\d{1,5}\])\s+")
+_ARROW = re.compile(r"\s*(?:[-=]+>|[→⟶⇒])\s*")
+_EDGE = re.compile(r"(.+?)\s*-+\s*\[\s*:?(.+?)\s*\]|(.+?)\s*--+\s*([^\s-].*)")
+"""Head and relation before the arrow: of "mug -[usedFor]-> drinking" and "mug --usedFor-> ..."."""
+_RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
+"""Line below the names of the columns of a Markdown table."""
+_FENCE = re.compile(r"\s*(?:```|~~~)\s*([\w+-]*)")
+_WRAPPER = re.compile(r"\s*(?:[\w ]+=\s*)?[\[\]{}()]\s*,?\s*")
+"""First or last line of a list of a programming language."""
+_GROUP = re.compile(r"\([^()]*\)|\[[^\[\]]*\]|<[^<>]*>|\{[^{}]*\}")
+_BETWEEN = re.compile(r"[\s,;.\[\](){}]*")
+_ROLE = re.compile(r"(\w+)\s*[:=]\s*(.+)")
+_EMPHASIS = re.compile(r"(\*\*|\*|`|\"|')(.+)\1|“(.+)”|‘(.+)’")
+_PAIRS = {"(": ")", "[": "]", "<": ">", "{": "}"}
+_SEPARATORS = ("\t", "|", ";", ",")
+_TEXTS = ("", "text", "txt", "plaintext", "plain", "csv", "tsv", "markdown", "md")
+"""Languages of code blocks that hold triples of names."""
+
+
+def looks_written(beginning: str) -> bool:
+    """Return whether a text has a code block, or more triples that are set off than table rows."""
+    lines = [line for line in beginning.splitlines() if line.strip()]
+    if any(map(_FENCE.match, lines)):
+        return True
+    if lines and _named_columns(Path(), lines[0]):
+        lines = lines[1:]
+    triples = 0
+    rows = 0
+    has_rule = any(map(_is_rule, lines))
+    for line in lines:
+        if _triples_of_line(line, False, has_rule):
+            triples += 1
+        elif not _is_rule(line) and not _is_cut(line):
+            rows += any(line.count(separator) >= 2 for separator in _SEPARATORS)
+    return triples > rows
+
+
+def read_written(path: Path) -> KnowledgeGraph:
+    """Read the lines that are set off as triples; the others are left out with a warning.
+
+    The first may name the columns (see `ROLES`). Code blocks hold triples of names, too.
+    """
+    as_triples = "Write a line per fact: head, relation, tail"
+    return read_rows(path, _written_rows(path), as_triples)
+
+
+def _written_rows(path: Path) -> Iterator[Row]:
+    """Yield the cells of the lines that are triples."""
+    has_rule = any(_is_rule(line) for _, line in islice(text_lines(path), 10_000))
+    prose = list[tuple[int, str]]()
+    waiting = list[Row]()  # Rows that are not known to be no names of columns
+    header = list[str]()
+    count = 0
+    is_block = False
+    for number, line in text_lines(path):
+        fence = _FENCE.match(line)
+        if fence is not None:
+            is_block = not is_block
+            _refuse_language(path, number, fence[1] if is_block else "")
+            continue
+        if _is_rule(line):
+            names_columns = waiting and ("|" in line or count == 1)
+            if names_columns and header:
+                _refuse_other_header(path, header, waiting.pop())
+            elif names_columns:
+                header = _header(path, waiting[0])
+            continue
+        yield from waiting
+        triples = _triples_of_line(line, is_block, has_rule)
+        if not triples and not count:
+            triples = _named_columns(path, line)
+        waiting = [(number, cells) for cells in triples]
+        count += len(triples)
+        if _is_cut(line) and not triples:
+            raise UserError(
+                f"{path}, line {number}: a bracket is not closed: {line.strip()[:60]}. Correct it."
+            )
+        if not triples and line.strip() and not _WRAPPER.fullmatch(line):
+            prose.append((number, line.strip()))
+    yield from waiting
+    if prose and count:
+        number, text = prose[0]
+        plural = "" if len(prose) == 1 else "s"
+        warn(
+            f"{path}: {len(prose)} line{plural} without a triple left out, such as line {number}: "
+            f"{text[:60]}"
+        )
+
+
+def _refuse_language(path: Path, number: int, language: str) -> None:
+    """Refuse a code block in another language than lines of triples."""
+    if language.lower() not in _TEXTS:
+        raise UserError(
+            f"{path}, line {number}: a code block in {language} begins here. Save what is in the "
+            "block as a file of its own."
+        )
+
+
+def _header(path: Path, row: Row) -> list[str]:
+    """Return the names of the columns above the line of a Markdown table."""
+    number, names = row
+    if columns_of(names, path) is None:
+        raise UserError(
+            f"{path}, line {number}: {', '.join(names)} name columns, but not which are head, "
+            f"relation and tail. Name them {', '.join(ROLES)}, and write a row per fact."
+        )
+    return names
+
+
+def _refuse_other_header(path: Path, header: list[str], row: Row) -> None:
+    """Refuse a further table with other columns."""
+    number, names = row
+    if names != header:
+        raise UserError(
+            f"{path}, line {number}: another table begins, with the columns {', '.join(names)}. "
+            "Save it as a file of its own."
+        )
+
+
+def _named_columns(path: Path, line: str) -> list[list[str]]:
+    """Return the cells of a line that names columns without being set off."""
+    for separator in _SEPARATORS:
+        cells = _split(line, separator)
+        with suppress(UserError):
+            if len(cells) > 2 and columns_of(cells, path) is not None:
+                return [cells]
+    return []
+
+
+def _is_cut(line: str) -> bool:
+    """Return whether a bracket opens a line and is not closed."""
+    text = line.strip()
+    return text.startswith(tuple(_PAIRS)) and "," in text and _closing(text) < 0
+
+
+def _is_rule(line: str) -> bool:
+    return _RULE.fullmatch(line) is not None and any(mark in line for mark in "|+")
+
+
+def _triples_of_line(line: str, is_block: bool, has_rule: bool) -> list[list[str]]:
+    """Return the cells of the triples in a line, none if it is not set off.
+
+    Args:
+        line: the line.
+        is_block: it lies in a block of code, which sets it off.
+        has_rule: the file has a Markdown table, whose rows need no bar at their ends.
+    """
+    if _is_rule(line) or _WRAPPER.fullmatch(line):
+        return []
+    text = _BULLET.sub("", line, count=1).strip()
+    is_item = text != line.strip()
+    text = _without_emphasis(text)
+    if text.startswith("|") and text.endswith("|") and len(text) > 1:
+        return [_bar_cells(text[1:-1])]
+    triples = list[list[str]]()
+    for group in _groups(text):
+        triples += _triples_of_group(group)
+    if triples:
+        return triples
+    if _ARROW.search(text):
+        cells = _cells_of_arrows(text)
+        return [cells] if cells else []
+    for separator in _SEPARATORS:
+        cells = _split(text, separator)
+        if len(cells) < 3:
+            continue
+        values = _without_roles(cells)
+        is_row = separator == "|" and has_rule
+        if values or is_item or is_block or is_row:
+            return [values or _without_full_stop(cells, is_item)]
+    return []
+
+
+def _groups(text: str) -> list[str]:
+    """Return the bracketed parts of a line that holds nothing else."""
+    text = text.rstrip(",;. \t")
+    groups = _GROUP.findall(text)
+    if groups and _BETWEEN.fullmatch(_GROUP.sub("", text)):
+        # <mug> <usedFor> <drinking>
+        if len(groups) == 3 and all(map(_is_one_word, groups)):
+            return [f"({', '.join(group[1:-1] for group in groups)})"]
+        return groups
+    if _closing(text) == len(text) - 1:
+        return [text]
+    return []
+
+
+def _is_one_word(group: str) -> bool:
+    """Return whether a group is one name in angle brackets, and no element of XML."""
+    is_name = re.fullmatch(r"<[^<>=?!/]+>", group) is not None
+    return is_name and not _triples_of_group(group)
+
+
+def _closing(text: str) -> int:
+    """Return where the bracket closes with which a text begins, -1 if nowhere."""
+    pair = _PAIRS.get(text[:1])
+    if pair is None:
+        return -1
+    depth = 0
+    for index, mark in enumerate(text):
+        depth += (mark == text[0]) - (mark == pair)
+        if depth == 0:
+            return index
+    return -1
+
+
+def _triples_of_group(group: str) -> list[list[str]]:
+    """Return the cells in brackets, or in the brackets in them; none if there is only one."""
+    with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+        values = ast.literal_eval(group)
+        if isinstance(values, tuple | list):
+            if all(isinstance(value, tuple | list) for value in values):
+                return [list(map(str, value)) for value in values]
+            return [list(map(str, values))]
+    inside = group[1:-1].strip()
+    if _ARROW.search(inside):
+        return list(filter(None, [_cells_of_arrows(inside)]))
+    for separator in _SEPARATORS:
+        cells = _split(inside, separator)
+        if len(cells) > 1:
+            return [_without_roles(cells) or cells]
+    return []
+
+
+def _cells_of_arrows(text: str) -> list[str]:
+    """Return the cells between arrows: of "mug -> usedFor -> drinking", "(mug)-[:IN]->(box)"."""
+    cells = _ARROW.split(text)
+    if len(cells) == 2:
+        edge = _EDGE.fullmatch(cells[0])
+        if edge is None:
+            return []
+        head, relation = filter(None, edge.groups())
+        cells = [head, relation, cells[1]]
+    if len(cells) != 3 or "{" in text:
+        return []
+    plain = []
+    for cell in cells:
+        cell = cell.strip()
+        if _closing(cell) == len(cell) - 1:
+            cell = cell[1:-1]
+        plain.append(_without_emphasis(cell.strip()))
+    return plain
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """Split a text by the rules of CSV; cells without quotes, emphasis and blanks around them."""
+    with suppress(csv.Error):
+        (cells,) = csv.reader([text], delimiter=separator, skipinitialspace=True)
+        return list(map(_without_emphasis, map(str.strip, cells)))
+    return []
+
+
+def _bar_cells(text: str) -> list[str]:
+    return [_without_emphasis(cell.strip()) for cell in text.split("|")]
+
+
+def _without_emphasis(text: str) -> str:
+    """Return a text without the quotes or marks of Markdown around the whole of it."""
+    match = _EMPHASIS.fullmatch(text)
+    if match is None:
+        return text
+    inside = match[2] or match[3] or match[4]
+    if match[1] is not None and match[1] in inside:
+        return text
+    return _without_emphasis(inside)
+
+
+def _without_roles(cells: list[str]) -> list[str]:
+    """Return the values of cells such as "Subject: mug", in order; none if they are no such."""
+    values = dict[str, str]()
+    for cell in cells:
+        match = _ROLE.fullmatch(cell)
+        if match is None:
+            return []
+        values[_without_emphasis(match[1])] = _without_emphasis(match[2])
+    names = list(values)
+    with suppress(UserError):
+        columns = columns_of(names, Path())
+        if columns is not None:
+            return [name_of_cell(values[names[column]]) for column in columns]
+    return []
+
+
+def _without_full_stop(cells: list[str], is_item: bool) -> list[str]:
+    """Return cells without the full stop behind an item of a list."""
+    last = cells[-1]
+    if is_item and last.endswith(".") and "." not in last[:-1]:
+        return [*cells[:-1], last[:-1]]
+    return cells
