@@ -162,6 +162,8 @@ WIDE = {
     "four columns": ("a.csv", "object,affordance,material,weight\nmug,drinking,,1\n", 2),
     "capitals": ("a.csv", "Objects,affordance,weight\nmug,drinking,1\nbowl,eating,0\n", 4),
     "seven": ("a.csv", "cosa,affordance,b,c,d,e,f\nmug,drinking,,1,0,x,y\ncan,0,a,,1,x,z\n", 10),
+    "an identifier": ("a.csv", "thingId,affordance,colour\nmug,drinking,red\nb,Bowls hold.,1\n", 4),
+    "two columns": ("a.csv", "Object,affordance\nmug,drinking\nmug,pouring\n", 2),
     "gzip": ("a.csv.gz", gzip.compress(f"name,affordance,material\n{THINGS}".encode()), 4),
 }  # fmt: skip
 
@@ -190,6 +192,7 @@ def test_the_remedy_for_a_column_per_property_works_when_it_is_typed(
     "text",
     [
         "mug,drinking,ceramic\nbowl,eating,clay\nbottle,pouring,glass\n",
+        "".join(f"{i},Mug {i} is a cup that holds tea.,yes\n" for i in range(40)),
         "Ding;Zweck;Stoff\nTasse;Trinken;Ton\nSchale;Essen;Ton\n",
         "mug,red,0.3\nbowl,blue,0.3\nbottle,green,0.2\nkettle,red,1.2\n",
     ],
@@ -239,6 +242,20 @@ def test_columns_are_named_in_pairs(tmp_path):
         UserError, match="source names a head and object a tail, but not"
     ):
         read_graph(write(tmp_path / "a.csv", text))
+    for header in (
+        "cue,association,explanation,relation",
+        "from_word,to_word,score,relation",
+    ):
+        with pytest.warns(DataWarning, match="not read"):
+            assert list(
+                read_graph(
+                    write(tmp_path / "a.csv", f"{header}\nmug,drinking,1,usedFor\n")
+                )
+            ) == [MUG]
+    with pytest.raises(
+        UserError, match="if there is none and all state the same, add it"
+    ):
+        read_graph(write(tmp_path / "a.csv", "cue,response,R1\nmug,cup,2\n"))
     header = "source,subject,relation,object\nwiki,mug,usedFor,drinking\n"
     with pytest.warns(DataWarning, match="not read: source"):
         assert list(read_graph(write(tmp_path / "a.csv", header))) == [MUG]
@@ -267,8 +284,9 @@ def test_a_file_of_latin_letters_is_converted_by_the_printed_command(
         ("Ding,Art,Wert\nmug,drinking,usedFor\nbottle,drinking,usedFor\n"
          "mug,tea,holds\nbottle,tea,holds\n", "write head,relation,tail", "Ding,Art,Wert",
          "head,tail,relation"),
-        ("mug,usedFor,drinking,1\nmug,holds,tea,2\n", "name all columns in the first line, such "
-         "as head,relation,tail,weight", "", "head,relation,tail,weight\n"),
+        ("mug,usedFor,drinking,1\nmug,holds,tea,2\n", "name the columns in the first line, three "
+         "of them head, relation and tail, such as head,relation,tail,weight", "",
+         "head,relation,tail,weight\n"),
         ("source,Art,target\nmug,usedFor,drinking\nmug,holds,tea\n", "Name the relation one of "
          "relation, predicate", "Art", "relation"),
     ],
@@ -468,6 +486,18 @@ def test_administrative_annotations_of_obo_are_left_out_with_a_line(tmp_path, su
         assert graph.find_entity(name) is None
         assert graph.find_relation(name) is None
         assert not graph.names.find_literals(name)
+
+
+def test_references_that_are_malformed_cost_no_ontology(tmp_path):
+    xref = "xref: https://en.wikipedia.org/wiki/Forests\\,_scrub\\,_or_woodlands"
+    text = ADMINISTRATION.replace("xref: Wikidata:Q81727", xref)
+    with pytest.warns(DataWarning, match="administrative annotations"):
+        graph = read_graph(write(tmp_path / "a.obo", text))
+    with pytest.warns(DataWarning, match="administrative annotations"):
+        assert graph == read_graph(write(tmp_path / "b.obo", ADMINISTRATION))
+    broken = ADMINISTRATION.replace("is_a: H:0002", "is_a H:0002")
+    with pytest.raises(UserError, match="line 17: not well-formed OBO"):
+        read_graph(write(tmp_path / "a.obo", broken))
 
 
 def test_dates_of_other_graphs_are_kept(tmp_path):

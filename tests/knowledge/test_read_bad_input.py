@@ -40,7 +40,7 @@ OWL = "Prefix(owl:=<http://www.w3.org/2002/07/owl#>)\nOntology(<http://a.org>\n"
         (
             "a.tsv",
             "mug isA cup\n",
-            "line 1: has 1 column,.*name all columns in the first line",
+            "line 1: has 1 column,.*name the columns in the first line",
         ),
         ("a.tsv", "mug\0\tisA\tcup\n", "line 1: contains a zero byte"),
         ("a.csv", "head,relation,tail\nmug,,cup\n", "line 2: the relation is empty"),

@@ -35,7 +35,7 @@ def without_administration(graph: KnowledgeGraph, path: Path) -> KnowledgeGraph:
         head, relation, _ = triple
         if relation not in left_out and not _is_administrative(head):
             kept.append(triple)
-    names = sorted(map(local_name, left_out))
+    names = sorted(set(map(local_name, left_out)))
     warn(
         f"{path}: {len(graph) - len(kept)} administrative annotations of OBO are left out: "
         f"{listed(names)}."

@@ -13,18 +13,23 @@ from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
 
+PAIRS = (
+    ("head", "tail"), ("subject", "object"), ("subj", "obj"), ("sub", "obj"), ("h", "t"),
+    ("s", "o"), ("node1", "node2"), ("entity1", "entity2"), ("e1", "e2"), ("start_id", "end_id"),
+    ("start", "end"), ("source", "target"), ("src", "dst"), ("from", "to"),
+    ("from_word", "to_word"), ("arg1", "arg2"), ("cue", "response"), ("cue", "association"),
+)  # fmt: skip
+"""Names of head and tail that stand beside each other, the surest first: a source beside a subject
+is a reference."""
+_SURE = 4
+"""Of the first pairs the names may be mixed, and stand beside "value"."""
 ROLES = {
-    "head": ("head", "subject", "subj", "h", "s", "node1", "entity1", "e1", "start_id", "start",
-             "source", "src", "from", "from_word", "arg1"),
+    "head": tuple(dict.fromkeys(head for head, _ in PAIRS)),
     "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
                  "edge", "edge_type", "interaction", "label", "labels", "type", "name"),
-    "tail": ("tail", "object", "obj", "t", "o", "node2", "entity2", "e2", "end_id", "end",
-             "target", "dst", "to", "to_word", "arg2", "value"),
+    "tail": (*dict.fromkeys(tail for _, tail in PAIRS), "value"),
 }  # fmt: skip
-"""Names of the three columns, the surest first: a source beside a subject is a reference. Head and
-tail have names of one pair, such as subject and object."""
-_SURE = 3
-"""The first names of head and of tail may be mixed, and stand beside "value"."""
+"""Names of the three columns, the surest first."""
 
 
 CONFIDENCE = "confidence"
@@ -61,7 +66,8 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
     if relation is None:
         raise UserError(
             f"{where}: none of {listed(names)} names the relation. Name the "
-            f"relation one of {', '.join(ROLES['relation'])}."
+            f"relation one of {', '.join(ROLES['relation'])}; if there is none and all state the "
+            "same, add it."
         )
     head, tail = pairs[0]
     return Columns(keys.index(head), relation, keys.index(tail))
@@ -69,10 +75,10 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
 
 def _is_pair(head: str, tail: str) -> bool:
     """Return whether names of a head and a tail stand beside each other."""
-    head_rank = ROLES["head"].index(head)
-    tail_rank = ROLES["tail"].index(tail)
-    is_value = tail == "value" or tail_rank < _SURE
-    return head_rank == tail_rank or (head_rank < _SURE and is_value)
+    if (head, tail) in PAIRS:
+        return True
+    sure_heads, sure_tails = zip(*PAIRS[:_SURE], strict=True)
+    return head in sure_heads and (tail == "value" or tail in sure_tails)
 
 
 def _column(keys: list[str], role: str) -> int | None:

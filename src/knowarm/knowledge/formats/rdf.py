@@ -127,7 +127,7 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
                 f"{error.getMessage()}. Correct, copy or compress it again."
             ) from error
         try:
-            as_rdf = fenced(_OWL_PARSER.format(syntax=syntax), text.encode())
+            as_rdf = _owl_as_rdf(text, syntax)
         except ParserError as error:
             line = re.search(r"line_col: Pos\(\((\d+)", str(error))
             where = str(path)
@@ -137,6 +137,23 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
                 f"{where}: not well-formed {OWL_SYNTAXES[syntax]}. Correct it."
             ) from error
         return _read(partial(io.BytesIO, as_rdf), path, RdfFormat.RDF_XML)
+
+
+def _owl_as_rdf(text: str, syntax: str) -> bytes:
+    """Translate an ontology to RDF/XML; OBO without references, if it cannot be read with them."""
+    parser = _OWL_PARSER.format(syntax=syntax)
+    try:
+        return fenced(parser, text.encode())
+    except ParserError:
+        plain = _without_references(text)
+        if syntax != "obo" or plain == text:
+            raise
+        return fenced(parser, plain.encode())
+
+
+def _without_references(text: str) -> str:
+    """Return OBO without references to other databases, which many write as no parser expects."""
+    return re.sub(r"^xref:.*$", "", text, flags=re.MULTILINE)
 
 
 def _read(

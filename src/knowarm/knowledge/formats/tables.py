@@ -126,10 +126,11 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
 
 
 def _refuse_header(path: Path, first_row: Row, if_wide: str) -> None:
-    """Refuse a first row with no head, or of more than three columns that it may name."""
+    """Refuse a first row with no head, or that names columns of another number than three."""
     number, cells = first_row
     is_long = len(cells) > 2 * len(ROLES)
-    if any(cells[len(ROLES) :]) and (is_long or names_columns(cells)):
+    is_other = len(cells) == 2 or any(cells[len(ROLES) :])
+    if is_other and (is_long or names_columns(cells)):
         raise UserError(
             f"{path}, line {number}: {listed(cells)} name columns, but not which are head, "
             f"relation and tail; name them so. {if_wide}."
@@ -249,8 +250,8 @@ def _triple(
     """Return the names of head, relation and tail of a row."""
     if len(row) < len(names) or any(row[len(names) :]):
         remedy = (
-            "Correct the line, delete it if it is no row, or name all columns in the first line, "
-            "such as head,relation,tail,weight."
+            "Correct the line, delete it if it is no row, or name the columns in the first line, "
+            "three of them head, relation and tail, such as head,relation,tail,weight."
         )
         raise _uneven(path, number, row, names, remedy)
     head, relation, tail = (name_of_cell(row[column]) for column in columns)

@@ -14,15 +14,23 @@ _FIRST_COLUMNS = {
     "noun", "word", "cue", "product", "title", "label", "key", "instance", "node", "term", "synset",
 }  # fmt: skip
 """What the column of the things is called, which is the first."""
+_IDENTIFIER = re.compile(r".*([a-z]Id|_id| id|ID)s?")
+"""What the column of the numbers of things is called."""
 _RELATION = re.compile(
     r".*[^\W\d_][_\-:/#. ].*|.*[a-z][A-Z].*|.*(s|of|for|in|on|at|to|by|with|from|is|has)"
 )
 """How names of relations are spelled: of several words, or a verb or a preposition."""
+_LONGEST = 60
+"""Most letters of the name of a relation; longer ones are sentences, or IRIs."""
+_FEW = 30
+"""With this many rows or more, relations repeat, however they are spelled."""
 
 
 def names_columns(cells: Sequence[str]) -> bool:
     """Return whether a row names the columns of a wide table: things come first."""
-    return cells[0].casefold().strip("_#").removesuffix("s") in _FIRST_COLUMNS
+    first = cells[0].strip("_#")
+    is_thing = first.casefold().removesuffix("s") in _FIRST_COLUMNS
+    return is_thing or _IDENTIFIER.fullmatch(cells[0]) is not None
 
 
 def is_wide(
@@ -33,12 +41,19 @@ def is_wide(
     Each thing has one row, and the values of the middle column differ nearly as often as the rows
     and are not spelled as relations are.
     """
-    if rows < 3 or different_heads < rows or len(rows_by_relation) < 0.6 * rows:
+    if rows < 3 or different_heads < 0.9 * rows or len(rows_by_relation) < 0.6 * rows:
         return False
-    as_relations = sum(
-        count for name, count in rows_by_relation.items() if _RELATION.fullmatch(name)
-    )
-    return as_relations < rows / 2
+    return rows >= _FEW or 2 * _rows_of_relations(rows_by_relation) < rows
+
+
+def _rows_of_relations(rows_by_relation: Mapping[str, int]) -> int:
+    """Return how many rows have a middle cell that is spelled as relations are."""
+    count = 0
+    for name, rows in rows_by_relation.items():
+        is_iri_or_short = len(name) <= _LONGEST or ":" in name
+        if is_iri_or_short and _RELATION.fullmatch(name):
+            count += rows
+    return count
 
 
 def melt(path: Path, separator: str, skipped: int = 0) -> str:
