@@ -333,7 +333,8 @@ def typed(message, folder):
 
 
 BY_NAME = {
-    "relations": ({"mug": {"on": "desk", "usedFor": ["tea", "milk"]}, "pan": {"weight": 2}},
+    "relations": ({"mug": {"on": "desk", "usedFor": ["tea", "milk"]},
+                   "pan": {"weight": 2, "x": None}},
                   {("mug", "on", "desk"), ("mug", "usedFor", "tea"), ("mug", "usedFor", "milk"),
                    ("pan", "weight", "2")}),
     "words": ({"mug": ["GRABBABLE", "MOVABLE"], "pan": ["GRABBABLE"]},

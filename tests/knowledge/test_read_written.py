@@ -1,6 +1,6 @@
 """Triples as people and language models write them: read as triples, or refused in one line."""
 
-import warnings
+import csv
 
 import pytest
 
@@ -158,16 +158,16 @@ TABLES = {
     "names with brackets": "head,relation,tail\nmug (cup),on,table\n(small) bowl,on,table\n",
     "names with dashes": "head,relation,tail\n-ive,on,table\n1. FC Bayern,isA,club\n",
     "arrows inside": "mug,moves -> to,table\nbowl,moves -> to,table\n",
+    "numbers inside": "mug,on,1: table\nbowl,on,1: table\nbowl,(in) - x,- y\n",
     "bars": "mug|on|table\nbowl|on|table\n",
     "quotes": '"(mug)","on","table"\n"<bowl>","on","table"\n',
 }
 
 
+@pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
 @pytest.mark.parametrize("text", TABLES.values(), ids=TABLES)
 def test_a_table_stays_a_table(tmp_path, text):
-    path = written(tmp_path / "a.csv", text)
-    with warnings.catch_warnings(action="error", category=DataWarning):
-        names = {name for triple in read_graph(path) for name in triple}
-    heads = {"mug (cup)", "(small) bowl", "-ive", "1. FC Bayern", "(mug)", "<bowl>"}
-    assert len(names) == 4 or names & heads
-    assert names & {"table", "club"}
+    separator = "|" if "|" in text else ","
+    rows = set(map(tuple, csv.reader(text.splitlines(), delimiter=separator)))
+    rows.discard(("head", "relation", "tail"))
+    assert set(read_graph(written(tmp_path / "a.csv", text))) == rows

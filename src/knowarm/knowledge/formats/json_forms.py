@@ -327,7 +327,7 @@ def _refuse_by_name(value: Mapping[str, Any], path: Path) -> _Graph:
     if any(map(_has_words, value.values())):
         triples = (
             "[[h, r, t] for h in d for r in d[h] "
-            "for t in (d[h][r] if isinstance(d[h][r], list) else [d[h][r]])]"
+            "for t in (d[h][r] if isinstance(d[h][r], list) else [d[h][r]]) if t is not None]"
         )
     code = (
         f"import json; d = json.load(open({file})); "

@@ -68,7 +68,7 @@ def melt(path: Path, separator: str, skipped: int = 0) -> str:
         options.append(f"skiprows={skipped}")
     code = (
         f"import pandas; pandas.read_csv({', '.join(options)}, dtype=str, index_col=0, "
-        "skipinitialspace=True).melt(ignore_index=False).dropna()"
+        'skipinitialspace=True, na_values=" ").melt(ignore_index=False).dropna()'
         '.to_csv("triples.csv", index_label="head", header=["relation", "tail"])'
     )
     return (

@@ -167,8 +167,9 @@ def _triples_of_line(line: str, is_block: bool, has_rule: bool) -> list[list[str
     """
     if _is_rule(line) or _WRAPPER.fullmatch(line):
         return []
-    text = _BULLET.sub("", line, count=1).strip()
-    is_item = text != line.strip()
+    bullet = _BULLET.match(line)
+    is_item = bullet is not None
+    text = line[bullet.end() :].strip() if bullet else line.strip()
     text = _without_emphasis(text)
     if text.startswith("|") and text.endswith("|") and len(text) > 1:
         return [_bar_cells(text[1:-1])]
