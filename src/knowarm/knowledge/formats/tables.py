@@ -78,8 +78,11 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
         return _read_apoc(path, names, rows)
     columns = columns_of(names, path)
     has_header = columns is not None
+    if_empty = "Fill it in or delete the line."
     if columns is None:
         _refuse_header(path, first_row, if_wide)
+        if names_columns(names):
+            if_empty += f" {if_wide}."
         columns = Columns(0, 1, 2)
         names = list(ROLES)
         rows = chain([first_row], rows)
@@ -102,7 +105,7 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     relations = Counter[str]()
     count = 0
     for number, row in rows:
-        triple = _triple(path, number, row, names, columns)
+        triple = _triple(path, number, row, names, columns, if_empty)
         confidence = None
         if confidence_column is not None:
             confidence = confidence_of(row[confidence_column], f"{path}, line {number}")
@@ -246,6 +249,7 @@ def _triple(
     row: list[str],
     names: Sequence[str],
     columns: Columns,
+    if_empty: str,
 ) -> Triple:
     """Return the names of head, relation and tail of a row."""
     if len(row) < len(names) or any(row[len(names) :]):
@@ -257,9 +261,7 @@ def _triple(
     head, relation, tail = (name_of_cell(row[column]) for column in columns)
     for role, name in zip(ROLES, (head, relation, tail), strict=True):
         if not name:
-            raise UserError(
-                f"{path}, line {number}: the {role} is empty. Fill it in or delete the line."
-            )
+            raise UserError(f"{path}, line {number}: the {role} is empty. {if_empty}")
     return head, relation, tail
 
 

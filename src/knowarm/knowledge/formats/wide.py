@@ -66,9 +66,10 @@ def melt(path: Path, separator: str, skipped: int = 0) -> str:
             options.append('encoding="utf-16"')
     if skipped:
         options.append(f"skiprows={skipped}")
+    no_blanks = r'.replace(r"^\s*$", float("nan"), regex=True)'
     code = (
         f"import pandas; pandas.read_csv({', '.join(options)}, dtype=str, index_col=0, "
-        'skipinitialspace=True, na_values=" ").melt(ignore_index=False).dropna()'
+        f"skipinitialspace=True){no_blanks}.melt(ignore_index=False).dropna()"
         '.to_csv("triples.csv", index_label="head", header=["relation", "tail"])'
     )
     return (
