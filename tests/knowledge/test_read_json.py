@@ -281,6 +281,16 @@ def test_gml(tmp_path, version):
 
 
 REFUSED = {
+    "a cut answer": (
+        json.dumps({"head": {"vars": ["s", "p", "o"]}, "results": {}}),
+        "'bindings'",
+    ),
+    "a cut export": (json.dumps(RELATIONSHIP | {"end": None}), "of another format"),
+    "a concept without a name": (
+        api([edge(concept("mug"), {"@id": ""})])[:-1] + "]",
+        "line 1",
+    ),
+    "lists of six": (dumped([["a", 2, 3, 4, 5, 6]]), "of another format"),
     "a cut line": (
         dumped(BOTH) + '["mug", "usedFor"\n',
         "line 3: not well-formed JSON",

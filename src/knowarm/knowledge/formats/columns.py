@@ -4,6 +4,8 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -24,10 +26,10 @@ is a reference."""
 _SURE = 4
 """Of the first pairs the names may be mixed, and stand beside "value"."""
 ROLES = {
-    "head": tuple(dict.fromkeys(head for head, _ in PAIRS)),
+    "head": tuple(dict.fromkeys(map(itemgetter(0), PAIRS))),
     "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
                  "edge", "edge_type", "interaction", "label", "labels", "type", "name"),
-    "tail": (*dict.fromkeys(tail for _, tail in PAIRS), "value"),
+    "tail": (*dict.fromkeys(map(itemgetter(1), PAIRS)), "value"),
 }  # fmt: skip
 """Names of the three columns, the surest first."""
 
@@ -52,11 +54,11 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
         UserError: they name head and tail, and no relation.
     """
     keys = list(map(_key, names))
-    heads = [name for name in ROLES["head"] if name in keys]
-    tails = [name for name in ROLES["tail"] if name in keys]
+    heads = list(filter(keys.__contains__, ROLES["head"]))
+    tails = list(filter(keys.__contains__, ROLES["tail"]))
     if not heads or not tails:
         return None
-    pairs = [(head, tail) for head in heads for tail in tails if _is_pair(head, tail)]
+    pairs = list(filter(_is_pair, product(heads, tails)))
     if not pairs:
         raise UserError(
             f"{where}: of {listed(names)}, {heads[0]} names a head and {tails[0]} a tail, but not "
@@ -73,12 +75,12 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
     return Columns(keys.index(head), relation, keys.index(tail))
 
 
-def _is_pair(head: str, tail: str) -> bool:
+def _is_pair(pair: tuple[str, str]) -> bool:
     """Return whether names of a head and a tail stand beside each other."""
-    if (head, tail) in PAIRS:
-        return True
+    head, tail = pair
     sure_heads, sure_tails = zip(*PAIRS[:_SURE], strict=True)
-    return head in sure_heads and (tail == "value" or tail in sure_tails)
+    is_sure = head in sure_heads and tail in (*sure_tails, "value")
+    return is_sure or pair in PAIRS
 
 
 def _column(keys: list[str], role: str) -> int | None:

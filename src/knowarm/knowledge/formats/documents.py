@@ -38,7 +38,8 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     scene = read_scene(document, path)
     if scene is not None:
         return scene
-    links = plain_graph(document, path)
+    with reading(path, "Correct the file, or export it again."):
+        links = plain_graph(document, path)
     nodes: Any = []
     if isinstance(links, dict):
         nodes = links.get("nodes", [])

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +59,18 @@ def plain_graph(value: Any, path: Path) -> Any:
 
 
 def _is_triple(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(cell, str) for cell in value)
-    )
+    """Return whether a value is a list of three texts."""
+    return isinstance(value, list) and list(map(type, value)) == [str, str, str]
+
+
+def _all_have(keys: set[str], records: Any) -> bool:
+    """Return whether a value is a list of objects that have keys."""
+    if not isinstance(records, list) or not records:
+        return False
+    for record in records:
+        if not isinstance(record, dict) or not keys <= record.keys():
+            return False
+    return True
 
 
 def _one_triple(value: list[str], path: Path) -> _Graph:
@@ -71,11 +79,9 @@ def _one_triple(value: list[str], path: Path) -> _Graph:
 
 
 def _is_link(value: Any) -> bool:
-    return (
-        isinstance(value, dict)
-        and columns_of_keys(value) is not None
-        and not any(isinstance(inside, dict | list) for inside in value.values())
-    )
+    if not isinstance(value, dict) or columns_of_keys(value) is None:
+        return False
+    return not {dict, list}.intersection(map(type, value.values()))
 
 
 def columns_of_keys(value: Mapping[str, Any]) -> Any:
@@ -91,10 +97,9 @@ def _is_apoc(value: Any) -> bool:
     if isinstance(value, dict) and "rels" in value:
         return True
     records = value if isinstance(value, list) else [value]
-    return all(
-        isinstance(record, dict) and record.get("type") in ("node", "relationship")
-        for record in records
-    )
+    if not _all_have({"type", "id"}, records):
+        return False
+    return {"node", "relationship"}.issuperset(map(itemgetter("type"), records))
 
 
 def _apoc(value: Any, path: Path) -> _Graph:
@@ -120,7 +125,8 @@ def _apoc(value: Any, path: Path) -> _Graph:
         links.append([head, record.get("label"), record["end"].get("id")])
     if properties:
         warn(f"{path}: these properties are not read: {listed(sorted(properties))}.")
-    links += [[node, RDF_TYPE, kind] for node, kind in types]
+    for node, kind in types:
+        links.append([node, RDF_TYPE, kind])
     return {"nodes": list(nodes.values()), "links": links}
 
 
@@ -141,11 +147,9 @@ def _add_node(
 
 def _is_conceptnet(value: Any) -> bool:
     """Return whether a value is an answer of ConceptNet's API."""
-    edges = value.get("edges") if isinstance(value, dict) else None
-    return isinstance(edges, list) and any(
-        isinstance(edge, dict) and {"start", "rel", "end"} <= edge.keys()
-        for edge in edges
-    )
+    if not isinstance(value, dict):
+        return False
+    return _all_have({"start", "rel", "end"}, value.get("edges"))
 
 
 def _conceptnet(value: Mapping[str, Any], path: Path) -> _Graph:
@@ -154,14 +158,15 @@ def _conceptnet(value: Mapping[str, Any], path: Path) -> _Graph:
     weak = 0
     foreign = 0
     for edge in value["edges"]:
-        ends = [_concept(edge[key]) for key in ("start", "end")]
+        language, head = _concept(edge["start"])
+        other_language, tail = _concept(edge["end"])
         if float(edge.get("weight", _MIN_WEIGHT)) < _MIN_WEIGHT:
             weak += 1
-        elif any(language != "en" for language, _ in ends):
+        elif language != "en" or other_language != "en":
             foreign += 1
         else:
             relation = _identifier(edge["rel"]).removeprefix("/r/")
-            links.append([ends[0][1], relation, ends[1][1]])
+            links.append([head, relation, tail])
     left_out = []
     if weak:
         left_out.append(f"{weak} edges of a weight below {_MIN_WEIGHT:g}")
@@ -193,9 +198,9 @@ def _is_hextuples(value: Any) -> bool:
     records = value
     if isinstance(value, list) and value and isinstance(value[0], str):
         records = [value]
-    return isinstance(records, list) and all(
-        isinstance(record, list) and len(record) == 6 for record in records
-    )
+    if not isinstance(records, list) or set(map(type, records)) != {list}:
+        return False
+    return set(map(len, records)) == {6}
 
 
 def _hextuples(value: list[Any], path: Path) -> _Graph:
@@ -230,17 +235,16 @@ def _sparql(value: Mapping[str, Any], path: Path) -> _Graph:
     variables = value["head"].get("vars", [])
     columns = columns_of_keys(dict.fromkeys(variables))
     if columns is None or len(variables) != 3:
-        names = ", ".join(f"?{name}" for name in variables) or "none"
+        names = ", ".join(map("?{}".format, variables)) or "none"
         raise UserError(
             f"{path}: holds the answers of a SPARQL query, with the variables {names}. Ask for "
             "triples: SELECT ?s ?p ?o WHERE { ?s ?p ?o }, or CONSTRUCT, and save its answer as "
             "Turtle."
         )
-    names = [variables[column] for column in columns]
-    links = [
-        [_sparql_term(row.get(name)) for name in names]
-        for row in value["results"]["bindings"]
-    ]
+    links = []
+    for row in value["results"]["bindings"]:
+        terms = map(row.get, map(variables.__getitem__, columns))
+        links.append(list(map(_sparql_term, terms)))
     return {"links": links}
 
 
@@ -265,12 +269,7 @@ def _is_rdf_json(value: Any) -> bool:
         if not isinstance(about, dict) or not about:
             return False
         for terms in about.values():
-            if not isinstance(terms, list):
-                return False
-            if not all(
-                isinstance(term, dict) and {"type", "value"} <= term.keys()
-                for term in terms
-            ):
+            if not _all_have({"type", "value"}, terms):
                 return False
     return True
 
@@ -292,10 +291,7 @@ def _is_wikidata(value: Any) -> bool:
     if isinstance(value, dict) and isinstance(value.get("entities"), dict):
         value = list(value["entities"].values())
     records = value if isinstance(value, list) else [value]
-    return bool(records) and all(
-        isinstance(record, dict) and {"id", "labels", "claims"} <= record.keys()
-        for record in records
-    )
+    return _all_have({"id", "labels", "claims"}, records)
 
 
 def _refuse_wikidata(value: Any, path: Path) -> _Graph:
@@ -316,7 +312,7 @@ def _is_by_name(value: Any) -> bool:
 def _is_properties(value: Any) -> bool:
     """Return whether a value is an object with values, or a list of words."""
     if isinstance(value, list):
-        return all(isinstance(word, str) for word in value)
+        return set(map(type, value)) == {str}
     return isinstance(value, dict)
 
 

@@ -39,7 +39,7 @@ _TEXTS = ("", "text", "txt", "plaintext", "plain", "csv", "tsv", "markdown", "md
 
 def looks_written(beginning: str) -> bool:
     """Return whether a text has a code block, or more triples that are set off than table rows."""
-    lines = [line for line in beginning.splitlines() if line.strip()]
+    lines = list(filter(str.strip, beginning.splitlines()))
     if any(map(_FENCE.match, lines)):
         return True
     if lines and _named_columns(Path(), lines[0]):
@@ -154,7 +154,7 @@ def _is_cut(line: str) -> bool:
 
 
 def _is_rule(line: str) -> bool:
-    return _RULE.fullmatch(line) is not None and any(mark in line for mark in "|+")
+    return _RULE.fullmatch(line) is not None and not set("|+").isdisjoint(line)
 
 
 def _triples_of_line(line: str, is_block: bool, has_rule: bool) -> list[list[str]]:
@@ -199,7 +199,7 @@ def _groups(text: str) -> list[str]:
     if groups and _BETWEEN.fullmatch(_GROUP.sub("", text)):
         # <mug> <usedFor> <drinking>
         if len(groups) == 3 and all(map(_is_one_word, groups)):
-            return [f"({', '.join(group[1:-1] for group in groups)})"]
+            return [f"({', '.join(groups)})".replace("<", "").replace(">", "")]
         return groups
     if _closing(text) == len(text) - 1:
         return [text]
