@@ -103,6 +103,7 @@ class _Records:
         self.nodes: dict[Any, str] = {}  # name by identifier
         self.labels = defaultdict[str, list[str]](list)  # names by label
         self.left_out: set[str] = set()
+        self.named_by_keys: dict[tuple[str, ...], tuple[list[str], str | None]] = {}
 
     def add_node(self, key: Any, values: dict[str, Any]) -> None:
         """Add an entity with its label, by its identifier or number."""
@@ -120,22 +121,31 @@ class _Records:
 
     def add_link(self, values: Any) -> None:
         """Add a triple."""
-        keys = list(values) if isinstance(values, dict) else []
-        columns = columns_of(keys, self.path) or ()
-        named = [keys[column] for column in columns]
+        keys = tuple(values) if isinstance(values, dict) else ()
+        if keys not in self.named_by_keys:
+            self.named_by_keys[keys] = self._named(keys)
+        named, certainty = self.named_by_keys[keys]
         triple = [self._name(values[key]) for key in named]
         confidence = None
-        number = confidence_key(keys)
-        if number is not None and columns:
-            named.append(keys[number])
-            confidence = confidence_of(values[keys[number]], str(self.path))
-        self.left_out.update(set(keys).difference(named))
+        if certainty is not None:
+            confidence = confidence_of(values[certainty], str(self.path))
         if not triple or not all(triple):
             raise UserError(
                 f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a "
                 "relation and a tail. Name them so, or write lists of three."
             )
         self.statements.add((triple[0], triple[1], triple[2]), confidence)
+
+    def _named(self, keys: tuple[str, ...]) -> tuple[list[str], str | None]:
+        """Return which of the keys of a link hold head, relation and tail, and confidence."""
+        columns = columns_of(keys, self.path) or ()
+        named = [keys[column] for column in columns]
+        certainty = None
+        number = confidence_key(keys)
+        if number is not None and columns:
+            certainty = keys[number]
+        self.left_out.update(set(keys) - {*named, certainty})
+        return named, certainty
 
     def _name(self, value: Any) -> str:
         """Return the name of a node by its identifier or number or as it is, else of a value."""
