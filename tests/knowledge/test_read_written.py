@@ -57,6 +57,19 @@ LINES = [
     "Subject: {h}, Predicate: {r}, Object: {t}",
     "(subject: {h}, relation: {r}, object: {t})",
     "| {h} | {r} | {t} |",
+    "Triple {n}: ({h}, {r}, {t})",
+    "T{n}. ({h}, {r}, {t})",
+    "⟨{h}, {r}, {t}⟩",
+    "✅ ({h}, {r}, {t})",
+    "➤ {h}, {r}, {t}",
+    "> ({h}, {r}, {t})",
+    "> - {h}, {r}, {t}",
+    "- [ ] {h}, {r}, {t}",
+    "a) {h}, {r}, {t}",
+    "Subject={h}; Predicate={r}; Object={t}",
+    "head: {h} | relation: {r} | tail: {t}",
+    "{{head: {h}, relation: {r}, tail: {t}}}",
+    "{{'subject': '{h}', 'predicate': '{r}', 'object': '{t}'}},",
     '{{"head": "{h}", "relation": "{r}", "tail": "{t}"}}',
 ]
 """One triple per line."""
@@ -125,6 +138,38 @@ def test_a_column_of_confidence_in_markdown(tmp_path):
     }
 
 
+MARKS = [
+    "({h}, {r}, {t}): 0.9",
+    "({h}, {r}, {t})  # because",
+    "(({h}), ({r}), ({t}))",
+    "NOT ({h}, {r}, {t})",
+    "$({h}, {r}, {t})$",
+    "-{h},{r},{t}",
+    "*{h}*, *{r}*, *{t}*",
+    "_{h}_ | _{r}_ | _{t}_",
+    "<triple>{h}|{r}|{t}</triple>",
+]
+"""Brackets and marks that are not understood."""
+
+
+@pytest.mark.parametrize("pattern", MARKS)
+@pytest.mark.parametrize("name", ["a.txt", "a.csv", "a.tsv"])
+def test_marks_never_become_parts_of_names(tmp_path, pattern, name):
+    with pytest.raises(UserError, match="which would become part of names") as error:
+        read_graph(written(tmp_path / name, lines(pattern)))
+    assert "\n" not in str(error.value)
+
+
+def test_items_without_brackets_are_prose_where_triples_have_them(tmp_path):
+    text = (
+        "1. **Mug**\n   - (mug, usedFor, drinking)\n2. **Kettle**, as used at home, for tea\n"
+        "   - (kettle, usedFor, boiling)\n"
+    )
+    with pytest.warns(DataWarning, match="2 lines without a triple left out"):
+        graph = read_graph(written(tmp_path / "a.md", text))
+    assert set(graph) == {TRIPLES[0], TRIPLES[2]}
+
+
 REFUSED = [
     ("(mug, usedFor, drinking)\n(bottle, contains, wat", "line 2: a bracket is not closed"),
     ("(mug, drinking)\n(bottle, water)\n", "line 1: has 2 columns, but a row has 3"),
@@ -157,6 +202,11 @@ def test_the_remedy_for_a_fourth_cell_works_when_it_is_typed(tmp_path):
 TABLES = {
     "names with brackets": "head,relation,tail\nmug (cup),on,table\n(small) bowl,on,table\n",
     "names with dashes": "head,relation,tail\n-ive,on,table\n1. FC Bayern,isA,club\n",
+    "names of one form": "(R)-mug,on,table\n(S)-mug,on,table\n",
+    "open brackets": "mug (blue,on,table\nbowl(red,on,table\n",
+    "arrows in names": "a->b,on,a->c\nb->c,on,c->d\n",
+    "paths": "/c/en/mug,/r/IsA,/c/en/cup\n/c/en/pan,/r/IsA,/c/en/pot\n",
+    "blank nodes": "_:a,on,_:b\n_:c,on,_:d\n",
     "arrows inside": "mug,moves -> to,table\nbowl,moves -> to,table\n",
     "numbers inside": "mug,on,1: table\nbowl,on,1: table\nbowl,(in) - x,- y\n",
     "bars": "mug|on|table\nbowl|on|table\n",

@@ -37,6 +37,11 @@ SEPARATORS = (",", "\t", ";", "|")
 _SAMPLE = 50
 """Lines by which the separator is recognized."""
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
+_BRACKETS = dict(zip("([{⟨（", ")]}⟩）", strict=True))
+_BRACKET = re.compile(r"(?:^|\W)([(\[{⟨（])")
+"""A bracket that opens before a word."""
+_MARK = re.compile(r"(?!_:|<[^<>]*>$)(?:[^\w/:#\"'@.$?!&%~(\[{]|_(?=.*_$))")
+"""Mark with which a head begins, and names do not."""
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
 """The first line by which Excel knows the separator."""
 
@@ -103,6 +108,7 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     statements = Statements(path, builder)
     heads = set[str]()
     relations = Counter[str]()
+    marks = _Marks()
     count = 0
     for number, row in rows:
         triple = _triple(path, number, row, names, columns, if_empty)
@@ -117,15 +123,60 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
                 )
         if count > 0 and not words.isdisjoint(triple):
             occurs_again = True
+        marks.add(triple)
         if not has_header:
             heads.add(triple[0])
             relations[triple[1]] += 1
         count += 1
+    marks.refuse(path, count)
     if not has_header and is_wide(count, len(heads), relations):
         _doubt_relations(path, first_row, if_wide, relations, occurs_again)
     elif not occurs_again:
         _doubt_header(path, first_row, if_wide, count, len(heads), len(relations))
     return statements.build()
+
+
+class _Marks:
+    """Brackets and bullets around rows, which would become parts of names."""
+
+    def __init__(self) -> None:
+        self.marks = set[str]()
+        self.in_brackets = 0
+
+    def add(self, triple: Triple) -> None:
+        """Count a row."""
+        head, _, tail = triple
+        if head.isidentifier() and head[0] != "_":  # most: fast
+            self.marks.add("")
+            return
+        mark = _MARK.match(head)
+        self.marks.add(mark[0] if mark else "")
+        opening = _BRACKET.search(head)
+        if opening is not None and _spans(opening[1], head, tail):
+            self.in_brackets += 1
+
+    def refuse(self, path: Path, rows: int) -> None:
+        """Refuse a table if most of its rows have brackets, or all begin with one mark."""
+        what = ""
+        if 2 * self.in_brackets > rows:
+            what = "most rows have brackets around them"
+        mark = "".join(self.marks)
+        if rows > 1 and mark and len(self.marks) == 1:
+            what = f"all rows begin with {mark!r}"
+        if what:
+            raise UserError(
+                f"{path}: {what}, which would become part of names. Write rows of three names, "
+                "such as mug,usedFor,drinking."
+            )
+
+
+def _spans(opening: str, head: str, tail: str) -> bool:
+    """Return whether a bracket opens in the head of a row and closes in its tail."""
+    closing = _BRACKETS[opening]
+    return (
+        head.count(opening) > head.count(closing)
+        and tail.count(closing) > tail.count(opening)
+    )  # fmt: skip
 
 
 def _refuse_header(path: Path, first_row: Row, if_wide: str) -> None:

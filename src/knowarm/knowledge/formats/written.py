@@ -10,16 +10,23 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 
 from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import ROLES, columns_of, name_of_cell
+from knowarm.knowledge.formats.columns import ROLES, columns_of
 from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import Row, read_rows
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 
-_BULLET = re.compile(r"\s*(?:[-*+•‣–]|\(?\d{1,5}[.):]|\[\d{1,5}\])\s+")
+_BULLET = re.compile(
+    r"\s*(?:>\s*)*"  # as Markdown quotes
+    r"(?:(?:[^\w\s\"'`(\[{<⟨/:#@|$=.]{1,2}|\(?\d{1,5}[.):]|\[\d{1,5}\]|[A-Za-z][)])\s+)?"
+    r"(?:\[[ xX]\]\s+)?(?:\w+ ?\d+[.):]\s+(?=[(\[<{⟨]))?"
+)
+"""What stands before an item: a bullet, a number or a letter, a box, "Triple 1:"."""
 _ARROW = re.compile(r"\s*(?:[-=]+>|[→⟶⇒])\s*")
+_SPACED_ARROW = re.compile(r"\s(?:[-=]+>|[→⟶⇒])|(?:[-=]+>|[→⟶⇒])\s")
 _EDGE = re.compile(r"(.+?)\s*-+\s*\[\s*:?(.+?)\s*\]|(.+?)\s*--+\s*([^\s-].*)")
 """Head and relation before the arrow: of "mug -[usedFor]-> drinking" and "mug --usedFor-> ..."."""
 _RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
@@ -27,11 +34,13 @@ _RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
 _FENCE = re.compile(r"\s*(?:```|~~~)\s*([\w+-]*)")
 _WRAPPER = re.compile(r"\s*(?:[\w ]+=\s*)?[\[\]{}()]\s*,?\s*")
 """First or last line of a list of a programming language."""
-_GROUP = re.compile(r"\([^()]*\)|\[[^\[\]]*\]|<[^<>]*>|\{[^{}]*\}")
+_GROUP = re.compile(r"\([^()]*\)|\[[^\[\]]*\]|<[^<>]*>|\{[^{}]*\}|⟨[^⟨⟩]*⟩")
 _BETWEEN = re.compile(r"[\s,;.\[\](){}]*")
 _ROLE = re.compile(r"(\w+)\s*[:=]\s*(.+)")
 _EMPHASIS = re.compile(r"(\*\*|\*|`|\"|')(.+)\1|“(.+)”|‘(.+)’")
-_PAIRS = {"(": ")", "[": "]", "<": ">", "{": "}"}
+_PAIRS = {"(": ")", "[": "]", "<": ">", "{": "}", "⟨": "⟩"}
+_SAMPLE = 10_000
+"""Lines by which it is known how triples are written."""
 _SEPARATORS = ("\t", "|", ";", ",")
 _TEXTS = ("", "text", "txt", "plaintext", "plain", "csv", "tsv", "markdown", "md")
 """Languages of code blocks that hold triples of names."""
@@ -66,7 +75,9 @@ def read_written(path: Path) -> KnowledgeGraph:
 
 def _written_rows(path: Path) -> Iterator[Row]:
     """Yield the cells of the lines that are triples."""
-    has_rule = any(_is_rule(line) for _, line in islice(text_lines(path), 10_000))
+    beginning = list(map(itemgetter(1), islice(text_lines(path), _SAMPLE)))
+    has_rule = any(map(_is_rule, beginning))
+    has_brackets = any(map(_has_brackets, beginning))
     prose = list[tuple[int, str]]()
     waiting = list[Row]()  # Rows that are not known to be no names of columns
     header = list[str]()
@@ -86,7 +97,7 @@ def _written_rows(path: Path) -> Iterator[Row]:
                 header = _header(path, waiting[0])
             continue
         yield from waiting
-        triples = _triples_of_line(line, is_block, has_rule)
+        triples = _triples_of_line(line, is_block, has_rule, has_brackets)
         if not triples and not count:
             triples = _named_columns(path, line)
         waiting = [(number, cells) for cells in triples]
@@ -153,23 +164,31 @@ def _is_cut(line: str) -> bool:
     return text.startswith(tuple(_PAIRS)) and "," in text and _closing(text) < 0
 
 
+def _has_brackets(line: str) -> bool:
+    """Return whether a line has a triple that is set off, also without its bullet."""
+    return bool(_triples_of_line(line, False, False, has_brackets=True))
+
+
 def _is_rule(line: str) -> bool:
     return _RULE.fullmatch(line) is not None and not set("|+").isdisjoint(line)
 
 
-def _triples_of_line(line: str, is_block: bool, has_rule: bool) -> list[list[str]]:
+def _triples_of_line(
+    line: str, is_block: bool, has_rule: bool, has_brackets: bool = False
+) -> list[list[str]]:
     """Return the cells of the triples in a line, none if it is not set off.
 
     Args:
         line: the line.
         is_block: it lies in a block of code, which sets it off.
         has_rule: the file has a Markdown table, whose rows need no bar at their ends.
+        has_brackets: its triples have brackets, so that items of lists without are prose.
     """
     if _is_rule(line) or _WRAPPER.fullmatch(line):
         return []
     bullet = _BULLET.match(line)
-    is_item = bullet is not None
-    text = line[bullet.end() :].strip() if bullet else line.strip()
+    text = line[bullet.end() if bullet else 0 :].strip()
+    is_item = text != line.strip() and not has_brackets
     text = _without_emphasis(text)
     if text.startswith("|") and text.endswith("|") and len(text) > 1:
         return [_bar_cells(text[1:-1])]
@@ -178,11 +197,12 @@ def _triples_of_line(line: str, is_block: bool, has_rule: bool) -> list[list[str
         triples += _triples_of_group(group)
     if triples:
         return triples
-    if _ARROW.search(text):
+    rows = [_split(text, separator) for separator in _SEPARATORS]
+    is_plain_row = not _SPACED_ARROW.search(text) and 3 in map(len, rows)
+    if _ARROW.search(text) and not is_plain_row:
         cells = _cells_of_arrows(text)
         return [cells] if cells else []
-    for separator in _SEPARATORS:
-        cells = _split(text, separator)
+    for separator, cells in zip(_SEPARATORS, rows, strict=True):
         if len(cells) < 3:
             continue
         values = _without_roles(cells)
@@ -229,6 +249,8 @@ def _triples_of_group(group: str) -> list[list[str]]:
     """Return the cells in brackets, or in the brackets in them; none if there is only one."""
     with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
         values = ast.literal_eval(group)
+        if isinstance(values, dict):
+            return list(filter(None, [_values_of_roles(values)]))
         if isinstance(values, tuple | list):
             if all(isinstance(value, tuple | list) for value in values):
                 return [list(map(str, value)) for value in values]
@@ -294,11 +316,17 @@ def _without_roles(cells: list[str]) -> list[str]:
         if match is None:
             return []
         values[_without_emphasis(match[1])] = _without_emphasis(match[2])
-    names = list(values)
+    return _values_of_roles(values)
+
+
+def _values_of_roles(values: dict[str, str]) -> list[str]:
+    """Return the values of head, relation and tail in order; none if the keys name no such."""
+    names = list(map(str, values))
     with suppress(UserError):
         columns = columns_of(names, Path())
         if columns is not None:
-            return [name_of_cell(values[names[column]]) for column in columns]
+            texts = list(map(str, values.values()))
+            return list(map(texts.__getitem__, columns))
     return []
 
 
