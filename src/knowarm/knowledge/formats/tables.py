@@ -37,6 +37,7 @@ SEPARATORS = (",", "\t", ";", "|")
 _SAMPLE = 50
 """Lines by which the separator is recognized."""
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
+_NUMBER = re.compile(r"[-+]?\d+(?:[.,]\d+)?")
 _BRACKETS = dict(zip("([{⟨（", ")]}⟩）", strict=True))
 _BRACKET = re.compile(r"(?:^|\W)([(\[{⟨（])")
 """A bracket that opens before a word."""
@@ -129,7 +130,12 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
             relations[triple[1]] += 1
         count += 1
     marks.refuse(path, count)
-    if not has_header and is_wide(count, len(heads), relations):
+    if count > 1 and relations and all(map(_NUMBER.fullmatch, relations)):
+        warn(
+            f"{path}: the relations are numbers, such as {listed(islice(relations, 3))}. If the "
+            "middle column is no relation, name the columns in a first line."
+        )
+    elif not has_header and is_wide(count, len(heads), relations):
         _doubt_relations(path, first_row, if_wide, relations, occurs_again)
     elif not occurs_again:
         _doubt_header(path, first_row, if_wide, count, len(heads), len(relations))
