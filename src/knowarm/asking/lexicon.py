@@ -31,6 +31,13 @@ WORDS: dict[str, Words] = _ENGLISH["words"]
 """Words of one function in questions, by it; the file says what they are."""
 JOINS: dict[str, str] = _ENGLISH["joins"]
 """What joins conditions: "and", "or", "but" or a comma, by word."""
+EXTREMES: dict[str, str] = _ENGLISH["extremes"]
+"""Conditions of the object that is furthest in a direction, by word."""
+BESIDE: dict[str, str] = _ENGLISH["beside"]
+"""Conditions of the place beside another object, by word."""
+UNANSWERED = re.compile("|".join(_ENGLISH["unanswered"]["asks"]))
+"""Questions that ask for no object."""
+_ADJECTIVE = re.compile(r"(?:able|ible|ous|ful|less|ive|ic|al|ish|y|ed|ing|proof)$")
 _TOKEN = re.compile(rf"(?:[<>!]=?|=){NUMBER}|{NUMBER}|[^\W\d_]+|\S")
 
 
@@ -44,6 +51,8 @@ class Family:
     describes: bool = False
     large: Words = ()
     small: Words = ()
+    otherwise: Words = ()
+    takes_object: bool = False
 
 
 FAMILIES = {name: Family(**fields) for name, fields in _ENGLISH["relations"].items()}
@@ -63,10 +72,34 @@ def tokens(text: str) -> list[str]:
     return _TOKEN.findall(text)
 
 
+def sentences(text: str) -> list[str]:
+    """Return the sentences of a text."""
+    ends = re.split(r"(?<!\bsth)(?<!\be\.g)[.!?;]+(?:\s+|$)", text, flags=re.IGNORECASE)
+    return [sentence for sentence in ends if re.search(r"\w", sentence)] or [text]
+
+
+def synonyms_of(word: str) -> set[str]:
+    """Return the everyday synonyms of a word, in singular."""
+    synonyms = set()
+    for one, other in _ENGLISH["synonyms"].items():
+        if one in forms_of(word):
+            synonyms.add(other)
+        if other in forms_of(word):
+            synonyms.add(one)
+    return synonyms
+
+
 def spaced(text: str) -> str:
     """Return a text with a space between words that only a capital letter separates."""
     text = unicodedata.normalize("NFC", text)
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+
+
+def quoted(name: str) -> str:
+    """Return a name as conditions write it."""
+    if re.fullmatch(r"[^\s()<>=!\"]+", name):
+        return name
+    return f'"{name}"'
 
 
 def near(word: str, others: Iterable[str], most: float) -> bool:
@@ -83,8 +116,8 @@ def distance(word: str, other: str) -> float | None:
     """Return how far a word is from another one that it may stand for, else None."""
     if name_key(word) == name_key(other):
         return 0.0
-    forms = _forms(word)
-    wanted = _forms(other)
+    forms = forms_of(word)
+    wanted = forms_of(other)
     if forms & wanted:
         return INFLECTED
     derived = forms.union(*map(_table()["d"].__getitem__, forms))
@@ -100,7 +133,40 @@ def distance(word: str, other: str) -> float | None:
 
 
 @cache
-def _forms(word: str) -> frozenset[str]:
+def related(word: str) -> frozenset[str]:
+    """Return the forms of all words for which `distance` may be other than None."""
+    table = _table()
+    words = set(forms_of(word))
+    for form in tuple(words):
+        words |= table["d"][form]
+    for kind, form in product("nva", tuple(words)):
+        words |= table[kind][form]
+    return frozenset(words)
+
+
+def verbs_of(word: str) -> set[str]:
+    """Return the verbs that an adjective may be made of: "cuttable" of cut, "edible" of eat."""
+    irregular = _ENGLISH["abilities"].get(word)
+    if irregular:
+        return {irregular}
+    stem = re.sub(r"[ai]ble$", "", word)
+    if stem == word or len(stem) < 2:
+        return set()
+    verbs = {stem, stem + "e"}
+    if stem[-1] == stem[-2:-1]:
+        verbs.add(stem[:-1])
+    if stem.endswith("i"):
+        verbs.add(stem[:-1] + "y")
+    return verbs
+
+
+def is_adjective(word: str) -> bool:
+    """Return whether a word may be an adjective, by its ending or its synonyms."""
+    return bool(_ADJECTIVE.search(word) or _table()["a"].get(word))
+
+
+@cache
+def forms_of(word: str) -> frozenset[str]:
     """Return a word and what it may be an inflected form of."""
     forms = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
     if word.endswith("ed"):
@@ -124,4 +190,7 @@ def _table() -> dict[str, dict[str, set[str]]]:
         for word in words:
             table[kind][word].update(words)
             table[kind][word].discard(word)
+    for word, other in _ENGLISH["synonyms"].items():
+        table["n"][word].add(other)
+        table["n"][other].add(word)
     return table

@@ -1,10 +1,14 @@
 """Questions in plain English, read as those of `expressions` by the vocabulary of a graph.
 
-    something to drink from that is not red  ->  usedFor drinking and not hasColor red
+    the red mug                                ->  hasColor red and is mug
+    something to drink from that is not red    ->  usedFor drinking and not hasColor red
+    the thing to the left of the bowl          ->  leftOf (is bowl)
 
-Every word is accounted for: as a value, as a cue for a relation ("made of"), as one that joins or
-negates, or as one of a few that change nothing. All readings are enumerated, and the nearest one
-counts if it is the only one. Anything else is refused, with the nearest conditions of the graph.
+Every word is accounted for: as a value, as the name of an object, as a cue for a relation ("made
+of"), as one that joins or negates, or as one of a few that change nothing. What is done with an
+object ("to water the flowers") and its kind ("a tool") are left out, and it is said. All readings
+are enumerated, and the nearest one counts if it is the only one. Anything else is refused, with
+the nearest conditions of the graph.
 """
 
 import re
@@ -12,20 +16,31 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, compress, count
 from operator import attrgetter
+from typing import NamedTuple
 
 from knowarm.asking.lexicon import (
+    BESIDE,
+    EXTREMES,
     FAMILIES,
     INFLECTED,
     JOINS,
     NUMBER,
+    UNANSWERED,
     WEAK,
     WORDS,
     distance,
+    is_adjective,
+    near,
+    quoted,
+    sentences,
+    synonyms_of,
     tokens,
+    verbs_of,
 )
 from knowarm.asking.readings import ReadCondition, ReadingState, joined
-from knowarm.asking.vocabulary import Entry, Vocabulary
+from knowarm.asking.vocabulary import IS, LONGEST_VALUE, Entry, Vocabulary
 from knowarm.errors import UserError
+from knowarm.questions import COLOUR_RELATION
 
 Holders = Callable[[str], set[int]]
 """The entities of which a question is true."""
@@ -33,30 +48,49 @@ Holders = Callable[[str], set[int]]
 States = Iterator[ReadingState]
 
 _IGNORED = {*WORDS["things"], *WORDS["ignored"]}
-_NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS}
+_NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS, *BESIDE, *EXTREMES, "="}
+_ARTICLES = frozenset({"a", "an", "the", "some", "my"})
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
 _BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
 MOST_WORDS = 60
 MOST_READINGS = 2_000
-"""Most words of a question, and most steps of its readings."""
-LONGEST_NAME = 3
-"""Most words of an object's name that is recognized."""
+MOST_LEFT_OUT = 6
+"""Most words of a question, steps of its readings, and words that are left out of one."""
+LEFT_OUT = 0.4
+OTHER_THAN_NAME = 0.3
+"""Costs of a word that is left out, and of a value where a name has the same words."""
+
+
+class Match(NamedTuple):
+    """A condition that words may mean, how far they are from its value, and how many they are."""
+
+    entry: Entry
+    far: float
+    length: int
+
+
+class PlainReading(NamedTuple):
+    """A question as `expressions` write it, and what was left out of it and why."""
+
+    text: str
+    left_out: tuple[str, ...] = ()
 
 
 class _Reader:
-    """Enumerates the readings of a question: each rule yields what a state may become."""
+    """Enumerates the readings of words: each rule yields what a state may become."""
 
-    def __init__(self, text: str, vocabulary: Vocabulary) -> None:
+    def __init__(self, text: str, words: Sequence[str], vocabulary: Vocabulary) -> None:
         self.text = text
         self.vocabulary = vocabulary
-        self.words = tokens(text)
+        self.words = words
         if not 0 < len(self.words) <= MOST_WORDS:
             raise self.refused(
                 f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}"
             )
         starts = range(len(self.words))
-        self.matches = [list(self.match(start)) for start in starts]
-        self.object_lengths = list(map(self.object_length, starts))
+        for start in starts:
+            self.look_up(start)
+        self.matches = [self.match(start) for start in starts]
 
     def refused(self, why: str) -> UserError:
         """Return the error of a question that is not understood, with the nearest conditions."""
@@ -66,10 +100,8 @@ class _Reader:
             f"The question {self.text!r} is not understood: {why}. {nearest}"
         )
 
-    def best(self) -> tuple[ReadCondition, ...]:
-        """Return the conditions of the nearest reading."""
-        if self.words[0] in WORDS["unanswered"]:
-            raise self.refused("only questions for an object are answered")
+    def best(self) -> ReadingState:
+        """Return the end of the nearest reading."""
         # By position, in order, once each
         reached = [dict[ReadingState, None]() for _ in range(len(self.words) + 1)]
         reached[0][ReadingState()] = None
@@ -97,87 +129,175 @@ class _Reader:
             raise self.refused(
                 f"'and' and 'or' can be joined in several ways; {remedy}"
             )
-        return nearest.done
+        return nearest
 
     def reason(self, furthest: int) -> str:
         """Return why there is no reading, all of which end at a word."""
-        length = max(self.object_lengths)
-        if length:
-            start = self.object_lengths.index(length)
-            name = " ".join(self.words[start : start + length])
-            return f"{name!r} names an object, and a question describes it instead"
         if furthest == len(self.words):
             return "its parts do not fit together"
         return f"{self.words[furthest]!r} fits nothing here"
 
     def word(self, position: int) -> str:
-        """Return the word at a position, or a comma behind the end."""
-        return self.words[position] if position < len(self.words) else ","
+        """Return the word at a position, or a comma before the beginning and behind the end."""
+        return self.words[position] if 0 <= position < len(self.words) else ","
 
-    def apart(self, start: int, name: Sequence[str]) -> float | None:
-        """Return how far the words from one on are from a name, None if they are not it."""
-        words = self.words[start : start + len(name)]
-        if len(words) < len(name):
-            return None
+    def matched(self, start: int, entry: Entry) -> Match | None:
+        """Return how the words from one on match a value, None if they do not."""
         total = 0.0
-        for far in map(distance, words, name):
+        position = start
+        for name in entry.words:
+            while position > start and self.word(position) in _ARTICLES:
+                position += 1  # "tell the time"
+            far = distance(self.word(position), name)
             if far is None:
                 return None
             total += far
-        return total
+            position += 1
+        return Match(entry, total, position - start)
 
-    def match(self, start: int) -> Iterator[tuple[Entry, float]]:
-        """Yield the values that may be meant by the words from one on, and how far they are."""
+    def look_up(self, start: int) -> None:
+        """Learn the values of the whole graph that the words from one on are."""
+        word = self.words[start]
+        if word in _NO_VALUE or not word.isalpha():
+            return
+        for length in range(1, LONGEST_VALUE + 1):
+            words = self.words[start : start + length]
+            if len(words) < length or not _NO_VALUE.isdisjoint(words):
+                return
+            if not self.is_known(start, length):
+                self.vocabulary.look_up(words)
+
+    def is_known(self, start: int, length: int) -> bool:
+        """Return whether words are a value of an object, or say a relation."""
+        for entry, far, matched in self.match(start):
+            if far <= INFLECTED and not entry.inner and matched >= length:
+                return True
+        return length == 1 and bool(self.vocabulary.said(self.words[start]))
+
+    def match(self, start: int) -> list[Match]:
+        """Return the values that may be meant by the words from one on."""
         word = self.words[start]
         if word in _NO_VALUE:
-            return
-        for first, entries in self.vocabulary.by_first.items():
-            if distance(word, first) is None:
-                continue
-            for entry in entries:
-                far = self.apart(start, entry.words)
-                if far is not None:
-                    yield entry, far
+            return []
+        matches = []
+        for entry in self.vocabulary.starting(word):
+            match = self.matched(start, entry)
+            if match is not None and self.may_be(entry, match.far, start):
+                matches.append(match)
+        for verb in sorted(verbs_of(word)):  # "openable" of what "can open"
+            for entry in self.vocabulary.starting(verb):
+                is_word = len(entry.words) == 1
+                if (
+                    is_word
+                    and entry.role == "verb"
+                    and near(verb, entry.words, INFLECTED)
+                ):
+                    adjective = entry._replace(role="")
+                    matches.append(Match(adjective, INFLECTED, 1))
+        return list(_inflections_joined(matches))
 
-    def object_length(self, start: int) -> int:
-        """Return how many words from one on are the name of an object, and no value."""
-        if self.matches[start]:
-            return 0
-        length = 0
-        for name in self.vocabulary.objects:
-            if len(name) <= LONGEST_NAME and self.apart(start, name) == 0:
-                length = max(length, len(name))
-        is_word = length == 1 and self.words[start] == "can"
-        if is_word and self.word(start + 1) not in {*JOINS, *WEAK, "that"}:
-            return 0  # the verb
-        return length
+    def may_be(self, entry: Entry, far: float, start: int) -> bool:
+        """Return whether words may be what a condition says of names: "can" may be the verb."""
+        if entry.relation != IS:
+            return True
+        if entry.words == ("can",):
+            return self.is_noun(start)
+        is_synonym = entry.words[0] in synonyms_of(self.words[start])
+        return far <= INFLECTED or is_synonym
+
+    def is_noun(self, position: int) -> bool:
+        """Return whether "can" is the object: "a can", "the red can with a lid"."""
+        if self.word(position - 1) in WORDS["before_nouns"]:
+            return True
+        behind = self.word(position + 1)
+        return behind in {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which"}
 
     def following(self, state: ReadingState) -> States:
         """Yield the states behind what may be read next."""
-        start = state.position
-        word = self.words[start]
-        if self.object_lengths[start] > 1:
-            return
+        word = self.words[state.position]
         if _COMPARED.fullmatch(word):
             yield from self.numbered(state, word)
             return
-        if word == "one" and self.vocabulary.noun(self.word(start + 1), counted=True):
+        counted = self.vocabulary.noun(self.word(state.position + 1), counted=True)
+        if word == "one" and counted:
             yield state.then(number="= 1", weak=())
-        if state.noun and state.outer is None:  # "more than two parts that ..."
+        is_counted = state.noun and not self.vocabulary.is_verb(state.noun)
+        if (is_counted or state.number) and state.outer is None:
+            # "more than two parts that ..."
             for closed in state.closed():
                 cost = closed.cost + INFLECTED
                 yield from self.following(replace(closed, cost=cost))
         yield from self.values(state)
-        for entry, far in self.matches[start]:
-            if len(entry.words) > 1 and far <= INFLECTED:
+        for match in self.matches[state.position]:
+            if match.length > 1 and match.far <= INFLECTED:
                 return  # the "living room" is no room where something lives
         yield from self.superlatives(state, word)
+        if word in EXTREMES and state.is_unsaid:
+            yield state.added(ReadCondition(EXTREMES[word], EXTREMES[word]), 1)
+        if word in BESIDE and state.is_unsaid:
+            yield from self.beside(state, BESIDE[word])
         if word in JOINS:
             yield from self.joins(state, word)
         elif word in WORDS["negations"]:
             yield from self.negations(state, word)
-        elif not self.object_lengths[start]:
+        else:
             yield from self.cues(state, word)
+            yield from self.left_out(state, word)
+
+    def beside(self, state: ReadingState, relation: str) -> States:
+        """Yield the states behind "left of the red mug", whose last words are a question, too."""
+        start = state.position + 1
+        ends = [i for i in range(start + 1, len(self.words)) if self.words[i] in JOINS]
+        cost = 0.0
+        for end in [*ends, len(self.words)]:
+            try:
+                words = self.words[start:end]
+                other = _Reader(self.text, words, self.vocabulary).best()
+            except UserError:
+                continue
+            text = joined(other.done)
+            condition = ReadCondition(f"{relation} ({text})", relation)
+            left_out = (*state.left_out, *other.left_out)
+            if not any(part.best for part in other.done):
+                near_state = replace(state, left_out=left_out)
+                yield near_state.added(condition, end + 1 - start, cost + other.cost)
+            is_or = end < len(self.words) and JOINS[self.words[end]] == "or"
+            if not is_or:
+                cost += INFLECTED  # it ends at the first "and"
+
+    def left_out(self, state: ReadingState, word: str) -> States:
+        """Yield the states behind a word that is left out: what is done with, and a kind."""
+        if len(state.left_out) >= MOST_LEFT_OUT or not word.isalpha():
+            return
+        start = state.position
+        if state.takes_object and word in WORDS["particles"]:
+            yield state.then(cost=state.cost + 0.01, takes_object=True)
+        elif state.takes_object and self.is_place(start):
+            yield state.without(word, LEFT_OUT)
+        elif state.takes_object and word not in _NO_VALUE:
+            is_noun = self.word(start - 1) in WORDS["determiners"]
+            is_word = not self.vocabulary.said(word) and word not in WORDS["looks"]
+            if is_noun or is_word:
+                yield state.without(word, LEFT_OUT)
+        if self.is_kind(start) and not state.takes_object:
+            left_out = (*state.left_out, word)
+            cost = state.cost + LEFT_OUT
+            yield replace(state.behind_thing(), left_out=left_out, cost=cost)
+
+    def is_place(self, position: int) -> bool:
+        """Return whether a preposition may begin what is left out: "in bed", "with water"."""
+        word = self.words[position]
+        if word != "with":
+            return word in WORDS["places"]
+        return self.word(position + 1) not in {*WORDS["determiners"], *WORDS["things"]}
+
+    def is_kind(self, position: int) -> bool:
+        """Return whether a word is a kind, such as "tool", that the graph does not know."""
+        for entry, far, _ in self.matches[position]:
+            describes = self.vocabulary.family(entry.relation).describes
+            if far <= INFLECTED and not entry.inner and describes:
+                return False
+        return near(self.words[position], WORDS["kinds"], 0)
 
     def joins(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "and", "or", "but" or a comma."""
@@ -185,13 +305,21 @@ class _Reader:
         if word == "but" and (said or self.words[state.position - 1] in WORDS["any"]):
             # "any colour but blue", "made of anything but metal"
             yield state.then(strong=said, outer=None, negated=True, noun="")
-            return
+            if not state.noun:
+                return
+        is_exception = word == "but" and self.is_exception(state.position)
         for closed in state.closed():
             join = JOINS[word]
             if join == "," and closed.join:
                 join = closed.join
             if closed.done or not closed.join:
-                yield closed.then(join=join, negated=None)
+                negated = True if is_exception else None
+                yield closed.then(join=join, negated=negated)
+
+    def is_exception(self, position: int) -> bool:
+        """Return whether a "but" means except: "everything made of metal but the pan"."""
+        is_any = not set(WORDS["any"]).isdisjoint(self.words[:position])
+        return is_any and self.word(position + 1) in WORDS["determiners"]
 
     def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
@@ -210,29 +338,38 @@ class _Reader:
         start = state.position
         last = "" if state.join else state.last
         said = self.vocabulary.said(word)
-        if said:
+        is_request = word in WORDS["requests"] and self.word(start + 1) in ("me", "us")
+        if said and not is_request:
             both = said & (state.strong or said)
             if both:
-                is_counted = state.number != "" or self.words[start - 1] == "no"
+                is_counted = state.number != "" or self.word(start - 1) == "no"
                 noun = self.vocabulary.noun(word, is_counted)
                 yield state.then(strong=both, noun=noun)
             is_location = word == "used" and self.word(start + 1) in ("in", "at", "on")
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
+        if word == "=" and state.strong is not None:  # "material = wood"
+            yield state.then()
         if word in WEAK:
             yield state.then(weak=(*state.weak, word))
-            if last and (
-                word != "with" or self.vocabulary.family(last) is FAMILIES["use"]
-            ):
+            is_verb = self.vocabulary.family(last).takes_object
+            is_counted = last != "" and state.done[-1].text.startswith("count ")
+            is_behind = word not in ("with", "of") and not is_counted
+            if last and (is_behind or is_verb):
                 yield state.then(cost=state.cost + 0.01)  # "to drink from"
-            if start and self.words[start - 1] in WORDS["requests"] and not state.done:
+            if self.word(start - 1) in WORDS["requests"] and not state.done:
                 yield state.then()  # "look for", "want to"
         if word in WORDS["things"]:
             yield state.behind_thing()
+            if state.noun:  # "not carrying anything"
+                yield state.then()
+        elif word == "can" and self.matches[start]:
+            return
         elif word in _IGNORED or word in WORDS["able"]:
             if word in WORDS["able"] and not state.weak:
                 yield state.then(weak=("to",))
-            yield state.then()
+            takes_object = state.takes_object and word in WORDS["determiners"]
+            yield state.then(takes_object=takes_object)
         if word in WORDS["requests"] and state.is_unsaid and not state.done:
             yield state.then()
 
@@ -241,20 +378,60 @@ class _Reader:
         if state.number or state.best:
             return
         matches = self.matches[state.position]
-        longest = max((len(entry.words) for entry, _ in matches), default=0)
-        for entry, far in matches:
-            if len(entry.words) < longest:
-                continue
-            is_verb = far == INFLECTED and entry.words[-1].endswith("ing")
-            if is_verb and not self.is_purpose(state):
-                continue
-            if far and state.weak[-1:] == ("for",) and self.has_exact(state, entry):
-                continue  # "for water" is not to water, though "water" is its verb
-            cost = self.fits(entry, state)
-            if cost is not None:
-                yield state.added(
-                    entry.text, entry.relation, longest, far + cost, state.is_bare
-                )
+        longest = max((match.length for match in matches), default=0)
+        matches = [match for match in matches if match.length == longest]
+        is_name = any(match.entry.relation == IS for match in matches)
+        for match in matches:
+            entry = match.entry
+            if entry.relation == IS:
+                yield from self.names(state, match)
+            elif not self.is_kept_out(state, entry, match.far):
+                cost = self.fits(entry, state)
+                if cost is not None:
+                    cost += match.far
+                    if entry in self.vocabulary.elsewhere:
+                        cost += INFLECTED
+                    if is_name and state.is_bare:  # "a brush" is one
+                        cost += OTHER_THAN_NAME
+                    yield self.with_value(state, match, cost)
+
+    def is_kept_out(self, state: ReadingState, entry: Entry, far: float) -> bool:
+        """Return whether the words at a place may not be a value, though they are near to it."""
+        is_verb = far == INFLECTED and entry.words[-1].endswith("ing")
+        if is_verb and not self.is_purpose(state):
+            return True
+        if state.takes_object and state.is_bare and not state.join:
+            return (
+                entry.relation != COLOUR_RELATION
+            )  # "to cut wood" is not made of wood
+        # "for water" is not to water, though "water" is its verb
+        is_for = far > 0 and state.weak[-1:] == ("for",)
+        return is_for and self.has_exact(state, entry)
+
+    def names(self, state: ReadingState, match: Match) -> States:
+        """Yield the state behind the name of an object."""
+        if not state.is_bare or state.takes_object:
+            return
+        condition = ReadCondition(match.entry.text, IS, is_bare=True, is_name=True)
+        before = self.word(state.position - 1)
+        is_determined = before in WORDS["determiners"]
+        named = state.named(condition, match.length, match.far, is_determined)
+        if named is not None:
+            yield named
+
+    def with_value(
+        self, state: ReadingState, match: Match, cost: float
+    ) -> ReadingState:
+        """Return the state behind a value."""
+        entry = match.entry
+        relation = entry.relation
+        condition = ReadCondition(entry.text, relation, is_bare=state.is_bare)
+        is_verb = self.vocabulary.family(relation).takes_object or entry.role == "verb"
+        takes_object = is_verb and not state.is_bare
+        if self.vocabulary.is_said_by_not(relation):
+            state = replace(state, negated=False)
+        added = state.added(condition, match.length, cost)
+        return replace(added, takes_object=takes_object)
 
     def is_purpose(self, state: ReadingState) -> bool:
         """Return whether a value that is a verb may be meant: not by "light" and "stored"."""
@@ -268,7 +445,7 @@ class _Reader:
 
     def has_exact(self, state: ReadingState, entry: Entry) -> bool:
         """Return whether the next words are exactly another value than that of an entry."""
-        for other, far in self.matches[state.position]:
+        for other, far, _ in self.matches[state.position]:
             if far == 0 and not other.inner and other.text != entry.text:
                 return True
         return False
@@ -277,12 +454,18 @@ class _Reader:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
         relation = entry.relation
         strong = state.strong or ()
+        if relation in self.vocabulary.lexical and relation not in strong:
+            return None  # "for children" is not unsafe for them
+        if self.vocabulary.is_said_by_not(relation) and not state.negated:
+            return None
         if state.outer is not None:  # what a thing is, that was said before it
             if not entry.inner or relation not in state.outer:
                 return None
             if entry.inner in strong or self.is_allowed(entry.inner, state):
                 return 0.0
             return None
+        if entry.role:
+            return self.fits_by_role(entry, state)
         cost = 0.0
         if entry.inner:
             if self.vocabulary.family(entry.inner) is not FAMILIES["type"]:
@@ -293,6 +476,10 @@ class _Reader:
         if state.weak and not self.is_allowed(relation, state):
             # "made by" is not "made of"
             prepositions = WEAK.intersection(self.vocabulary.words[relation][1:])
+            if not prepositions.isdisjoint(state.weak):  # "safe for"
+                prepositions.clear()
+            if state.weak[-1:] == ("by",):  # "grasped by the handle"
+                prepositions.discard("at")
             return None if prepositions or not strong else cost
         if not state.is_unsaid:
             return cost
@@ -300,13 +487,29 @@ class _Reader:
         continues = state.join != "" and state.done != ()
         if continues and relation == state.last:
             return cost
-        if entry.inner or family.relations == "":
+        is_other = family.relations == "" and not is_adjective(entry.words[-1])
+        if entry in self.vocabulary.elsewhere and family is FAMILIES["relation"]:
+            return None
+        if entry.inner or is_other:
             return None
         if family.describes and not continues:
             return 0.0
-        if family.describes or not state.done:
+        if family.describes or family.relations == "" or not state.done:
             return 0.05
         return None
+
+    def fits_by_role(self, entry: Entry, state: ReadingState) -> float | None:
+        """Return as `fits` of CAN_OPEN, said as to open, and of HAS_SWITCH, as with a switch."""
+        strong = state.strong or (entry.relation,)
+        if state.outer is not None or entry.relation not in strong:
+            return None
+        prepositions = {"to", "for"}
+        if entry.role in ("part", "head"):
+            prepositions = set(FAMILIES["part"].weak)
+        is_allowed = not prepositions.isdisjoint(state.weak)
+        continues = state.join != "" and state.is_bare and state.last == entry.relation
+        cost = OTHER_THAN_NAME if entry.role == "head" else 0.0
+        return cost if is_allowed or continues else None
 
     def is_allowed(self, relation: str, state: ReadingState) -> bool:
         """Return whether one of the last prepositions can stand before a value of a relation."""
@@ -319,11 +522,21 @@ class _Reader:
         length = 1 + (self.word(state.position + 1) in WORDS["money"])
         for relation in sorted(state.strong or ()):
             if relation in self.vocabulary.numbers:
-                yield state.added(f"{relation} {number}", relation, length)
+                yield self.with_number(state, relation, number, length)
+        last = state.last if state.join else ""
+        if state.is_bare and last in self.vocabulary.numbers:  # "price >= 3 and <= 6"
+            yield self.with_number(state, last, number, length)
         if state.noun:
             yield state.then(number=number)
         elif state.strong is None and digits.isdecimal():
             yield state.then(number=number, weak=())
+
+    def with_number(
+        self, state: ReadingState, relation: str, number: str, length: int
+    ) -> ReadingState:
+        """Return the state behind a comparison of a relation with a number, such as "< 6"."""
+        text = f"{quoted(relation)} {number}"
+        return state.added(ReadCondition(text, relation), length)
 
     def superlatives(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "most parts", "the cheapest", "lowest price", "cheaper than"."""
@@ -333,7 +546,8 @@ class _Reader:
             yield state.then(best=best, weak=())
             for relation in sorted(self.vocabulary.said(self.word(end))):
                 if relation in self.vocabulary.numbers:
-                    yield state.added(relation, relation, length=2, best=best)
+                    text = quoted(relation)
+                    yield state.added(ReadCondition(text, relation, best=best), 2)
         adjective = word
         if word in ("most", "least", "more", "less"):
             adjective = self.word(end)
@@ -346,13 +560,34 @@ class _Reader:
         length = end - state.position
         number = self.word(end + 1)
         if word.endswith("est") or word in ("most", "least"):
-            yield state.added(relation, relation, length, best=sign)
+            condition = ReadCondition(quoted(relation), relation, best=sign)
+            yield state.added(condition, length)
         elif self.word(end) == "than" and re.fullmatch(NUMBER, number):
             length += 2 + (self.word(end + 2) in WORDS["money"])
-            yield state.added(f"{relation} {sign} {number}", relation, length)
+            yield self.with_number(state, relation, f"{sign} {number}", length)
 
 
-def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
+def _inflections_joined(matches: Sequence[Match]) -> Iterator[Match]:
+    """Yield matches with the forms of one word as one of them: ``affords drink`` and ``drinks``."""
+    alike: dict[tuple[str, str, str, int], dict[str, Match]] = {}
+    for match in matches:
+        if match.far > INFLECTED:
+            yield match
+            continue
+        key = (*match.entry[1:2], *match.entry[3:], match.length)
+        by_text = alike.setdefault(key, {})
+        text = match.entry.text
+        if text not in by_text or match.far < by_text[text].far:
+            by_text[text] = match
+    for by_text in alike.values():
+        nearest = min(by_text.values(), key=attrgetter("far"))
+        text = " or ".join(by_text)
+        if len(by_text) > 1:
+            text = f"({text})"
+        yield nearest._replace(entry=nearest.entry._replace(text=text))
+
+
+def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainReading:
     """Read a question in plain English, as `expressions` write it.
 
     Args:
@@ -363,8 +598,38 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
     Raises:
         UserError: the question is not understood, or can be understood in several ways.
     """
-    reader = _Reader(text, vocabulary)
-    conditions = reader.best()
+    conditions: list[ReadCondition] = []
+    left_out: list[str] = []
+    error = None
+    for sentence in sentences(text):
+        words = tokens(sentence)
+        try:
+            reader = _Reader(text, words, vocabulary)
+            if UNANSWERED.match(" ".join(words)):
+                raise reader.refused("only questions for an object are answered")
+            end = reader.best()
+        except UserError as refused:
+            if words and words[0] not in WORDS["speaker"]:
+                raise
+            error = refused
+            left_out.append(sentence)
+            continue
+        left_out += end.left_out
+        first, *others = end.done
+        if conditions:
+            first = replace(first, join="but")
+        conditions += [first, *others]
+    if not conditions:
+        raise error or UserError(f"The question {text!r} has no words.")
+    question = _with_extreme(conditions, reader, holders)
+    return PlainReading(question, tuple(left_out))
+
+
+def _with_extreme(
+    conditions: Sequence[ReadCondition], reader: _Reader, holders: Holders
+) -> str:
+    """Return conditions as one question, with the number that a superlative means."""
+    vocabulary = reader.vocabulary
     best = [condition for condition in conditions if condition.best]
     rest = [condition for condition in conditions if not condition.best]
     if not best:
@@ -373,6 +638,9 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> str:
     is_or = any(condition.join == "or" for condition in conditions)
     if len(best) > 1 or superlative.negated or is_or:
         raise reader.refused("of superlatives it may hold one, which only 'and' joins")
+    in_image = {*EXTREMES.values(), *BESIDE.values()}
+    if not in_image.isdisjoint(condition.relation for condition in rest):
+        raise reader.refused("it may hold a superlative or a place in the image")
     relation = superlative.relation
     if superlative.text.startswith("count "):
         numbers = vocabulary.counts[relation]

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+from knowarm.asking.lexicon import quoted
+
 
 @dataclass(frozen=True)
 class ReadCondition:
@@ -18,6 +20,9 @@ class ReadCondition:
     is_bare: bool = False  # Whether its value alone was said
     is_new: bool = False  # Whether "something" or the like was said before it again
     is_whole: bool = False  # Whether that was said behind it: "a red object"
+    is_name: bool = False  # Whether it is the name of an object
+    is_merged: bool = False  # Whether it is of several: "not a red mug"
+    continues: bool = False  # Whether nothing joins it to the one before: "red mug"
     best: str = ""  # ">" or "<" of superlatives
 
     def __str__(self) -> str:
@@ -45,6 +50,8 @@ class ReadingState:
     join: str = ""
     negated: bool | None = None
     is_new: bool = False
+    takes_object: bool = False  # Behind a verb, whose object is left out
+    left_out: tuple[str, ...] = ()
 
     @property
     def last(self) -> str:
@@ -64,43 +71,101 @@ class ReadingState:
     def is_end(self) -> bool:
         """Return whether the question may end here."""
         is_open = self.is_new or self.negated is not None or self.join not in ("", ",")
-        return bool(self.done) and not is_open
+        return bool(self.done) and not is_open and is_clear(self.done)
 
     def then(self, length: int = 1, **changes: Any) -> "ReadingState":
         """Return the state behind some more words."""
+        changes.setdefault("takes_object", False)
         return replace(self, position=self.position + length, **changes)
 
+    def without(self, word: str, cost: float) -> "ReadingState":
+        """Return the state behind a word that is left out."""
+        left_out = (*self.left_out, word)
+        return self.then(
+            cost=self.cost + cost, left_out=left_out, takes_object=self.takes_object
+        )
+
     def added(
-        self,
-        text: str,
-        relation: str,
-        length: int = 0,
-        cost: float = 0.0,
-        is_bare: bool = False,
-        best: str = "",
+        self, condition: ReadCondition, length: int = 0, cost: float = 0.0
     ) -> "ReadingState":
-        """Return the state behind a condition, and behind some more words."""
-        join = self.join or "and"
-        inherits = False
-        if self.negated is None and self.done and self.join and not self.is_new:
-            before = self.done[-1]
-            is_same = before.relation == relation or join == "or"
-            # It ends with a thing: "not the blue one, the red one"
-            is_open = before.negated and not before.is_whole
-            inherits = is_open and is_bare and is_same and join != "but"
-        condition = ReadCondition(
-            text,
-            relation,
-            join,
-            negated=self.negated or inherits,
-            inherits=inherits,
-            is_bare=is_bare,
-            is_new=self.is_new,
-            best=best,
-        )
+        """Return the state behind a condition, and behind some more words.
+
+        The condition says its text, its relation and what it is; the state adds how it is joined.
+        """
+        continues = bool(self.done) and not self.join and self.negated is None
+        done = self.done
+        if continues and self._is_negated_with(condition):
+            # "not a red mug" is neither red nor a mug, and may be one of them
+            before = done[-1]
+            text = before.text[1:-1] if before.is_merged else before.text
+            text = f"({text} and {condition.text})"
+            merged = replace(
+                before, text=text, is_whole=True, is_name=True, is_merged=True
+            )
+            done = (*done[:-1], merged)
+        else:
+            inherits = self._inherits(condition)
+            negated = bool(self.negated) or inherits
+            condition = replace(
+                condition,
+                join=self.join or "and",
+                negated=negated,
+                inherits=inherits,
+                is_new=self.is_new,
+                continues=continues,
+            )
+            done = (*done, condition)
         return ReadingState(
-            self.position + length, (*self.done, condition), self.cost + cost
+            self.position + length, done, self.cost + cost, left_out=self.left_out
         )
+
+    def _is_negated_with(self, condition: ReadCondition) -> bool:
+        """Return whether the "not" before the last one negates a condition, as of a red mug."""
+        before = self.done[-1]
+        if not before.negated:
+            return False
+        if before.is_name:
+            return True
+        return before.is_bare and condition.is_bare and not before.is_whole
+
+    def _inherits(self, condition: ReadCondition) -> bool:
+        """Return whether a condition shares the negation of the last one: "not red or blue"."""
+        if self.negated is not None or not self.done or not self.join or self.is_new:
+            return False
+        before = self.done[-1]
+        is_same = before.relation == condition.relation or self.join == "or"
+        # A comma ends it behind a thing: "not the blue one, the red one"
+        is_open = before.negated and (not before.is_whole or self.join == "or")
+        return is_open and condition.is_bare and is_same and self.join != "but"
+
+    def named(
+        self, condition: ReadCondition, length: int, cost: float, is_determined: bool
+    ) -> "ReadingState | None":
+        """Return the state behind the name of an object, None if it is not clear what it ends."""
+        start = len(self.done)
+        if (
+            not self.join and self.negated is None
+        ):  # "or a red mug": where that phrase begins
+            start -= 1
+            while start > 0 and self.done[start].continues:
+                start -= 1
+        state = self
+        if 0 < start <= len(self.done):
+            before = self.done[start - 1]
+            first = self.done[start] if start < len(self.done) else None
+            join = first.join if first else self.join
+            is_list = join in ("and", "or")
+            is_undetermined = first is None and not is_determined
+            if is_list and before.is_name and before.continues and is_undetermined:
+                return None  # "the red mug or bowl"
+            if is_list and before.is_name and before.negated and first is not None:
+                return None  # "not the mug or the red bowl"
+            if is_list and before.is_merged:
+                return None  # "not the red mug or the bowl"
+            if first is not None and before.is_name:
+                phrase = (replace(first, is_new=True), *self.done[start + 1 :])
+                state = replace(self, done=(*self.done[:start], *phrase))
+        return state.added(condition, length, cost)
 
     def closed(self) -> Iterator["ReadingState"]:
         """Yield the state before "and", "or" and the end, if nothing is left open."""
@@ -113,16 +178,19 @@ class ReadingState:
         if not number:
             number = "= 0" if self.negated else ">= 1"
             state = replace(self, negated=None)
-        text = f"count {self.noun}"
+        text = f"count {quoted(self.noun)}"
         cost = 0.0
         if not self.best:
             text += f" {number}"
             if not self.number:
                 cost = 0.3
-        yield state.added(text, self.noun, cost=cost, best=self.best)
+        condition = ReadCondition(text, self.noun, best=self.best)
+        yield state.added(condition, cost=cost)
 
     def behind_thing(self) -> "ReadingState":
         """Return the state behind "something", "object" or the like."""
+        if self.noun and self.number:  # "makes at least one thing"
+            return self.then()
         if self.strong is not None:  # "used for something ..."
             return self.then(outer=self.strong, strong=None, weak=(), noun="")
         if self.done and not self.join:  # "a red object"
@@ -132,6 +200,24 @@ class ReadingState:
         if weak == ("of",):  # "one of the objects"
             weak = ()
         return self.then(is_new=bool(self.join), weak=weak)
+
+
+def is_clear(conditions: Conditions) -> bool:
+    """Return whether "and" joins no two names, nor an exception: "not the red one and the blue"."""
+    names = set[str]()
+    listed = _listed(conditions)
+    for before, condition in pairwise([listed[0], *listed]):
+        if condition.join == "or":
+            names.clear()
+        if condition.is_name and not condition.negated:
+            names.add(condition.text)
+        is_and = condition in conditions and condition.join == "and"
+        is_exception = before.negated and before.is_whole and condition is not before
+        is_bare = condition.is_bare and not condition.negated
+        is_and = is_and and not condition.continues
+        if len(names) > 1 or (is_exception and is_and and is_bare):
+            return False
+    return True
 
 
 def joined(conditions: Conditions) -> str:
@@ -185,13 +271,16 @@ def _gap(before: ReadCondition, condition: ReadCondition) -> int:
     """Return how far apart two conditions are.
 
     3 by "but", 2 by "or" between things ("a red object or something round"), 0 by "or" between
-    values ("red or blue"), else 1.
+    values ("red or blue") and between names alone ("a mug or a bowl"), else 1.
     """
     if condition.join == "but":
         return 3
     if condition.join != "or":
         return 1
-    if condition.is_new or before.is_whole:
+    is_of_names = before.is_name and condition.is_name and not before.continues
+    if is_of_names or condition.inherits:
+        return 0
+    if condition.is_new or before.is_whole or before.is_name or condition.is_name:
         return 2
     is_value = condition.is_bare or condition.relation == before.relation
     return int(not is_value)
@@ -200,7 +289,8 @@ def _gap(before: ReadCondition, condition: ReadCondition) -> int:
 def _is_open(group: Conditions, before: Conditions, after: Conditions) -> bool:
     """Return whether "and" may bind closer than "or": "round and brown or flat and red"."""
     relations = {condition.relation for condition in group}
-    if len(relations) < 2 or group[-1].is_whole:
+    is_whole = group[-1].is_whole or group[-1].is_name
+    if len(relations) < 2 or is_whole:
         return False
     return any(condition.is_bare for condition in (*before[-1:], *after[:1]))
 

@@ -2,9 +2,11 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterator
-from difflib import get_close_matches
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import chain, islice
 from typing import NamedTuple
+
+import numpy as np
 
 from knowarm.asking.lexicon import (
     DERIVED,
@@ -14,16 +16,31 @@ from knowarm.asking.lexicon import (
     WEAK,
     WORDS,
     Family,
+    forms_of,
     near,
+    quoted,
+    related,
     spaced,
+    synonyms_of,
+    verbs_of,
 )
-from knowarm.asking.quotes import condition, quoted
+from knowarm.knowledge.graph.denials import affirmed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
+from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
 
-_EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can"}
+_EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can", "does", "do"}
 _HAVE = FAMILIES["part"].weak
+_DENIED = {"not", "never", "no", "non", "cannot", "without", "is", "does", "do", "can"}
+_COLOURS = (name_key(COLOUR_RELATION), name_key("hasColour"))
+IS = "is"
+"""What stands in place of a relation before the name of an object."""
+NEAR_HINT = 0.35
+"""Least cosine of the words of a question and of a condition that is offered instead."""
+MOST_HINTS = 9
+LONGEST_VALUE = 3
+"""Most words of a value that is looked up in the whole graph."""
 
 
 class Entry(NamedTuple):
@@ -33,6 +50,7 @@ class Entry(NamedTuple):
     relation: str
     text: str
     inner: str = ""  # The second relation of a chain
+    role: str = ""  # "verb" of "can open", "part" of "has switch", "head"
 
 
 class Vocabulary:
@@ -42,12 +60,14 @@ class Vocabulary:
         graph: the graph.
         heads: ids of the entities that questions are about.
         colours: the colours that images show.
-        objects: names of the objects, which questions do not say.
+        objects: names of the objects.
 
     Attributes:
         words: the words of each relation.
         entries: what can be asked, once each.
-        by_first: the same, by the first word of its value.
+        denials: relations that deny, with the one of the graph that affirms the same, or "".
+        lexical: those of them that a word of their own says: "unsafe for".
+        elsewhere: conditions that the graph states of other entities only.
         numbers: by relation, the numbers that it states, by what it states them of.
         counts: by relation, the number of values that it states, by entity.
     """
@@ -61,23 +81,25 @@ class Vocabulary:
     ) -> None:
         self.graph = graph
         self.heads = heads
-        self.objects = set(map(words_of, objects))
         self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
-        entries = []
+        self.denials: dict[str, str] = {}
+        self.lexical = set[str]()
+        self.entries: dict[Entry, None] = {}
+        self.elsewhere = set[Entry]()
+        self._by_form = defaultdict[str, set[str]](set)
+        self._by_first = defaultdict[str, list[Entry]](list)
+        self._said: dict[str, frozenset[str]] = {}
+        for name in objects:
+            self._add(Entry(words_of(name), IS, f"{IS} {quoted(name)}"))
+        self._colours = set(map(name_key, colours))
         for colour in colours:
-            text = condition(COLOUR_RELATION, colour)
-            entries.append(Entry(words_of(colour), COLOUR_RELATION, text))
+            text = f"{COLOUR_RELATION} {quoted(colour)}"
+            self._add(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
-            if name_key(name) in ("hascolor", "hascolour"):
-                continue
-            entries.append(self._entry(name, tail))
+            self._learn(name, tail)
             for inner, end in self._pairs([tail]):
-                entries.append(self._entry(name, end, inner))
-        self.entries = list(dict.fromkeys(entries))
-        self.by_first = defaultdict[str, list[Entry]](list)
-        for entry in self.entries:
-            if entry.words:
-                self.by_first[entry.words[0]].append(entry)
+                if inner not in self.denials and name not in self.denials:
+                    self._learn(name, end, inner)
         self.numbers = defaultdict[str, dict[int, float]](dict)
         none = dict.fromkeys(heads, 0.0)
         self.counts = defaultdict[str, dict[int, float]](none.copy)
@@ -103,38 +125,146 @@ class Vocabulary:
 
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[str, int]]:
         """Yield the relations of entities and what they lead to, and learn their words."""
-        names = self.graph.relation_names
         pairs = {(relation, tail) for _, relation, tail in self._facts(heads)}
         for relation, tail in sorted(pairs):
-            name = names.short(relation)
-            self.words.setdefault(name, words_of(self._label(names[relation])))
-            yield name, tail
+            yield self._relation(relation), tail
 
-    def _entry(self, relation: str, tail: int, inner: str = "") -> Entry:
-        """Return the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
+    def _relation(self, relation: int) -> str:
+        """Return the name of a relation, whose words are learned: of one that denies, its others.
+
+        ``notUsedFor eating`` is said as ``not usedFor eating``, where the graph knows ``usedFor``.
+        """
+        names = self.graph.relation_names
+        name = names.short(relation)
+        if name in self.words:
+            return name
+        words = words_of(self._label(names[relation]))
+        opposite = affirmed(local_name(name))
+        if opposite is not None:
+            self.denials[name] = self._affirming(words_of(opposite))
+            left = set(words) - _DENIED - set(words_of(opposite))
+            if left:
+                self.lexical.add(name)
+            words = tuple(left) or words_of(opposite)
+        self.words[name] = words
+        self._said.clear()
+        return name
+
+    def _affirming(self, words: Sequence[str]) -> str:
+        """Return the relation of the graph that has some words, in any inflection, or ""."""
+        names = self.graph.relation_names
+        wanted = [word for word in words if word not in _DENIED]
+        for index, name in enumerate(names):
+            others = words_of(self._label(name))
+            others = tuple(word for word in others if word not in _DENIED)
+            is_long = len(others) == len(wanted) > 0
+            is_denial = affirmed(local_name(name)) is not None
+            if is_long and not is_denial and all(map(_is_inflected, wanted, others)):
+                return self._relation(index)
+        return ""
+
+    def _learn(self, relation: str, tail: int, inner: str = "") -> None:
+        """Learn the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
+        affirming = self.denials.get(relation)
+        if affirming:
+            self._learn(affirming, tail)
+            if relation not in self.lexical:
+                return
         names = self.graph.names
-        value = local_name(names.short(tail))
-        text = condition(relation, value)
+        words = words_of(self._label(names[tail]))
+        is_colour = name_key(relation) in _COLOURS
+        if is_colour and (inner or name_key(" ".join(words)) in self._colours):
+            return  # the image shows it
+        value = quoted(local_name(names.short(tail)))
+        text = f"({quoted(inner)} {value})" if inner else value
+        entry = Entry(words, relation, f"{quoted(relation)} {text}", inner)
+        self._add(entry)
         if inner:
-            text = f"{quoted(relation)} ({condition(inner, value)})"
-        return Entry(words_of(self._label(names[tail])), relation, text, inner)
+            return
+        for role, other_words in self._roles(words, self.family(relation)):
+            self._add(entry._replace(words=other_words, role=role))
+
+    def _roles(
+        self, words: tuple[str, ...], family: Family
+    ) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """Yield how else a value is said: HAS_SWITCH by "switch", CAN_OPEN by "open"."""
+        if len(words) > 1 and words[0] == "can":
+            yield "verb", words[1:]
+        if len(words) > 1 and words[0] in _HAVE:
+            yield "part", words[1:]
+        if len(words) > 1 and words[0] == "is":
+            yield "", words[1:]
+        if family is FAMILIES["ability"]:
+            yield "verb", words
+        if len(words) > 1 and family is FAMILIES["part"]:
+            yield "head", words[-1:]  # a "light bulb" is a bulb
+        for word in words[-1:]:
+            for verb in sorted(verbs_of(word)):
+                yield "verb", (*words[:-1], verb)
+
+    def _add(self, entry: Entry) -> None:
+        """Add a condition and index it by the first word of its value."""
+        if not entry.words or entry in self.entries:
+            return
+        self.entries[entry] = None
+        first = entry.words[0]
+        self._by_first[first].append(entry)
+        self._by_form[name_key(first)].add(first)
+        for form in forms_of(first):
+            self._by_form[form].add(first)
+
+    def starting(self, word: str) -> Iterator[Entry]:
+        """Yield the conditions whose value may begin with a word."""
+        firsts = set[str]()
+        for form in related(word):
+            firsts.update(self._by_form.get(form, ()))
+        return chain.from_iterable(map(self._by_first.__getitem__, sorted(firsts)))
+
+    def look_up(self, words: Sequence[str]) -> None:
+        """Learn what the whole graph states of a value that no object has."""
+        graph = self.graph
+        known = len(self.entries)
+        texts = [" ".join(words)]
+        if len(words) == 1:
+            texts += forms_of(words[0])
+            texts += synonyms_of(words[0])
+            texts.append(f"{words[0]}ing")
+        ids = chain.from_iterable(map(graph.alike, texts))
+        for tail in sorted(set(ids)):
+            rows = graph.in_rows(tail)
+            for relation in np.unique(graph.relations[rows]).tolist():
+                name = self._relation(relation)
+                if name not in self.denials:
+                    self._learn(name, tail)
+        self.elsewhere.update(islice(self.entries, known, None))
+
+    def is_said_by_not(self, relation: str) -> bool:
+        """Return whether a relation denies by "not", which then does not negate its condition."""
+        return relation in self.denials and relation not in self.lexical
 
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
-        name = " ".join(self.words[relation])
+        name = " ".join(self.words.get(relation, ()))
         for family in FAMILIES.values():
-            if re.search(family.relations, name):
+            if family.relations and re.search(family.relations, name):
                 return family
         return Family()
 
     def said(self, word: str) -> frozenset[str]:
         """Return the relations that a word says: with its own word, or with one of its family."""
-        relations = set()
-        for relation, words in self.words.items():
-            is_name = near(word, set(words) - _EMPTY, DERIVED)
-            if is_name or near(word, self.family(relation).strong, INFLECTED):
-                relations.add(relation)
-        return frozenset(relations)
+        if word not in self._said:
+            relations = set(filter(lambda name: self._says(word, name), self.words))
+            if not relations:
+                for name in self.words:
+                    if near(word, self.family(name).otherwise, INFLECTED):
+                        relations.add(name)
+            self._said[word] = frozenset(relations)
+        return self._said[word]
+
+    def _says(self, word: str, relation: str) -> bool:
+        words = set(self.words[relation]) - _EMPTY
+        is_name = any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
+        return is_name or near(word, self.family(relation).strong, INFLECTED)
 
     def noun(self, word: str, counted: bool = False) -> str:
         """Return the relation whose values a word counts, as "parts" those of hasPart, or "".
@@ -143,19 +273,30 @@ class Vocabulary:
         """
         is_use = word in WORDS["uses"] or (counted and word in WORDS["use"])
         for relation, words in self.words.items():
-            if not words:
+            if relation == COLOUR_RELATION or relation in self.denials or not words:
                 continue
             family = self.family(relation)
             is_noun = words[0] in _HAVE or family is FAMILIES["part"]
-            if relation != COLOUR_RELATION and is_noun and near(word, words[-1:], 0):
+            is_verb = self.is_verb(relation) and not word.endswith("er")
+            if is_noun and near(word, words[-1:], 0):
                 return relation
-            if is_use and family is FAMILIES["use"]:
+            if is_verb and near(word, words, INFLECTED):
+                return relation
+            if is_use and family in (FAMILIES["use"], FAMILIES["ability"]):
                 return relation
         return ""
 
+    def is_verb(self, relation: str) -> bool:
+        """Return whether a relation may be a verb alone, as ``burns`` in "something that burns"."""
+        is_word = len(self.words[relation]) == 1
+        return is_word and relation not in self.numbers
+
     def prepositions(self, relation: str) -> set[str]:
         """Return the prepositions and forms of "have" that may precede values of a relation."""
-        return {*self.words[relation], *self.family(relation).weak}
+        words = set(self.words.get(relation, ())) - {
+            "for"
+        }  # "for children" is not safe for them
+        return words.union(self.family(relation).weak)
 
     def measured(self, word: str) -> tuple[str, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<", or ""."""
@@ -172,24 +313,45 @@ class Vocabulary:
     def nearest(self, words: Collection[str]) -> str:
         """Return a sentence with the conditions whose values are nearest to words."""
         texts = []
-        by_word = {}
         examples = {}
         colours = []
         for entry in self.entries:
-            by_word.update(dict.fromkeys(entry.words, entry.text))
             if any(near(word, entry.words, SYNONYM) for word in words):
                 texts.append(entry.text)
-            if not entry.inner:
-                examples[entry.relation] = entry.text
+            if not entry.inner and entry.relation != IS:
+                examples.setdefault(entry.relation, entry.text)
             if entry.relation == COLOUR_RELATION:
                 colours.append(entry.text)
-        for word in words:
-            texts += map(by_word.__getitem__, get_close_matches(word, by_word, n=1))
+        texts += self._alike_in_meaning(words)
         if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
             texts = colours
         if texts:
-            return f"Nearest: {'; '.join(list(dict.fromkeys(texts))[:9])}."
+            texts = list(dict.fromkeys(texts))[:MOST_HINTS]
+            return f"Nearest: {'; '.join(texts)}."
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
+
+    def _alike_in_meaning(self, words: Iterable[str]) -> list[str]:
+        """Return the conditions whose values are nearest to words by the shipped vectors."""
+        table = shipped_vectors("wordnet-gloss-50")
+        wanted = [table.index[word] for word in words if word in table.index]
+        texts = []
+        rows = []
+        for entry in self.entries:
+            last = entry.words[-1]
+            if not entry.inner and last in table.index:
+                texts.append(entry.text)
+                rows.append(table.index[last])
+        if not wanted or not rows:
+            return []
+        vectors = table.vectors / np.linalg.norm(table.vectors, axis=1, keepdims=True)
+        cosines = (vectors[rows] @ vectors[wanted].T).max(1)
+        order = np.argsort(-cosines, kind="stable")
+        return [texts[i] for i in order[:3] if cosines[i] >= NEAR_HINT]
+
+
+def _is_inflected(word: str, other: str) -> bool:
+    """Return whether two words are forms of one."""
+    return near(word, [other], INFLECTED)
 
 
 def words_of(label: str) -> tuple[str, ...]:
