@@ -161,7 +161,7 @@ def row_of(prompt: str, rows: Sequence[str]) -> str:
             colours.append(value)
     graph = graph_of(triples)
     vocabulary = Vocabulary(graph, graph.heads[:1], sorted(colours))
-    text = read_plain(prompt, vocabulary, lambda _: set())
+    text = read_plain(prompt, vocabulary, lambda _: set()).text
     row = by_conditions.get(frozenset(text.replace('"', "").split(AND)))
     if row is None:
         raise UserError(
@@ -227,7 +227,7 @@ class _Answering:
         except UserError as error:
             exact = error
         try:
-            plain = read_plain(text, self.vocabulary, self.holders)
+            plain = read_plain(text, self.vocabulary, self.holders).text
         except UserError as error:
             raise exact if reader.has_relation else error from None
         if reader.has_relation and not self.holders(plain):

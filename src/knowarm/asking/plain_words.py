@@ -348,6 +348,9 @@ class _Reader:
             is_location = word == "used" and self.word(start + 1) in ("in", "at", "on")
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
+        for relation in state.strong or ():
+            if near(word, self.vocabulary.words[relation], INFLECTED) and not said:
+                yield state.then()  # "avoids contact with"
         if word == "=" and state.strong is not None:  # "material = wood"
             yield state.then()
         if word in WEAK:
@@ -428,8 +431,6 @@ class _Reader:
         condition = ReadCondition(entry.text, relation, is_bare=state.is_bare)
         is_verb = self.vocabulary.family(relation).takes_object or entry.role == "verb"
         takes_object = is_verb and not state.is_bare
-        if self.vocabulary.is_said_by_not(relation):
-            state = replace(state, negated=False)
         added = state.added(condition, match.length, cost)
         return replace(added, takes_object=takes_object)
 
@@ -454,10 +455,8 @@ class _Reader:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
         relation = entry.relation
         strong = state.strong or ()
-        if relation in self.vocabulary.lexical and relation not in strong:
+        if relation in self.vocabulary.denials and relation not in strong:
             return None  # "for children" is not unsafe for them
-        if self.vocabulary.is_said_by_not(relation) and not state.negated:
-            return None
         if state.outer is not None:  # what a thing is, that was said before it
             if not entry.inner or relation not in state.outer:
                 return None

@@ -24,7 +24,7 @@ from knowarm.asking.lexicon import (
     synonyms_of,
     verbs_of,
 )
-from knowarm.knowledge.graph.denials import affirmed
+from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.knowledge.vectors.words import shipped_vectors
@@ -32,7 +32,7 @@ from knowarm.questions import COLOUR_RELATION
 
 _EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can", "does", "do"}
 _HAVE = FAMILIES["part"].weak
-_DENIED = {"not", "never", "no", "non", "cannot", "without", "is", "does", "do", "can"}
+_NEGATIONS = ("cannot", "doesnt", "isnt", "cant", "dont", "missing", "misses", "devoid")
 _COLOURS = (name_key(COLOUR_RELATION), name_key("hasColour"))
 IS = "is"
 """What stands in place of a relation before the name of an object."""
@@ -65,8 +65,8 @@ class Vocabulary:
     Attributes:
         words: the words of each relation.
         entries: what can be asked, once each.
-        denials: relations that deny, with the one of the graph that affirms the same, or "".
-        lexical: those of them that a word of their own says: "unsafe for".
+        denials: relations whose names negate, with the words that do so and say them: "unsafe".
+        affirming: by relation that denies, the name of the one that affirms the same.
         elsewhere: conditions that the graph states of other entities only.
         numbers: by relation, the numbers that it states, by what it states them of.
         counts: by relation, the number of values that it states, by entity.
@@ -82,8 +82,8 @@ class Vocabulary:
         self.graph = graph
         self.heads = heads
         self.words: dict[str, tuple[str, ...]] = {COLOUR_RELATION: ("has", "colour")}
-        self.denials: dict[str, str] = {}
-        self.lexical = set[str]()
+        self.denials: dict[str, set[str]] = {}
+        self.affirming: dict[str, str] = {}
         self.entries: dict[Entry, None] = {}
         self.elsewhere = set[Entry]()
         self._by_form = defaultdict[str, set[str]](set)
@@ -130,46 +130,43 @@ class Vocabulary:
             yield self._relation(relation), tail
 
     def _relation(self, relation: int) -> str:
-        """Return the name of a relation, whose words are learned: of one that denies, its others.
+        """Return the name of a relation, whose words are learned.
 
-        ``notUsedFor eating`` is said as ``not usedFor eating``, where the graph knows ``usedFor``.
+        A relation that denies is said by those of its words alone that turn its sense, if any:
+        ``unsafeFor`` by "unsafe"; what it denies is asked of the relation that affirms it.
         """
         names = self.graph.relation_names
         name = names.short(relation)
         if name in self.words:
             return name
-        words = words_of(self._label(names[relation]))
-        opposite = affirmed(local_name(name))
-        if opposite is not None:
-            self.denials[name] = self._affirming(words_of(opposite))
-            left = set(words) - _DENIED - set(words_of(opposite))
-            if left:
-                self.lexical.add(name)
-            words = tuple(left) or words_of(opposite)
-        self.words[name] = words
         self._said.clear()
+        words = words_of(self._label(names[relation]))
+        self.words[name] = words
+        turning = negative_words(words)
+        turned = stance(names[relation], self.graph.labels.get(names[relation], ""))
+        if turned.denies or turning:
+            self.denials[name] = turning.difference(_NEGATIONS, WORDS["negations"])
+        if turned.denies:
+            self.affirming[name] = self._affirming(relation, words, turned)
         return name
 
-    def _affirming(self, words: Sequence[str]) -> str:
-        """Return the relation of the graph that has some words, in any inflection, or ""."""
+    def _affirming(self, relation: int, words: Sequence[str], turned: Stance) -> str:
+        """Return the name of the relation that affirms what another one denies: ``usedFor``."""
         names = self.graph.relation_names
-        wanted = [word for word in words if word not in _DENIED]
-        for index, name in enumerate(names):
-            others = words_of(self._label(name))
-            others = tuple(word for word in others if word not in _DENIED)
-            is_long = len(others) == len(wanted) > 0
-            is_denial = affirmed(local_name(name)) is not None
-            if is_long and not is_denial and all(map(_is_inflected, wanted, others)):
-                return self._relation(index)
-        return ""
+        for other in opposed(self.graph, names[relation]):
+            return self._relation(other)
+        by_key = {name_key(word): word for word in words}
+        first, *others = [by_key.get(key, key) for key in turned.subject] or words
+        name = first + "".join(map(str.capitalize, others))
+        self.words.setdefault(name, (first, *others))
+        return name
 
     def _learn(self, relation: str, tail: int, inner: str = "") -> None:
         """Learn the condition of one relation, or of two: "usedFor (relatedTo tea)"."""
-        affirming = self.denials.get(relation)
-        if affirming:
-            self._learn(affirming, tail)
-            if relation not in self.lexical:
-                return
+        if relation in self.affirming and not inner:
+            self._learn(self.affirming[relation], tail)
+        if relation in self.denials and not self.denials[relation]:
+            return
         names = self.graph.names
         words = words_of(self._label(names[tail]))
         is_colour = name_key(relation) in _COLOURS
@@ -238,12 +235,10 @@ class Vocabulary:
                     self._learn(name, tail)
         self.elsewhere.update(islice(self.entries, known, None))
 
-    def is_said_by_not(self, relation: str) -> bool:
-        """Return whether a relation denies by "not", which then does not negate its condition."""
-        return relation in self.denials and relation not in self.lexical
-
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
+        if relation in self.denials:
+            return Family()
         name = " ".join(self.words.get(relation, ()))
         for family in FAMILIES.values():
             if family.relations and re.search(family.relations, name):
@@ -263,6 +258,8 @@ class Vocabulary:
 
     def _says(self, word: str, relation: str) -> bool:
         words = set(self.words[relation]) - _EMPTY
+        if relation in self.denials:
+            return near(word, self.denials[relation], 0)
         is_name = any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
         return is_name or near(word, self.family(relation).strong, INFLECTED)
 
@@ -347,11 +344,6 @@ class Vocabulary:
         cosines = (vectors[rows] @ vectors[wanted].T).max(1)
         order = np.argsort(-cosines, kind="stable")
         return [texts[i] for i in order[:3] if cosines[i] >= NEAR_HINT]
-
-
-def _is_inflected(word: str, other: str) -> bool:
-    """Return whether two words are forms of one."""
-    return near(word, [other], INFLECTED)
 
 
 def words_of(label: str) -> tuple[str, ...]:
