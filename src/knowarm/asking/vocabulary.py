@@ -39,6 +39,8 @@ IS = "is"
 NEAR_HINT = 0.35
 """Least cosine of the words of a question and of a condition that is offered instead."""
 MOST_HINTS = 9
+MOST_INDEXED = 20_000
+"""Most names of a graph of which an index of all spellings is made for words that fit nothing."""
 LONGEST_VALUE = 3
 """Most words of a value that is looked up in the whole graph."""
 
@@ -157,6 +159,8 @@ class Vocabulary:
             return self._relation(other)
         by_key = {name_key(word): word for word in words}
         first, *others = [by_key.get(key, key) for key in turned.subject] or words
+        if words[0] == "is":
+            first, *others = words[0], first, *others
         name = first + "".join(map(str.capitalize, others))
         self.words.setdefault(name, (first, *others))
         return name
@@ -172,7 +176,7 @@ class Vocabulary:
         is_colour = name_key(relation) in _COLOURS
         if is_colour and (inner or name_key(" ".join(words)) in self._colours):
             return  # the image shows it
-        value = quoted(local_name(names.short(tail)))
+        value = quoted(local_name(names[tail]))
         text = f"({quoted(inner)} {value})" if inner else value
         entry = Entry(words, relation, f"{quoted(relation)} {text}", inner)
         self._add(entry)
@@ -226,14 +230,33 @@ class Vocabulary:
             texts += forms_of(words[0])
             texts += synonyms_of(words[0])
             texts.append(f"{words[0]}ing")
-        ids = chain.from_iterable(map(graph.alike, texts))
-        for tail in sorted(set(ids)):
+        for tail in sorted(set(self._ids(texts))):
             rows = graph.in_rows(tail)
             for relation in np.unique(graph.relations[rows]).tolist():
                 name = self._relation(relation)
                 if name not in self.denials:
                     self._learn(name, tail)
         self.elsewhere.update(islice(self.entries, known, None))
+
+    def _ids(self, texts: Iterable[str]) -> Iterator[int]:
+        """Yield the ids of what texts name, in large graphs of what is spelled in a usual way."""
+        graph = self.graph
+        if len(graph.names) <= MOST_INDEXED:
+            yield from chain.from_iterable(map(graph.alike, texts))
+            return
+        for text in texts:
+            camel = text.title().replace(" ", "")
+            snake = text.replace(" ", "_")
+            for name in (
+                text,
+                snake,
+                camel,
+                snake.upper(),
+                camel[:1].lower() + camel[1:],
+            ):
+                index = graph.names.find(name)
+                if index is not None:
+                    yield index
 
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
