@@ -11,7 +11,7 @@ import numpy as np
 from knowarm.asking.expressions import QuestionReader
 from knowarm.asking.judgements import Evidence, Individual, Judgement, Part, surest
 from knowarm.asking.lexicon import tokens
-from knowarm.asking.plain_words import read_plain
+from knowarm.asking.plain_words import PlainReading, read_plain
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
@@ -54,6 +54,16 @@ class Answers:
     """What each facet may be in the graph."""
     has_places: bool = False
     """Whether the places in a scene decide: `within` says who answers there."""
+    left_out: Sequence[str] = ()
+    """Words that were left out when the question was read."""
+
+    @property
+    def as_read(self) -> str:
+        """The question as it was read, with what was left out."""
+        if not self.left_out:
+            return self.question
+        words = ", ".join(map(repr, self.left_out))
+        return f"{self.question} (left out: {words})"
 
     @property
     def evidence(self) -> dict[ObjectColour, Evidence]:
@@ -126,7 +136,8 @@ def answer(
         DataWarning: the graph has several entities with the name of an object.
     """
     answering = _Answering(graph, facets, names)
-    answers = answering.answers(answering.read(text))
+    read = answering.read(text)
+    answers = replace(answering.answers(read.text), left_out=read.left_out)
     if not answers.judgements:
         raise answering.no_answer(answers)
     return answers
@@ -139,7 +150,7 @@ def reading(
     names: NamesInGraph | None = None,
 ) -> str:
     """Return a question as `answer` reads it: plain English becomes conditions of the graph."""
-    return _Answering(graph, facets, names).read(text)
+    return _Answering(graph, facets, names).read(text).text
 
 
 def row_of(prompt: str, rows: Sequence[str]) -> str:
@@ -214,23 +225,23 @@ class _Answering:
             ", or give another graph.",
         )
 
-    def read(self, text: str) -> str:
+    def read(self, text: str) -> PlainReading:
         """Return a question as it is if it is one in conditions, or plain English as conditions."""
         if _SPARQL.match(text):
-            return text
+            return PlainReading(text)
         reader = self.reader(text)
         try:
             reader.whole()
-            return text
+            return PlainReading(text)
         except AmbiguousNameError:
             raise
         except UserError as error:
             exact = error
         try:
-            plain = read_plain(text, self.vocabulary, self.holders).text
+            plain = read_plain(text, self.vocabulary, self.holders)
         except UserError as error:
             raise exact if reader.has_relation else error from None
-        if reader.has_relation and not self.holders(plain):
+        if reader.has_relation and not self.holders(plain.text):
             raise exact  # it names the values that there are
         return plain
 

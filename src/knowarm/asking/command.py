@@ -108,6 +108,7 @@ class Ask(TableCommand):
             answers["/".join(facet)] = list(evidence)
         return {
             "question": asked.answers.question,
+            "left_out": list(asked.answers.left_out),
             "answers": answers,
             "scene": asked.scene,
             "shown": list(map("/".join, asked.shown)),
@@ -136,7 +137,7 @@ def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
     title = "Answers in the graph"
-    print(printable(f"I read this as: {asked.answers.question}"))
+    print(printable(f"I read this as: {asked.answers.as_read}"))
     print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
@@ -177,5 +178,5 @@ class AnswerCommand(ObjectOptions, TableCommand):
                 names[name] = graph.names[object_id(graph, name)]
         answers = answer(graph, facets, self.question, names)
         objects = [*answers.evidence]
-        print_table(f"Answers to: {answers.question}", ["object", "colour"], objects)
+        print_table(f"Answers to: {answers.as_read}", ["object", "colour"], objects)
         return {"query": answers.question, "answers": objects}

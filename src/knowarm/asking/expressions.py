@@ -34,7 +34,7 @@ from knowarm.asking.judgements import (
     settled,
     surest,
 )
-from knowarm.asking.lexicon import FAMILIES
+from knowarm.asking.lexicon import FAMILIES, WORDS
 from knowarm.asking.places import (
     DISTANCES,
     ENDS,
@@ -246,7 +246,7 @@ class QuestionReader:
     def kind(self) -> Part:
         """Read what something is: its name, or a class that the graph puts it into."""
         self.take("is")
-        self.has_relation = True
+        self.has_relation = self.next not in WORDS["ignored"]  # but "is the mug red"
         value = self.value("a name or class")
         kinds = self.kinds()
         key = name_key(value)
@@ -459,7 +459,7 @@ class QuestionReader:
             name = word if relation is None else names[relation]
             ids = [] if relation is None else [relation]
             denying = opposed(self.graph, name)
-            if not ids and not denying:
+            if not ids and (not denying or word in WORDS["ignored"]):
                 self.graph.relation_id(word)  # which raises the error
             name = local_name(name)
         self.has_relation = True

@@ -49,6 +49,7 @@ States = Iterator[ReadingState]
 
 _IGNORED = {*WORDS["things"], *WORDS["ignored"]}
 _NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS, *BESIDE, *EXTREMES, "="}
+_NO_HINT = _NO_VALUE.union(WORDS["requests"], WORDS["able"])
 _ARTICLES = frozenset({"a", "an", "the", "some", "my"})
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
 _BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
@@ -87,14 +88,25 @@ class _Reader:
             raise self.refused(
                 f"it has {len(self.words)} words, allowed are 1 to {MOST_WORDS}"
             )
+        self.words = list(self.without_endings(words))
         starts = range(len(self.words))
         for start in starts:
             self.look_up(start)
         self.matches = [self.match(start) for start in starts]
 
+    def without_endings(self, words: Sequence[str]) -> Iterator[str]:
+        """Yield words, and two for one that says what is missing: "lidless" is without a lid."""
+        for word in words:
+            stem = word.removesuffix("less")
+            is_missing = stem != word and not any(self.vocabulary.starting(word))
+            if is_missing and any(self.vocabulary.starting(stem)):
+                yield "without"
+                word = stem
+            yield word
+
     def refused(self, why: str) -> UserError:
         """Return the error of a question that is not understood, with the nearest conditions."""
-        values = [word for word in self.words if word not in _NO_VALUE]
+        values = [word for word in self.words if word not in _NO_HINT]
         nearest = self.vocabulary.nearest(values)
         return UserError(
             f"The question {self.text!r} is not understood: {why}. {nearest}"

@@ -39,8 +39,6 @@ IS = "is"
 NEAR_HINT = 0.35
 """Least cosine of the words of a question and of a condition that is offered instead."""
 MOST_HINTS = 9
-MOST_INDEXED = 20_000
-"""Most names of a graph of which an index of all spellings is made for words that fit nothing."""
 LONGEST_VALUE = 3
 """Most words of a value that is looked up in the whole graph."""
 
@@ -91,6 +89,7 @@ class Vocabulary:
         self._by_form = defaultdict[str, set[str]](set)
         self._by_first = defaultdict[str, list[Entry]](list)
         self._said: dict[str, frozenset[str]] = {}
+        self._families: dict[str, Family] = {}
         for name in objects:
             self._add(Entry(words_of(name), IS, f"{IS} {quoted(name)}"))
         self._colours = set(map(name_key, colours))
@@ -158,11 +157,11 @@ class Vocabulary:
         for other in opposed(self.graph, names[relation]):
             return self._relation(other)
         by_key = {name_key(word): word for word in words}
-        first, *others = [by_key.get(key, key) for key in turned.subject] or words
+        affirming = [by_key.get(key, key) for key in turned.subject]
         if words[0] == "is":
-            first, *others = words[0], first, *others
-        name = first + "".join(map(str.capitalize, others))
-        self.words.setdefault(name, (first, *others))
+            affirming.insert(0, "is")
+        name = affirming[0] + "".join(map(str.capitalize, affirming[1:]))
+        self.words.setdefault(name, tuple(affirming))
         return name
 
     def _learn(self, relation: str, tail: int, inner: str = "") -> None:
@@ -230,7 +229,8 @@ class Vocabulary:
             texts += forms_of(words[0])
             texts += synonyms_of(words[0])
             texts.append(f"{words[0]}ing")
-        for tail in sorted(set(self._ids(texts))):
+        ids = set(chain.from_iterable(map(graph.alike, texts)))
+        for tail in sorted(ids):
             rows = graph.in_rows(tail)
             for relation in np.unique(graph.relations[rows]).tolist():
                 name = self._relation(relation)
@@ -238,28 +238,13 @@ class Vocabulary:
                     self._learn(name, tail)
         self.elsewhere.update(islice(self.entries, known, None))
 
-    def _ids(self, texts: Iterable[str]) -> Iterator[int]:
-        """Yield the ids of what texts name, in large graphs of what is spelled in a usual way."""
-        graph = self.graph
-        if len(graph.names) <= MOST_INDEXED:
-            yield from chain.from_iterable(map(graph.alike, texts))
-            return
-        for text in texts:
-            camel = text.title().replace(" ", "")
-            snake = text.replace(" ", "_")
-            for name in (
-                text,
-                snake,
-                camel,
-                snake.upper(),
-                camel[:1].lower() + camel[1:],
-            ):
-                index = graph.names.find(name)
-                if index is not None:
-                    yield index
-
     def family(self, relation: str) -> Family:
         """Return the family of a relation."""
+        if relation not in self._families:
+            self._families[relation] = self._family(relation)
+        return self._families[relation]
+
+    def _family(self, relation: str) -> Family:
         if relation in self.denials:
             return Family()
         name = " ".join(self.words.get(relation, ()))
@@ -342,13 +327,18 @@ class Vocabulary:
                 examples.setdefault(entry.relation, entry.text)
             if entry.relation == COLOUR_RELATION:
                 colours.append(entry.text)
-        texts += self._alike_in_meaning(words)
+        others = [word for word in words if not self._is_near(word)]
+        texts += self._alike_in_meaning(others)
         if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
             texts = colours
         if texts:
             texts = list(dict.fromkeys(texts))[:MOST_HINTS]
             return f"Nearest: {'; '.join(texts)}."
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
+
+    def _is_near(self, word: str) -> bool:
+        """Return whether a word is one of a value, or a synonym."""
+        return any(near(word, entry.words, SYNONYM) for entry in self.starting(word))
 
     def _alike_in_meaning(self, words: Iterable[str]) -> list[str]:
         """Return the conditions whose values are nearest to words by the shipped vectors."""
