@@ -43,8 +43,10 @@ def questions():
 
 @cache
 def graph_named(name):
-    file = FOLDER / f"{name}.csv"
-    return read_graph(str(file) if file.is_file() else name)
+    for file in FOLDER.glob(f"{name}.*"):
+        if file.suffix in (".csv", ".ttl"):
+            return read_graph(str(file))
+    return read_graph(name)
 
 
 def meaning(text):
