@@ -76,12 +76,12 @@ def test_questions_are_read_rightly_or_refused(held_out):
     assert found["wrong"] == 0
 
 
-@pytest.mark.parametrize("file", ["wordings.tsv", "further.tsv"])
+@pytest.mark.parametrize("file", ["wordings.tsv", "further.tsv", "others.tsv"])
 def test_wordings_written_before_the_grammar_read_them(file):
     """Names of objects, places, several sentences, and graphs in the form of others."""
     rows = rows_of(file)
     found = Counter(map(outcome, rows))
-    assert len(rows) >= 119
+    assert len(rows) >= 106
     assert found["right"] >= 0.98 * len(rows)
     assert found["wrong"] == 0
 

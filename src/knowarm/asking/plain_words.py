@@ -50,7 +50,7 @@ States = Iterator[ReadingState]
 _IGNORED = {*WORDS["things"], *WORDS["ignored"]}
 _NO_VALUE = {*_IGNORED, *WORDS["negations"], *WEAK, *JOINS, *BESIDE, *EXTREMES, "="}
 _NO_HINT = _NO_VALUE.union(WORDS["requests"], WORDS["able"])
-_ARTICLES = frozenset({"a", "an", "the", "some", "my"})
+_ARTICLES = frozenset({"a", "an", "the", "some", "my", "me", "it", "them"})
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
 _BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
 MOST_WORDS = 60
@@ -147,7 +147,10 @@ class _Reader:
         """Return why there is no reading, all of which end at a word."""
         if furthest == len(self.words):
             return "its parts do not fit together"
-        return f"{self.words[furthest]!r} fits nothing here"
+        word = self.words[furthest]
+        if word in BESIDE:
+            return f"{BESIDE[word]!r} needs an object that can be asked for"
+        return f"{word!r} fits nothing here"
 
     def word(self, position: int) -> str:
         """Return the word at a position, or a comma before the beginning and behind the end."""
@@ -273,9 +276,10 @@ class _Reader:
             if not any(part.best for part in other.done):
                 near_state = replace(state, left_out=left_out)
                 yield near_state.added(condition, end + 1 - start, cost + other.cost)
-            is_or = end < len(self.words) and JOINS[self.words[end]] == "or"
-            if not is_or:
+            if JOINS[self.word(end)] != "or":
                 cost += INFLECTED  # it ends at the first "and"
+            elif self.word(end + 1) in (*BESIDE, *EXTREMES):
+                return
 
     def left_out(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a word that is left out: what is done with, and a kind."""

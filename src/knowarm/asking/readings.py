@@ -1,5 +1,6 @@
 """Readings of a question in plain English: what was read so far, and how conditions are joined."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -307,8 +308,12 @@ def _both(texts: Sequence[str]) -> str:
     """Return texts that are all true, in brackets where "or" would reach further."""
     if len(texts) == 1:
         return texts[0]
-    bracketed = []
-    for text in texts:
-        is_open = " or " in text and not text.startswith("not (")
-        bracketed.append(f"({text})" if is_open else text)
-    return " and ".join(bracketed)
+    return " and ".join(map(_bracketed, texts))
+
+
+def _bracketed(text: str) -> str:
+    """Return a text, in brackets if it has an "or" outside of any."""
+    outside = text
+    while "(" in outside:
+        outside = re.sub(r"\([^()]*\)", "", outside)
+    return f"({text})" if " or " in outside else text
