@@ -108,6 +108,28 @@ def test_what_is_left_out_is_said(question, text, left_out):
         assert repr(word) in found.as_read
 
 
+def documented():
+    """Yield the questions of the documentation, how they are read, and what is left out."""
+    text = (FOLDER.parents[2] / "docs/reference/questions.md").read_text(
+        encoding="utf-8"
+    )
+    section = text.split("## Plain English")[1].split("\n## ")[0]
+    for question, cell in re.findall(
+        r"^\| `([^`]+)` \| (.+) \|$", section, re.MULTILINE
+    ):
+        conditions, *left_out = re.findall(r"`([^`]+)`", cell)
+        yield question, conditions, left_out
+
+
+def test_the_examples_of_the_documentation_are_read_so():
+    examples = list(documented())
+    assert len(examples) == 17
+    for question, text, left_out in examples:
+        found = answer(graph_named("objects"), FACETS, question)
+        assert found.question == text
+        assert list(found.left_out) == left_out
+
+
 @pytest.mark.parametrize(
     ("question", "text"),
     [
