@@ -52,7 +52,7 @@ class ReadingState:
     negated: bool | None = None
     is_new: bool = False
     takes_object: bool = False  # Behind a verb, whose object is left out
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[int, ...] = ()  # Positions of words
 
     @property
     def last(self) -> str:
@@ -79,9 +79,9 @@ class ReadingState:
         changes.setdefault("takes_object", False)
         return replace(self, position=self.position + length, **changes)
 
-    def without(self, word: str, cost: float) -> "ReadingState":
+    def without(self, cost: float) -> "ReadingState":
         """Return the state behind a word that is left out."""
-        left_out = (*self.left_out, word)
+        left_out = (*self.left_out, self.position)
         return self.then(
             cost=self.cost + cost, left_out=left_out, takes_object=self.takes_object
         )

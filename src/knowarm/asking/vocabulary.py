@@ -156,10 +156,13 @@ class Vocabulary:
         names = self.graph.relation_names
         for other in opposed(self.graph, names[relation]):
             return self._relation(other)
-        by_key = {name_key(word): word for word in words}
-        affirming = [by_key.get(key, key) for key in turned.subject]
+        by_key = dict(zip(map(name_key, words), words, strict=True))
+        affirming = []
         if words[0] == "is":
-            affirming.insert(0, "is")
+            affirming.append("is")
+        for key in turned.subject:
+            by_key.setdefault(key, key)
+        affirming += map(by_key.__getitem__, turned.subject)
         name = affirming[0] + "".join(map(str.capitalize, affirming[1:]))
         self.words.setdefault(name, tuple(affirming))
         return name
@@ -298,9 +301,8 @@ class Vocabulary:
 
     def prepositions(self, relation: str) -> set[str]:
         """Return the prepositions and forms of "have" that may precede values of a relation."""
-        words = set(self.words.get(relation, ())) - {
-            "for"
-        }  # "for children" is not safe for them
+        words = set(self.words.get(relation, ()))
+        words.discard("for")  # what is for children need not be safe for them
         return words.union(self.family(relation).weak)
 
     def measured(self, word: str) -> tuple[str, str]:
@@ -318,7 +320,7 @@ class Vocabulary:
     def nearest(self, words: Collection[str]) -> str:
         """Return a sentence with the conditions whose values are nearest to words."""
         texts = []
-        examples = {}
+        examples: dict[str, str] = {}
         colours = []
         for entry in self.entries:
             if any(near(word, entry.words, SYNONYM) for word in words):
