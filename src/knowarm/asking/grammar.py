@@ -206,7 +206,8 @@ class Reader:
     def is_exception(self, position: int) -> bool:
         """Return whether a "but" means except: "everything made of metal but the pan"."""
         is_any = not set(WORDS["any"]).isdisjoint(self.words.words[:position])
-        return is_any and self.words[position + 1] in WORDS["determiners"]
+        is_behind_name = self.words.is_name(position - 1)
+        return is_any and (is_behind_name or self.words.is_determined(position + 2))
 
     def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
@@ -250,6 +251,11 @@ class Reader:
             if self.words[start - 1] in WORDS["requests"] and not state.done:
                 yield state.then()  # "look for", "want to"
         if word in WORDS["things"]:
+            name = state.other_name if word in ("one", "ones") else ""
+            if name and state.is_bare and not state.join:
+                condition = ReadCondition(name, IS, is_bare=True, is_name=True)
+                yield state.added(condition, 1)
+                return
             yield state.behind_thing()
             if state.noun:  # "not carrying anything"
                 yield state.then()
@@ -324,7 +330,10 @@ class Reader:
         """Return the state behind a value."""
         entry = match.entry
         relation = entry.relation
-        condition = ReadCondition(entry.text, relation, is_bare=state.is_bare)
+        reach = self.words.reach(state.position)
+        condition = ReadCondition(
+            entry.text, relation, is_bare=state.is_bare, reach=reach
+        )
         is_verb = self.vocabulary.family(relation).takes_object or entry.role == "verb"
         takes_object = is_verb and not state.is_bare
         added = state.added(condition, match.length, cost)

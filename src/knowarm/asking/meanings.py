@@ -92,6 +92,19 @@ class Meanings:
         """Return whether a determiner stands before a word."""
         return self[position - 1] in WORDS["determiners"]
 
+    def is_name(self, position: int) -> bool:
+        """Return whether a word may be the name of an object."""
+        return any(match.entry.relation == IS for match in self.matches[position])
+
+    def reach(self, position: int) -> str:
+        """Return how far a "not" before a word reaches: over the "word", a "phrase", or "open"."""
+        before = self[position - 1]
+        if before == "non":
+            return "word"
+        return (
+            "phrase" if before in WORDS["before_nouns"] and before != "not" else "open"
+        )
+
     def phrases(self, positions: Sequence[int]) -> list[str]:
         """Return the words at positions; those that determiners alone separate are one phrase."""
         phrases: list[list[str]] = []

@@ -23,6 +23,7 @@ class ReadCondition:
     is_whole: bool = False  # Whether that was said behind it: "a red object"
     is_name: bool = False  # Whether it is the name of an object
     is_merged: bool = False  # Whether it is of several: "not a red mug"
+    reach: str = "open"  # Of its "not": the "word" of "non-red mug", the "phrase" of "no red mug"
     continues: bool = False  # Whether nothing joins it to the one before: "red mug"
     best: str = ""  # ">" or "<" of superlatives
 
@@ -127,7 +128,8 @@ class ReadingState:
             return False
         if before.is_name:
             return True
-        return before.is_bare and condition.is_bare and not before.is_whole
+        is_phrase = before.is_bare and condition.is_bare and not before.is_whole
+        return is_phrase and before.reach == "phrase"
 
     def _inherits(self, condition: ReadCondition) -> bool:
         """Return whether a condition shares the negation of the last one: "not red or blue"."""
@@ -143,30 +145,48 @@ class ReadingState:
         self, condition: ReadCondition, length: int, cost: float, is_determined: bool
     ) -> "ReadingState | None":
         """Return the state behind the name of an object, None if it is not clear what it ends."""
-        start = len(self.done)
-        if (
-            not self.join and self.negated is None
-        ):  # "or a red mug": where that phrase begins
-            start -= 1
-            while start > 0 and self.done[start].continues:
-                start -= 1
-        state = self
-        if 0 < start <= len(self.done):
-            before = self.done[start - 1]
-            first = self.done[start] if start < len(self.done) else None
-            join = first.join if first else self.join
-            is_list = join in ("and", "or")
-            is_undetermined = first is None and not is_determined
-            if is_list and before.is_name and before.continues and is_undetermined:
+        start = self._phrase_start()
+        phrase = self.done[start:]  # "a red ..."
+        is_negated = bool(phrase) and phrase[0].is_bare and phrase[0].negated
+        if is_negated and phrase[0].reach == "open":
+            return None  # "not red mug"
+        if start == 0 or not self.done[start - 1].is_name:
+            return self.added(condition, length, cost)
+        before = self.done[start - 1]
+        join = phrase[0].join if phrase else self.join
+        if join in ("and", "or"):
+            is_undetermined = not phrase and not is_determined
+            if before.continues and is_undetermined:
                 return None  # "the red mug or bowl"
-            if is_list and before.is_name and before.negated and first is not None:
+            if before.is_merged or (before.negated and phrase):
                 return None  # "not the mug or the red bowl"
-            if is_list and before.is_merged:
-                return None  # "not the red mug or the bowl"
-            if first is not None and before.is_name:
-                phrase = (replace(first, is_new=True), *self.done[start + 1 :])
-                state = replace(self, done=(*self.done[:start], *phrase))
+        if not phrase:
+            return self.added(condition, length, cost)
+        phrase = (replace(phrase[0], is_new=True), *phrase[1:])
+        state = replace(self, done=(*self.done[:start], *phrase))
         return state.added(condition, length, cost)
+
+    def _phrase_start(self) -> int:
+        """Return the index of the first condition of the phrase that is read: of "a red ..."."""
+        start = len(self.done)
+        if self.join or self.negated is not None or not start:
+            return start
+        start -= 1
+        while start > 0 and self.done[start].continues:
+            start -= 1
+        return start
+
+    @property
+    def other_name(self) -> str:
+        """The name that "one" stands for in another alternative: "a red mug or a blue one"."""
+        is_other = False
+        for condition in reversed(self.done):
+            if condition.is_merged:
+                return condition.text[1:-1].rpartition(" and ")[2]
+            if condition.is_name:
+                return condition.text if is_other and not condition.negated else ""
+            is_other |= condition.join == "or"
+        return ""
 
     def closed(self) -> Iterator["ReadingState"]:
         """Yield the state before "and", "or" and the end, if nothing is left open."""
