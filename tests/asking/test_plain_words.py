@@ -93,7 +93,7 @@ def test_wordings_written_before_the_grammar_read_them(file):
         ("a tool for cleaning windows", "usedFor cleaning", ["tool", "windows"]),
         ("a vessel made of glass", "isMadeOf glass", ["vessel"]),
         ("a thing to carry my shopping in", "usedFor carrying", ["shopping"]),
-        ("something to heat soup in on the stove", "usedFor heating", ["soup"]),
+        ("something to heat soup on the stove", "usedFor heating", ["soup on the stove"]),
         ("I am thirsty. The red mug!", "is mug and hasColor red", ["I am thirsty"]),
         ("the red mug", "is mug and hasColor red", []),
         ("something to drink from in the kitchen", "usedFor drinking and isLocatedIn kitchen", []),
@@ -148,6 +148,13 @@ def test_the_examples_of_the_documentation_are_read_so():
         ),
         ("the mug that is not left of the jar", "is mug and not leftOf (is jar)"),
         ("lidless", "not hasPart lid"),
+        ("non-red mug", "not hasColor red and is mug"),
+        ("any mug but red", "is mug and not hasColor red"),
+        ("nothing but red", "hasColor red"),
+        ("a red mug or a blue one", "hasColor red and is mug or hasColor blue and is mug"),
+        ("a jar, red or blue", "is jar and (hasColor red or hasColor blue)"),
+        ("made of wood or a red mug", "isMadeOf wood or hasColor red and is mug"),
+        ("a wooden can made of metal", "isMadeOf wood and is can and isMadeOf metal"),
     ],
 )  # fmt: skip
 def test_negations_and_joins_reach_as_far_as_their_phrase(question, text):
@@ -232,6 +239,10 @@ def test_near_conditions_are_near_in_meaning():
         ("something for tea", "Nearest: contains tea; "),
         ("a red mug and a blue bowl", "its parts do not fit together"),
         ("the red mug or bowl", "'bowl' fits nothing here"),
+        ("not red mug", "'mug' fits nothing here"),
+        ("neither a thing nor the mug", "'nor' fits nothing here"),
+        ("a mug that is not red or a jar", "'jar' fits nothing here"),
+        ("a mug that is not red, round or metal", "do not fit together"),
         ("everything except the red one and the blue one", "do not fit together"),
         ("the second mug from the left", "'second' fits nothing here"),
         ("something between the mug and the jar", "'between' fits nothing here"),
@@ -343,6 +354,78 @@ def test_words_sparql_and_conditions_answer_alike():
         assert len(answers) == 1, texts
         answered += answers != {"nobody"}
     assert answered > 500
+
+
+NOUNS = ["mug", "bowl", "jar", "watering can", "lamp", "can", "pot"]
+ADJECTIVES = {
+    "red": "hasColor red",
+    "blue": "hasColor blue",
+    "wooden": "isMadeOf wood",
+    "metal": "isMadeOf metal",
+    "round": "hasShape round",
+}
+BEHIND_NOUNS = {
+    "with a handle": "hasPart handle",
+    "without a lid": "not hasPart lid",
+    "made of ceramic": "isMadeOf ceramic",
+    "in the kitchen": "isLocatedIn kitchen",
+    "to drink from": "usedFor drinking",
+    "that is not red": "not hasColor red",
+}
+FRAMES = {
+    "bring me {}, please": lambda one, other: one,
+    "{} or {}": lambda one, other: one | other,
+    "{} but not {}": lambda one, other: one - other,
+    "not {}": lambda one, other: set(FACETS) - one,
+    "everything but {}": lambda one, other: set(FACETS) - one,
+    "neither {} nor {}": lambda one, other: set(FACETS) - one - other,
+    "{} that is a mug or a jar": lambda one, other: (
+        one & holders_of("is mug or is jar")
+    ),
+}
+
+
+@cache
+def holders_of(conditions):
+    try:
+        return set(answer(graph_named("objects"), FACETS, conditions).judgements)
+    except UserError:
+        return set()
+
+
+def random_phrase(random):
+    """Return a phrase such as "a red mug with a handle", and the facets that it is true of."""
+    adjectives = random.choice(
+        [*ADJECTIVES], random.integers(0, 3), replace=False
+    ).tolist()
+    noun = str(random.choice(NOUNS))
+    is_named = random.random() < 0.7 or not adjectives
+    words = [random.choice(["the", "a", "any", "some"]), *adjectives]
+    words.append(noun if is_named else random.choice(["thing", "object", "item"]))
+    conditions = [ADJECTIVES[word] for word in adjectives]
+    if is_named:
+        conditions.append(f"is {noun.replace(' ', '_')}")
+    if random.random() < 0.5:
+        words.append(str(random.choice([*BEHIND_NOUNS])))
+        conditions.append(BEHIND_NOUNS[words[-1]])
+    return " ".join(words), set.intersection(*map(holders_of, conditions))
+
+
+def test_random_phrases_are_read_as_what_they_are_true_of_or_refused():
+    random = np.random.default_rng(0)
+    outcomes = Counter()
+    for number in range(350):
+        frame = [*FRAMES][number % len(FRAMES)]
+        (one, of_one), (other, of_other) = random_phrase(random), random_phrase(random)
+        question = frame.format(one, other)
+        try:
+            text = reading(graph_named("objects"), FACETS, question)
+        except UserError:
+            outcomes["refused"] += 1
+            continue
+        assert holders_of(text) == FRAMES[frame](of_one, of_other), (question, text)
+        outcomes["right"] += 1
+    assert outcomes["right"] > 0.85 * outcomes.total()
 
 
 def test_a_prompt_means_a_row_of_a_policy():

@@ -205,6 +205,8 @@ class Reader:
 
     def is_exception(self, position: int) -> bool:
         """Return whether a "but" means except: "everything made of metal but the pan"."""
+        if self.words[position + 1] in WORDS["negations"]:
+            return False
         is_any = not set(WORDS["any"]).isdisjoint(self.words.words[:position])
         is_behind_name = self.words.is_name(position - 1)
         return is_any and (is_behind_name or self.words.is_determined(position + 2))
@@ -219,6 +221,8 @@ class Reader:
         join = state.join
         if word == "nor":
             join = join or "and"
+            if state.negated or not state.done:
+                return
         yield state.then(weak=weak, join=join, noun="", negated=not state.negated)
 
     def cues(self, state: ReadingState, word: str) -> States:
@@ -254,9 +258,12 @@ class Reader:
             name = state.other_name if word in ("one", "ones") else ""
             if name and state.is_bare and not state.join:
                 condition = ReadCondition(name, IS, is_bare=True, is_name=True)
-                yield state.added(condition, 1)
+                named = state.named(condition, 1, 0.0)
+                if named is not None:
+                    yield named
                 return
-            yield state.behind_thing()
+            if state.is_phrase_clear:
+                yield state.behind_thing()
             if state.noun:  # "not carrying anything"
                 yield state.then()
         elif word == "can" and self.words.matches[start]:
@@ -318,9 +325,14 @@ class Reader:
         """Yield the state behind the name of an object."""
         if not state.is_bare or state.takes_object:
             return
-        condition = ReadCondition(match.entry.text, IS, is_bare=True, is_name=True)
-        is_determined = self.words.is_determined(state.position)
-        named = state.named(condition, match.length, match.far, is_determined)
+        condition = ReadCondition(
+            match.entry.text,
+            IS,
+            is_bare=True,
+            is_name=True,
+            is_determined=self.words.is_determined(state.position),
+        )
+        named = state.named(condition, match.length, match.far)
         if named is not None:
             yield named
 
@@ -330,9 +342,12 @@ class Reader:
         """Return the state behind a value."""
         entry = match.entry
         relation = entry.relation
-        reach = self.words.reach(state.position)
         condition = ReadCondition(
-            entry.text, relation, is_bare=state.is_bare, reach=reach
+            entry.text,
+            relation,
+            is_bare=state.is_bare,
+            is_determined=self.words.is_determined(state.position),
+            reach=self.words.reach(state.position),
         )
         is_verb = self.vocabulary.family(relation).takes_object or entry.role == "verb"
         takes_object = is_verb and not state.is_bare

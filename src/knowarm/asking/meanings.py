@@ -94,7 +94,10 @@ class Meanings:
 
     def is_name(self, position: int) -> bool:
         """Return whether a word may be the name of an object."""
-        return any(match.entry.relation == IS for match in self.matches[position])
+        for entry in self.vocabulary.starting(self[position]):
+            if entry.relation == IS and len(entry.words) == 1:
+                return True
+        return False
 
     def reach(self, position: int) -> str:
         """Return how far a "not" before a word reaches: over the "word", a "phrase", or "open"."""
@@ -183,10 +186,14 @@ class Meanings:
 
     def _is_noun(self, position: int) -> bool:
         """Return whether "can" is the object: "a can", "the red can with a lid"."""
-        if self[position - 1] in WORDS["before_nouns"]:
+        before = self[position - 1]
+        behind = self[position + 1]
+        if before in WORDS["before_nouns"]:
             return True
-        behind = {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which"}
-        return self[position + 1] in behind
+        ends = {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which", "nor"}
+        is_value = before not in (*NO_VALUE, *WORDS["able"])
+        is_value = is_value and not self.is_name(position - 1)
+        return behind in ends or (is_value and behind not in WORDS["behind_verbs"])
 
 
 def _inflections_joined(matches: Sequence[Match]) -> Iterator[Match]:

@@ -22,8 +22,10 @@ class ReadCondition:
     is_new: bool = False  # Whether "something" or the like was said before it again
     is_whole: bool = False  # Whether that was said behind it: "a red object"
     is_name: bool = False  # Whether it is the name of an object
+    has_noun: bool = False  # Whether "something" or the like was said before it
     is_merged: bool = False  # Whether it is of several: "not a red mug"
-    reach: str = "open"  # Of its "not": the "word" of "non-red mug", the "phrase" of "no red mug"
+    is_determined: bool = False  # Whether "a" or the like stands before it
+    reach: str = "open"  # Of its "not": a "word" ("non-red mug"), a "phrase" ("no red mug"), "all"
     continues: bool = False  # Whether nothing joins it to the one before: "red mug"
     best: str = ""  # ">" or "<" of superlatives
 
@@ -52,6 +54,8 @@ class ReadingState:
     join: str = ""
     negated: bool | None = None
     is_new: bool = False
+    has_noun: bool = False  # Behind "something"
+    reach: str = ""  # Of the negation, if it is known: "not anything red"
     takes_object: bool = False  # Behind a verb, whose object is left out
     left_out: tuple[int, ...] = ()  # Positions of words
 
@@ -94,13 +98,19 @@ class ReadingState:
 
         The condition says its text, its relation and what it is; the state adds how it is joined.
         """
-        continues = bool(self.done) and not self.join and self.negated is None
+        continues = bool(self.done) and not self.join
+        # "that is a mug" begins a phrase, as "red mug" does not
+        is_predicate = condition.is_name and condition.is_determined
+        is_predicate |= self.negated is not None
         done = self.done
+        if self.reach:
+            condition = replace(condition, reach=self.reach)
         if continues and self._is_negated_with(condition):
             # "not a red mug" is neither red nor a mug, and may be one of them
             before = done[-1]
             text = before.text[1:-1] if before.is_merged else before.text
-            text = f"({text} and {condition.text})"
+            own = replace(condition, negated=bool(self.negated))
+            text = f"({text} and {own})"
             merged = replace(
                 before, text=text, is_whole=True, is_name=True, is_merged=True
             )
@@ -114,7 +124,8 @@ class ReadingState:
                 negated=negated,
                 inherits=inherits,
                 is_new=self.is_new,
-                continues=continues,
+                has_noun=self.has_noun,
+                continues=continues and not is_predicate,
             )
             done = (*done, condition)
         return ReadingState(
@@ -126,9 +137,9 @@ class ReadingState:
         before = self.done[-1]
         if not before.negated:
             return False
-        if before.is_name:
+        if before.is_name or before.is_whole or before.reach == "all":
             return True
-        is_phrase = before.is_bare and condition.is_bare and not before.is_whole
+        is_phrase = before.is_bare and condition.is_bare and self.negated is None
         return is_phrase and before.reach == "phrase"
 
     def _inherits(self, condition: ReadCondition) -> bool:
@@ -142,7 +153,7 @@ class ReadingState:
         return is_open and condition.is_bare and is_same and self.join != "but"
 
     def named(
-        self, condition: ReadCondition, length: int, cost: float, is_determined: bool
+        self, condition: ReadCondition, length: int, cost: float
     ) -> "ReadingState | None":
         """Return the state behind the name of an object, None if it is not clear what it ends."""
         start = self._phrase_start()
@@ -150,21 +161,52 @@ class ReadingState:
         is_negated = bool(phrase) and phrase[0].is_bare and phrase[0].negated
         if is_negated and phrase[0].reach == "open":
             return None  # "not red mug"
+        if not phrase and start and self.join == "or" and self.negated is None:
+            last = self.done[-1]
+            if last.negated and not _is_thing(last):
+                return None  # "not red or a mug"
+        state = self
+        if phrase:
+            if not self.is_phrase_clear:
+                return None
+            state = self._behind_phrase()
         if start == 0 or not self.done[start - 1].is_name:
-            return self.added(condition, length, cost)
+            return state.added(condition, length, cost)
         before = self.done[start - 1]
         join = phrase[0].join if phrase else self.join
         if join in ("and", "or"):
-            is_undetermined = not phrase and not is_determined
+            is_undetermined = not phrase and not condition.is_determined
             if before.continues and is_undetermined:
                 return None  # "the red mug or bowl"
-            if before.is_merged or (before.negated and phrase):
+            is_negated = self.negated or (phrase and phrase[0].negated)
+            is_several = before.is_merged or (before.negated and phrase)
+            if is_several and not is_negated:
                 return None  # "not the mug or the red bowl"
-        if not phrase:
-            return self.added(condition, length, cost)
-        phrase = (replace(phrase[0], is_new=True), *phrase[1:])
-        state = replace(self, done=(*self.done[:start], *phrase))
         return state.added(condition, length, cost)
+
+    @property
+    def is_phrase_clear(self) -> bool:
+        """Whether the phrase begins no other thing behind a "not": "not red or a blue one"."""
+        start = self._phrase_start()
+        if start == len(self.done) or not self.done[start].inherits:
+            return True
+        before = self.done[start - 1]
+        is_thing = before.is_whole or before.is_name
+        return is_thing or not self.done[start].is_determined
+
+    def _behind_phrase(self) -> "ReadingState":
+        """Return the state behind the noun of a phrase, which may be a thing of its own.
+
+        "made of wood or a red mug" is of two things, and "a red or a blue mug" of one.
+        """
+        start = self._phrase_start()
+        first = self.done[start]
+        if start == 0 or not first.is_determined:
+            return self
+        if not _has_noun(self.done[:start]):
+            return self
+        phrase = (replace(first, is_new=True), *self.done[start + 1 :])
+        return replace(self, done=(*self.done[:start], *phrase))
 
     def _phrase_start(self) -> int:
         """Return the index of the first condition of the phrase that is read: of "a red ..."."""
@@ -214,22 +256,44 @@ class ReadingState:
             return self.then()
         if self.strong is not None:  # "used for something ..."
             return self.then(outer=self.strong, strong=None, weak=(), noun="")
-        if self.done and not self.join:  # "a red object"
-            whole = replace(self.done[-1], is_whole=True)
-            return self.then(done=(*self.done[:-1], whole))
+        if self.done and not self.join and self.negated is None:  # "a red object"
+            done = self._behind_phrase().done
+            whole = replace(done[-1], is_whole=True)
+            return self.then(done=(*done[:-1], whole))
         weak = self.weak
         if weak == ("of",):  # "one of the objects"
             weak = ()
-        return self.then(is_new=bool(self.join), weak=weak)
+        reach = self.reach
+        if self.negated:  # "not anything red"
+            reach = "all"
+        is_new = bool(self.join)
+        return self.then(is_new=is_new, has_noun=True, weak=weak, reach=reach)
+
+
+def _has_noun(conditions: Conditions) -> bool:
+    """Return whether the last alternative of conditions is complete: "something red", "a mug"."""
+    for condition in reversed(conditions):
+        if condition.is_name or condition.is_whole or condition.has_noun:
+            return True
+        if not condition.is_bare:
+            return True
+        if condition.join == "or":
+            return False
+    return False
 
 
 def is_clear(conditions: Conditions) -> bool:
-    """Return whether "and" joins no two names, nor an exception: "not the red one and the blue"."""
+    """Return whether it is clear what "and" joins and "not" reaches.
+
+    It is not in "the mug and the bowl" and "not the red one and the blue one".
+    """
     names = set[str]()
     listed = _listed(conditions)
     for before, condition in pairwise([listed[0], *listed]):
         if condition.join == "or":
             names.clear()
+            if condition not in conditions and before.negated > condition.negated:
+                return False  # "not red, round or blue"
         if condition.is_name and not condition.negated:
             names.add(condition.text)
         is_and = condition in conditions and condition.join == "and"
@@ -268,14 +332,29 @@ def _listed(conditions: Conditions) -> list[ReadCondition]:
     """Return conditions with the joins of lists: "red, green or blue" is "or" throughout."""
     listed = []
     is_or = False  # of the next condition, or this one, that no comma joins
-    for condition in reversed(conditions):
+    for before, condition in reversed([*pairwise([ReadCondition(""), *conditions])]):
         if condition.join == ",":
-            join = "or" if is_or and condition.is_bare else "and"
+            is_or = is_or and _is_in_list(before, condition)
+            join = "or" if is_or else "and"
             condition = replace(condition, join=join)
-        else:
+        elif not condition.continues:
             is_or = condition.join == "or" and condition.is_bare
         listed.append(condition)
     return listed[::-1]
+
+
+def _is_in_list(before: ReadCondition, condition: ReadCondition) -> bool:
+    """Return whether two conditions are of one list, as in "a mug, red or blue" they are not."""
+    if not condition.is_bare:
+        return False
+    if not before.is_bare and before.relation != condition.relation:
+        return False
+    return _is_thing(before) == _is_thing(condition)
+
+
+def _is_thing(condition: ReadCondition) -> bool:
+    """Return whether a condition ends or begins a thing, such as "the red one"."""
+    return condition.is_name or condition.is_whole or condition.is_new
 
 
 def _split(conditions: Conditions, gap: int) -> list[list[ReadCondition]]:
@@ -313,7 +392,8 @@ def _is_open(group: Conditions, before: Conditions, after: Conditions) -> bool:
     is_whole = group[-1].is_whole or group[-1].is_name
     if len(relations) < 2 or is_whole:
         return False
-    return any(condition.is_bare for condition in (*before[-1:], *after[:1]))
+    beside = [*before[-1:], *after[:1]]
+    return any(condition.is_bare and not _is_thing(condition) for condition in beside)
 
 
 def _either(group: Conditions) -> str:
