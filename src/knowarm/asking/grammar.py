@@ -213,17 +213,17 @@ class Reader:
 
     def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
+        if word == "nor":
+            for closed in state.closed():
+                if closed.done and not closed.negated:
+                    yield closed.then(join=closed.join or "and", negated=True)
+            return
         if state.outer is not None or state.number:
             return
         weak = state.weak
         if word.startswith(("without", "lack")):
             weak += ("with",)
-        join = state.join
-        if word == "nor":
-            join = join or "and"
-            if state.negated or not state.done:
-                return
-        yield state.then(weak=weak, join=join, noun="", negated=not state.negated)
+        yield state.then(weak=weak, noun="", negated=not state.negated)
 
     def cues(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a word that says a relation, or changes nothing."""

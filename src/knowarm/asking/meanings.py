@@ -190,7 +190,7 @@ class Meanings:
         behind = self[position + 1]
         if before in WORDS["before_nouns"]:
             return True
-        ends = {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which", "nor"}
+        ends = {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which", "nor", "except"}
         is_value = before not in (*NO_VALUE, *WORDS["able"])
         is_value = is_value and not self.is_name(position - 1)
         return behind in ends or (is_value and behind not in WORDS["behind_verbs"])
