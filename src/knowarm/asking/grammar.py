@@ -149,6 +149,8 @@ class Reader:
                 continue
             with suppress(UserError):
                 words = self.words.words[start:end]
+                if state.name.isalpha():  # "the mug left of the red one"
+                    words = [state.name if word == "one" else word for word in words]
                 other = Reader(self.text, words, self.vocabulary).best()
                 if not any(map(attrgetter("best"), other.done)):
                     yield self.placed(state, relation, other, cost)
@@ -236,7 +238,8 @@ class Reader:
             if both:
                 is_counted = state.number != "" or self.words[start - 1] == "no"
                 noun = self.vocabulary.noun(word, is_counted)
-                yield state.then(strong=both, noun=noun)
+                weak = () if noun else state.weak
+                yield state.then(strong=both, noun=noun, weak=weak)
             is_location = word == "used" and self.words[start + 1] in ("in", "at", "on")
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"

@@ -219,6 +219,14 @@ class ReadingState:
         return start
 
     @property
+    def name(self) -> str:
+        """The name that was read last, "" without."""
+        for condition in reversed(self.done):
+            if condition.is_name and not condition.negated:
+                return condition.text.removeprefix("is ")
+        return ""
+
+    @property
     def other_name(self) -> str:
         """The name that "one" stands for in another alternative: "a red mug or a blue one"."""
         is_other = False
@@ -235,6 +243,8 @@ class ReadingState:
         if not self.noun or self.outer is not None:
             if self.is_bare and not self.number:
                 yield self
+            return
+        if self.weak:  # "part of a clock"
             return
         state = self
         number = self.number
