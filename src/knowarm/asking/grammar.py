@@ -18,9 +18,9 @@ from knowarm.asking.lexicon import (
     WORDS,
     is_adjective,
     near,
-    quoted,
 )
 from knowarm.asking.meanings import IGNORED, NO_VALUE, Match, Meanings
+from knowarm.asking.quotes import quoted
 from knowarm.asking.readings import ReadCondition, ReadingState, joined
 from knowarm.asking.vocabulary import IS, Entry, Vocabulary
 from knowarm.errors import UserError

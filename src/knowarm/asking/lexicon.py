@@ -95,13 +95,6 @@ def spaced(text: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
 
 
-def quoted(name: str) -> str:
-    """Return a name as conditions write it."""
-    if re.fullmatch(r"[^\s()<>=!\"]+", name):
-        return name
-    return f'"{name}"'
-
-
 def near(word: str, others: Iterable[str], most: float) -> bool:
     """Return whether a word is within a distance of one of some others."""
     for other in others:

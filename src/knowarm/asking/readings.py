@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from knowarm.asking.lexicon import quoted
+from knowarm.asking.quotes import quoted
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from knowarm.asking.lexicon import (
     Family,
     forms_of,
     near,
-    quoted,
     related,
     spaced,
     synonyms_of,
     verbs_of,
 )
+from knowarm.asking.quotes import condition, quoted
 from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
@@ -94,7 +94,7 @@ class Vocabulary:
             self._add(Entry(words_of(name), IS, f"{IS} {quoted(name)}"))
         self._colours = set(map(name_key, colours))
         for colour in colours:
-            text = f"{COLOUR_RELATION} {quoted(colour)}"
+            text = condition(COLOUR_RELATION, colour)
             self._add(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
             self._learn(name, tail)
@@ -178,9 +178,11 @@ class Vocabulary:
         is_colour = name_key(relation) in _COLOURS
         if is_colour and (inner or name_key(" ".join(words)) in self._colours):
             return  # the image shows it
-        value = quoted(local_name(names[tail]))
-        text = f"({quoted(inner)} {value})" if inner else value
-        entry = Entry(words, relation, f"{quoted(relation)} {text}", inner)
+        value = local_name(names[tail])
+        text = condition(relation, value)
+        if inner:
+            text = f"{quoted(relation)} ({condition(inner, value)})"
+        entry = Entry(words, relation, text, inner)
         self._add(entry)
         if inner:
             return
