@@ -143,14 +143,15 @@ class Reader:
     def beside(self, state: ReadingState, relation: str) -> States:
         """Yield the states behind "left of the red mug", whose last words are a question, too."""
         start = state.position + 1
+        name = state.name.removeprefix(f"{IS} ")
         cost = 0.0
         for end in range(start + 1, len(self.words) + 1):
             if self.words[end] not in JOINS:
                 continue
             with suppress(UserError):
                 words = self.words.words[start:end]
-                if state.name.isalpha():  # "the mug left of the red one"
-                    words = [state.name if word == "one" else word for word in words]
+                if name.isalpha():  # "the mug left of the red one"
+                    words = [name if word == "one" else word for word in words]
                 other = Reader(self.text, words, self.vocabulary).best()
                 if not any(map(attrgetter("best"), other.done)):
                     yield self.placed(state, relation, other, cost)
@@ -260,7 +261,7 @@ class Reader:
         if word in WORDS["things"]:
             name = state.other_name if word in ("one", "ones") else ""
             if name and state.is_bare and not state.join:
-                condition = ReadCondition(name, IS, is_bare=True, is_name=True)
+                condition = ReadCondition(name, IS, name=name, is_bare=True)
                 named = state.named(condition, 1, 0.0)
                 if named is not None:
                     yield named
@@ -331,8 +332,8 @@ class Reader:
         condition = ReadCondition(
             match.entry.text,
             IS,
+            name=match.entry.text,
             is_bare=True,
-            is_name=True,
             is_determined=self.words.is_determined(state.position),
         )
         named = state.named(condition, match.length, match.far)

@@ -21,13 +21,18 @@ class ReadCondition:
     is_bare: bool = False  # Whether its value alone was said
     is_new: bool = False  # Whether "something" or the like was said before it again
     is_whole: bool = False  # Whether that was said behind it: "a red object"
-    is_name: bool = False  # Whether it is the name of an object
+    name: str = ""  # "is mug" of one that is the name of an object, or holds it
     has_noun: bool = False  # Whether "something" or the like was said before it
     is_merged: bool = False  # Whether it is of several: "not a red mug"
     is_determined: bool = False  # Whether "a" or the like stands before it
     reach: str = "open"  # Of its "not": a "word" ("non-red mug"), a "phrase" ("no red mug"), "all"
     continues: bool = False  # Whether nothing joins it to the one before: "red mug"
     best: str = ""  # ">" or "<" of superlatives
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is the name of an object, or of several conditions as one."""
+        return self.name != "" or self.is_merged
 
     def __str__(self) -> str:
         """Return the condition with its negation."""
@@ -111,8 +116,9 @@ class ReadingState:
             text = before.text[1:-1] if before.is_merged else before.text
             own = replace(condition, negated=bool(self.negated))
             text = f"({text} and {own})"
+            name = condition.name or before.name
             merged = replace(
-                before, text=text, is_whole=True, is_name=True, is_merged=True
+                before, text=text, name=name, is_whole=True, is_merged=True
             )
             done = (*done[:-1], merged)
         else:
@@ -157,32 +163,37 @@ class ReadingState:
     ) -> "ReadingState | None":
         """Return the state behind the name of an object, None if it is not clear what it ends."""
         start = self._phrase_start()
-        phrase = self.done[start:]  # "a red ..."
-        is_negated = bool(phrase) and phrase[0].is_bare and phrase[0].negated
-        if is_negated and phrase[0].reach == "open":
-            return None  # "not red mug"
-        if not phrase and start and self.join == "or" and self.negated is None:
-            last = self.done[-1]
-            if last.negated and not _is_thing(last):
-                return None  # "not red or a mug"
-        state = self
-        if phrase:
-            if not self.is_phrase_clear:
-                return None
-            state = self._behind_phrase()
-        if start == 0 or not self.done[start - 1].is_name:
-            return state.added(condition, length, cost)
+        if start == len(self.done):
+            is_clear = self._is_name_clear(condition)
+        else:
+            is_clear = self.is_phrase_clear and self._is_named_phrase_clear(start)
+        if not is_clear:
+            return None
+        return self._behind_phrase().added(condition, length, cost)
+
+    def _is_name_clear(self, condition: ReadCondition) -> bool:
+        """Return whether it is clear what a name belongs to that no adjective precedes."""
+        if self.join not in ("and", "or") or not self.done:
+            return True
+        last = self.done[-1]
+        if last.is_name and last.continues and not condition.is_determined:
+            return False  # "the red mug or bowl"
+        if self.negated is not None:
+            return True
+        is_other = last.negated and not _is_thing(last)
+        if self.join == "or" and is_other:
+            return False  # "not red or a mug"
+        return not last.is_merged  # "not the red mug or the bowl"
+
+    def _is_named_phrase_clear(self, start: int) -> bool:
+        """Return whether it is clear what a name belongs to that ends the phrase from one on."""
+        first = self.done[start]
+        if first.is_bare and first.negated and first.reach == "open":
+            return False  # "not red mug"
+        if not start or first.negated or first.join not in ("and", "or"):
+            return True
         before = self.done[start - 1]
-        join = phrase[0].join if phrase else self.join
-        if join in ("and", "or"):
-            is_undetermined = not phrase and not condition.is_determined
-            if before.continues and is_undetermined:
-                return None  # "the red mug or bowl"
-            is_negated = self.negated or (phrase and phrase[0].negated)
-            is_several = before.is_merged or (before.negated and phrase)
-            if is_several and not is_negated:
-                return None  # "not the mug or the red bowl"
-        return state.added(condition, length, cost)
+        return not (before.is_name and before.negated)  # "not the mug or the red bowl"
 
     @property
     def is_phrase_clear(self) -> bool:
@@ -200,10 +211,10 @@ class ReadingState:
         "made of wood or a red mug" is of two things, and "a red or a blue mug" of one.
         """
         start = self._phrase_start()
-        first = self.done[start]
-        if start == 0 or not first.is_determined:
+        if start in (0, len(self.done)):
             return self
-        if not _has_noun(self.done[:start]):
+        first = self.done[start]
+        if not first.is_determined or not _has_noun(self.done[:start]):
             return self
         phrase = (replace(first, is_new=True), *self.done[start + 1 :])
         return replace(self, done=(*self.done[:start], *phrase))
@@ -220,21 +231,19 @@ class ReadingState:
 
     @property
     def name(self) -> str:
-        """The name that was read last, "" without."""
-        for condition in reversed(self.done):
-            if condition.is_name and not condition.negated:
-                return condition.text.removeprefix("is ")
-        return ""
+        """The name of an object that was read last, "" without."""
+        names = [condition.name for condition in self.done if condition.name]
+        return "".join(names[-1:])
 
     @property
     def other_name(self) -> str:
         """The name that "one" stands for in another alternative: "a red mug or a blue one"."""
         is_other = False
         for condition in reversed(self.done):
-            if condition.is_merged:
-                return condition.text[1:-1].rpartition(" and ")[2]
-            if condition.is_name:
-                return condition.text if is_other and not condition.negated else ""
+            if condition.is_merged or (condition.name and is_other):
+                return condition.name
+            if condition.name or condition.negated:
+                break
             is_other |= condition.join == "or"
         return ""
 
