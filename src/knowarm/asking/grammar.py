@@ -270,6 +270,8 @@ class Reader:
                 yield state.behind_thing()
             if state.noun:  # "not carrying anything"
                 yield state.then()
+        elif word == "whose" and not self.vocabulary.said(self.words[start + 1]):
+            return  # "whose cover is red" is not red
         elif word == "can" and self.words.matches[start]:
             return
         elif word in IGNORED or word in WORDS["able"]:
@@ -424,6 +426,9 @@ class Reader:
             prepositions = set(FAMILIES["part"].weak)
         is_allowed = not prepositions.isdisjoint(state.weak)
         continues = state.join != "" and state.is_bare and state.last == entry.relation
+        if entry.role == "verb" and entry.words[-1] in WORDS["intransitive"]:
+            before = self.words[state.position - 1]
+            is_allowed |= before in ("that", "which", "it", "not", "may", "might")
         cost = OTHER_THAN_NAME if entry.role == "head" else 0.0
         return cost if is_allowed or continues else None
 

@@ -37,7 +37,9 @@ BESIDE: dict[str, str] = _ENGLISH["beside"]
 """Conditions of the place beside another object, by word."""
 UNANSWERED = re.compile("|".join(_ENGLISH["unanswered"]["asks"]))
 """Questions that ask for no object."""
-_ADJECTIVE = re.compile(r"(?:able|ible|ous|ful|less|ive|ic|al|ish|y|ed|ing|proof)$")
+_ADJECTIVE = re.compile(
+    r"(?:able|ible|ous|ful|less|ive|ic|al|ish|(?<![tgcrl])y|ed|ing|proof)$"
+)
 _TOKEN = re.compile(rf"(?:[<>!]=?|=){NUMBER}|{NUMBER}|[^\W\d_]+|\S")
 
 

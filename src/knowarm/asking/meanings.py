@@ -9,6 +9,7 @@ from knowarm.asking.lexicon import (
     EXTREMES,
     INFLECTED,
     JOINS,
+    SYNONYM,
     WEAK,
     WORDS,
     distance,
@@ -178,7 +179,9 @@ class Meanings:
     def _may_be(self, match: Match, start: int) -> bool:
         """Return whether words may be what they match: names are near, and "can" may be a verb."""
         if match.entry.relation != IS:
-            return True
+            # "what you use" is no exercise, a synonym of use
+            is_cue = match.length == 1 and bool(self.vocabulary.said(self[start]))
+            return match.far < SYNONYM or not is_cue
         name = match.entry.words
         if name == ("can",):
             return self._is_noun(start)

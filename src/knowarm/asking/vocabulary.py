@@ -147,7 +147,7 @@ class Vocabulary:
         turned = stance(names[relation], self.graph.labels.get(names[relation], ""))
         if turned.denies or turning:
             self.denials[name] = turning.difference(_NEGATIONS, WORDS["negations"])
-        if turned.denies:
+        if turned.denies and turned.subject:
             self.affirming[name] = self._affirming(relation, words, turned)
         return name
 
