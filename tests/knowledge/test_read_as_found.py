@@ -250,6 +250,39 @@ def test_the_separator_that_excel_writes_first(tmp_path, name, text):
     assert list(read_graph(path)) == [MUG]
 
 
+@pytest.mark.filterwarnings("error::knowarm.errors.DataWarning")
+@pytest.mark.parametrize("header", [
+    "Head Entity,Relation Type,Tail Entity", "entity_1,relation,entity_2", "node-1,edge,node-2",
+    "head_name,relation_name,tail_name", "Subject ,Predicate Name, Object", "e_1,rel,e_2",
+    "source node,edge type,target node", "SUBJECT_ID,PREDICATE,OBJECT_ID", "sub,pred,obj",
+])  # fmt: skip
+def test_names_of_columns_in_other_spellings(tmp_path, header):
+    for separator in ",;\t":
+        text = f"{header}\nmug,usedFor,drinking\n".replace(",", separator)
+        assert list(read_graph(write(tmp_path / "a.csv", text))) == [MUG]
+
+
+def test_exact_names_of_columns_go_first(tmp_path):
+    text = "subject_id,subject,relation,object,object_name\n1,mug,usedFor,drinking,x\n"
+    with pytest.warns(DataWarning, match="not read: subject_id, object_name"):
+        assert list(read_graph(write(tmp_path / "a.csv", text))) == [MUG]
+
+
+@pytest.mark.parametrize("name", ["negated", "Polarity", "truth", "is_true", "valid"])
+def test_a_column_that_says_what_holds_is_refused(tmp_path, name):
+    """Else a fact would be read that the file denies."""
+    record = {"head": "mug", "relation": "usedFor", "tail": "eating", name: "false"}
+    files = {
+        "a.csv": f"{','.join(record)}\n{','.join(record.values())}\n",
+        "a.md": f"| {' | '.join(record)} |\n|---|---|---|---|\n| {' | '.join(record.values())} |\n",
+        "a.json": json.dumps([record]),
+        "a.jsonl": json.dumps(record),
+    }
+    for file, text in files.items():
+        with pytest.raises(UserError, match=f"{name.lower()} says which triples hold"):
+            read_graph(write(tmp_path / file, text))
+
+
 def test_columns_are_named_in_pairs(tmp_path):
     """A source beside an object is where a row comes from."""
     text = "object,type,source\nmug,cup,Wikipedia\nbowl,dish,Wikipedia\n"

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from itertools import product
+from itertools import chain, product
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +34,14 @@ ROLES = {
 """Names of the three columns, the surest first."""
 
 
+_ADDITION = re.compile(r"_(entity|name|type|node|concept|term|word|id)$")
+"""What may follow a name of a column."""
+_TRUTH = {
+    "negated", "negation", "negative", "is_negated", "negate", "polarity", "truth", "is_true",
+    "truth_value", "holds", "valid", "is_valid",
+}  # fmt: skip
+"""Columns that say whether a triple holds."""
+
 CONFIDENCE = "confidence"
 """Name of the column with the probability that a triple holds."""
 _CONFIDENCES = (CONFIDENCE, "probability", "certainty")
@@ -53,7 +61,7 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
     Raises:
         UserError: they name head and tail, and no relation.
     """
-    keys = list(map(_key, names))
+    keys = _keys(names)
     heads = list(filter(keys.__contains__, ROLES["head"]))
     tails = list(filter(keys.__contains__, ROLES["tail"]))
     if not heads or not tails:
@@ -72,6 +80,12 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
             "same, add it."
         )
     head, tail = pairs[0]
+    truth = sorted(_TRUTH.intersection(keys))
+    if truth:
+        raise UserError(
+            f"{where}: {truth[0]} says which triples hold. Leave it out, and write those that do "
+            "not hold with a relation such as notUsedFor."
+        )
     return Columns(keys.index(head), relation, keys.index(tail))
 
 
@@ -91,14 +105,21 @@ def _column(keys: list[str], role: str) -> int | None:
     return None
 
 
+def _keys(names: Sequence[str]) -> list[str]:
+    """Return the names of columns as `ROLES` has them: "head" of "Head Entity", "e1" of "e_1"."""
+    keys = list(map(_key, names))
+    roles = set(chain.from_iterable(ROLES.values()))
+    for number, key in enumerate(keys):
+        plain = _ADDITION.sub("", re.sub(r"_(?=\d)", "", key))
+        if key not in roles and plain in roles and plain not in keys:
+            keys[number] = plain
+    return keys
+
+
 def _key(name: str) -> str:
     """Return the name of a column in lower case: "start_id" of ":START_ID(Person)"."""
-    return (
-        re.sub(r"\(.*\)$", "", name.strip().lower())
-        .lstrip("#")
-        .rpartition(":")[2]
-        .strip()
-    )
+    key = re.sub(r"\(.*\)$", "", name.strip().lower()).lstrip("#")
+    return re.sub(r"[\s-]+", "_", key.rpartition(":")[2].strip())
 
 
 def name_of_cell(cell: str) -> str:

@@ -79,9 +79,15 @@ def _one_triple(value: list[str], path: Path) -> _Graph:
 
 
 def _is_link(value: Any) -> bool:
-    if not isinstance(value, dict) or columns_of_keys(value) is None:
+    """Return whether a value is an object with a head and a tail."""
+    if not isinstance(value, dict):
         return False
-    return not {dict, list}.intersection(map(type, value.values()))
+    if {dict, list}.intersection(map(type, value.values())):
+        return False
+    try:
+        return columns_of(list(value), Path()) is not None
+    except UserError:
+        return True  # The reader of links says what is wrong
 
 
 def columns_of_keys(value: Mapping[str, Any]) -> Any:
