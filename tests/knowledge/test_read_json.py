@@ -251,13 +251,15 @@ def test_graphs_of_other_programs(tmp_path):
     document = {"graph": {"directed": True, "nodes": nodes, "edges": edges}}
     assert read_graph(write(tmp_path / "a.json", json.dumps(document))) == graph
     obo = {"graphs": [{
-        "nodes": [{"id": E + "mug", "lbl": "mug"}, {"id": E + "cup", "lbl": "cup", "meta": {}}],
+        "nodes": [{"id": E + "mug", "lbl": "mug"}, {"id": E + "cup", "lbl": "cup", "meta": {}},
+                  {"id": E + "mug2", "lbl": "mug"}, {"id": E + "none"}],
         "edges": [{"sub": E + "mug", "pred": "is_a", "obj": E + "cup"}],
     }]}  # fmt: skip
     with pytest.warns(DataWarning, match="not read: meta"):
         graph = read_graph(write(tmp_path / "a.json", json.dumps(obo)))
     assert list(graph) == [(E + "mug", RDFS + "subClassOf", E + "cup")]
-    assert graph.labels == {E + "mug": "mug", E + "cup": "cup"}
+    assert graph.labels == {E + "mug": "mug", E + "cup": "cup", E + "mug2": "mug"}
+    assert E + "none" in graph.entities
 
 
 @pytest.mark.parametrize("version", ['Creator "yFiles"\nVersion "2.2"\n', ""])

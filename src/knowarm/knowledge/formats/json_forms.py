@@ -11,7 +11,7 @@ from typing import Any
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import columns_of, listed
 from knowarm.knowledge.formats.files import open_bytes
-from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, literal
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, RDFS, literal
 from knowarm.reading import reading
 
 _BETWEEN = re.compile(r"[\s,;]*")
@@ -394,7 +394,10 @@ def _obographs(value: Mapping[str, Any], path: Path) -> _Graph:
             key for key in graph if key.endswith(("Axioms", "NodesSets")) and graph[key]
         )
         for node in graph.get("nodes", ()):
-            nodes.append({"id": node["id"], "label": node.get("lbl")})
+            nodes.append(node["id"])
+            if node.get("lbl"):
+                # As statements: terms of one label are no individuals of it.
+                links.append([node["id"], LABEL_RELATIONS[0], literal(node["lbl"])])
             if "meta" in node:
                 others.add("meta")
         for edge in graph.get("edges", ()):
