@@ -65,7 +65,7 @@ def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
     assert "which answers, after" in printed
     text = web.read_text()
     assert f"<h2>{question}</h2>" in text
-    assert "I read this as: usedFor drinking and not hasColor blue" in text
+    assert "<code>usedFor drinking and not hasColor blue</code>" in text
     assert "mug usedFor drinking" in text
     assert "data:image/webp" in text
     assert "http" not in text.replace("http-equiv", "")

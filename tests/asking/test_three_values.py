@@ -190,7 +190,7 @@ def test_no_object_answers_a_question_and_its_negation():
     both = 0
     for _ in range(2_000):
         graph = random_graph(rng)
-        question = random_question(rng, graph, 3)
+        question = random_question(rng, graph, 2)
         negation = f"not ({question})"
         positive = facets_that_answer(graph, question)
         negative = facets_that_answer(graph, negation)

@@ -198,6 +198,7 @@ class _Answering:
         self.colours = dict.fromkeys(colour for _, colour in facets)
         self.objects = dict.fromkeys(name for name, _ in facets)
         self._individuals: dict[ObjectColour, list[Individual]] = {}
+        self._parts: dict[str, tuple[Part, bool]] = {}
         self.meant = self._meant(names or {})
         if not self.meant:
             raise self._none_described()
@@ -231,7 +232,7 @@ class _Answering:
             return PlainReading(text)
         reader = self.reader(text)
         try:
-            reader.whole()
+            self._parts[text] = reader.whole(), reader.has_places
             return PlainReading(text)
         except AmbiguousNameError:
             raise
@@ -288,13 +289,7 @@ class _Answering:
 
     def answers(self, text: str) -> Answers:
         """Answer a question in SPARQL or conditions."""
-        has_places = False
-        if _SPARQL.match(text):
-            part = _sparql(self.graph, text)
-        else:
-            reader = self.reader(text)
-            part = reader.whole()
-            has_places = reader.has_places
+        part, has_places = self.part(text)
         judgements = {}
         for facet in self.facets:
             judgement = surest(map(part, self.individuals(facet)))
@@ -303,6 +298,16 @@ class _Answering:
         return Answers(
             text, self.facets, judgements, part, self.individuals, has_places
         )
+
+    def part(self, text: str) -> tuple[Part, bool]:
+        """Return what a question says of an individual, and whether places decide; read once."""
+        if text not in self._parts:
+            if _SPARQL.match(text):
+                self._parts[text] = _sparql(self.graph, text), False
+            else:
+                reader = self.reader(text)
+                self._parts[text] = reader.whole(), reader.has_places
+        return self._parts[text]
 
     def holders(self, text: str) -> set[int]:
         """Return the entities of the objects that answer a question."""

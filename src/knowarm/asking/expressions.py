@@ -96,6 +96,12 @@ class _Relation(NamedTuple):
     ids: list[int]
     opposed: list[int]
 
+    @property
+    def is_place(self) -> bool:
+        """Whether it says where something is."""
+        pattern = FAMILIES["location"].relations
+        return re.search(pattern, label_of(self.name, {})) is not None
+
 
 class QuestionReader:
     """Reads a question word by word, by recursive descent.
@@ -119,6 +125,8 @@ class QuestionReader:
         self.objects = objects
         self.words = [*_TOKEN.findall(text), ""]
         self.taken = 0
+        self._stated: dict[int, list[tuple[int, int]]] = {}
+        self._classes: dict[int, list[int]] = {}
         self.has_relation = False
         self.has_places = False
         deep = self.words.count("(") + self.words.count("not")
@@ -351,17 +359,28 @@ class QuestionReader:
 
         A class does not tell where an individual is, if that is stated of the individual itself.
         """
-        graph = self.graph
-        assert individual.entity is not None
-        told_of = [[individual.entity]]
-        classes = classes_of(graph, individual.entity)
-        stated = graph.relations[graph.out_rows(individual.entity)]
-        is_place = re.search(
-            FAMILIES["location"].relations, label_of(relation.name, {})
-        )
-        if classes and not (is_place and np.isin(stated, relation.ids).any()):
+        entity = individual.entity
+        assert entity is not None
+        if entity not in self._classes:
+            self._classes[entity] = classes_of(self.graph, entity)
+        told_of = [[entity]]
+        classes = self._classes[entity]
+        if classes and not (relation.is_place and self.states(entity, relation.ids)):
             told_of.append(classes)
         return told_of
+
+    def stated(self, entity: int) -> list[tuple[int, int]]:
+        """Return relation and tail of each triple about an entity; it is asked in many colours."""
+        if entity not in self._stated:
+            rows = self.graph.out_rows(entity)
+            relations = self.graph.relations[rows].tolist()
+            tails = self.graph.tails[rows].tolist()
+            self._stated[entity] = list(zip(relations, tails, strict=True))
+        return self._stated[entity]
+
+    def states(self, entity: int, relations: Collection[int]) -> bool:
+        """Return whether a triple about an entity has one of some relations."""
+        return any(relation in relations for relation, _ in self.stated(entity))
 
     def leading_to(self, relation: _Relation, ids: Collection[int], text: str) -> Part:
         """Return the part that is true where a relation leads to one of some entities."""
@@ -495,31 +514,29 @@ class QuestionReader:
 
         A part is true of its tail; what several entities tell alike counts once.
         """
-        graph = self.graph
-        rows = np.concatenate(list(map(graph.out_rows, entities)))
-        seen = set()
-        for row in rows:
-            relation = graph.relations[row]
-            tail = int(graph.tails[row])
-            if relation not in relations or (relation, tail) in seen:
-                continue
-            seen.add((relation, tail))
+        heads: dict[tuple[int, int], int] = {}
+        for entity in entities:
+            for relation, tail in self.stated(entity):
+                if relation in relations:
+                    heads.setdefault((relation, tail), entity)
+        for (relation, tail), head in heads.items():
             told = Individual(tail)
             if tail == individual.entity:
                 told = individual
             fits = of(told)
-            if not fits.answers:
-                continue
-            triple = (
-                graph.names[graph.heads[row]],
-                graph.relation_names[relation],
-                graph.names[tail],
-            )
-            sure = graph.confidence.get(triple, 1.0)
-            if sure == 0:
-                continue
-            text = " ".join(map(local_name, triple))
-            if sure < 1:
-                text += f" ({sure:.2g})"
-            evidence = (text, *fits.evidence)
-            yield Judgement(True, evidence, sure * fits.probability)
+            if fits.answers:
+                yield from self.told(head, relation, tail, fits)
+
+    def told(
+        self, head: int, relation: int, tail: int, fits: Judgement
+    ) -> Iterator[Judgement]:
+        """Yield the judgement that a triple makes, whose tail fits; none of one that is doubted."""
+        graph = self.graph
+        triple = (graph.names[head], graph.relation_names[relation], graph.names[tail])
+        sure = graph.confidence.get(triple, 1.0)
+        if sure == 0:
+            return
+        text = " ".join(map(local_name, triple))
+        if sure < 1:
+            text += f" ({sure:.2g})"
+        yield Judgement(True, (text, *fits.evidence), sure * fits.probability)
