@@ -35,6 +35,13 @@ k:Drinking rdfs:label "and" . k:usedFor rdfs:label "is" . k:bowl k:usedFor o:dri
     k:kind k:red, [ k:p k:q ] . k:Cup rdfs:subClassOf k:Dish . k:Dish k:kind o:Dish ."""
 
 
+INSTANCES = """@prefix : <http://example.org/home#> .
+:obj17 a :Mug ; :on :table ; :contains :hot_coffee . :obj18 a :Mug ; :on :shelf ; :near "wall" .
+:bowl_0 a :Bowl ; :on :table ; :next_to :obj17 . :Mug :usedFor :drinking ; :notUsedFor :eating .
+:Bowl :madeOf :clay, :glass ; :kind "a (b)" . :obj19 a :Bowl ; :on <http://example.org/a(b)c> ;
+    :in :living_room, :kitchen ; :held_by :nobody ; :leftOf :obj18 ; :stands_on :obj17 ."""
+
+
 def strange():
     triples = []
     for number, name in enumerate(STRANGE):
@@ -47,10 +54,16 @@ def strange():
 def graphs(tmp_path):
     file = tmp_path / "kitchen.ttl"
     file.write_text(TURTLE, encoding="utf-8")
-    return {"strange": strange(), "turtle": read_graph(file)}
+    rooms = tmp_path / "rooms.ttl"
+    rooms.write_text(INSTANCES)
+    return {
+        "strange": strange(),
+        "turtle": read_graph(file),
+        "instances": read_graph(rooms),
+    }
 
 
-@pytest.mark.parametrize("name", ["strange", "turtle", *SHIPPED])
+@pytest.mark.parametrize("name", ["strange", "turtle", "instances", *SHIPPED])
 def test_every_fact_that_is_offered_is_answered(tmp_path, name):
     if name in SHIPPED:
         graph = read_graph(name)
@@ -74,7 +87,7 @@ def test_every_fact_that_is_offered_is_answered(tmp_path, name):
             assert set(names) <= answering, text
 
 
-@pytest.mark.parametrize("name", ["strange", "turtle"])
+@pytest.mark.parametrize("name", ["strange", "turtle", "instances"])
 def test_every_link_of_the_page_is_answered_or_says_who_answers(tmp_path, name):
     asker = Asker(load_agent(RUN), graphs(tmp_path)[name])
     text = page(None, "", (), asker=asker)
