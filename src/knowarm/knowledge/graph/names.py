@@ -3,7 +3,6 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import chain
 from typing import SupportsIndex
 
 import numpy as np
@@ -38,14 +37,17 @@ class Names(tuple[str, ...]):
 
         Case and separators make no difference, nor does a bracket.
         """
+        if word in self._beginning:
+            return self._beginning[word]
         text, starts = self._letters
         found = []
-        for begin in ("\0", "\0<"):  # as of "<mug> (3)"
+        for begin in self._begins:
             wanted = begin + letters_of(word)
             start = text.find(wanted)
             while start >= 0:
                 found.append(self.by_local.ids[np.searchsorted(starts, start)])
                 start = text.find(wanted, start + 1)
+        self._beginning[word] = found
         return found
 
     def find_literals(self, text: str) -> list[int]:
@@ -61,7 +63,12 @@ class Names(tuple[str, ...]):
     @cached_property
     def blank(self) -> frozenset[str]:
         """The names of blank nodes, which stand beside each other."""
-        return frozenset(self[bisect_left(self, "_:") : bisect_left(self, "_;")])
+        return frozenset(self.at(self.blank_ids))
+
+    @cached_property
+    def blank_ids(self) -> range:
+        """The ids of blank nodes."""
+        return range(bisect_left(self, "_:"), bisect_left(self, "_;"))
 
     @cached_property
     def literals(self) -> range:
@@ -71,8 +78,22 @@ class Names(tuple[str, ...]):
     @cached_property
     def by_local(self) -> "Index":
         """The ids of the names, but for literals, by `local_name`."""
-        ids = [*range(self.literals.start), *range(self.literals.stop, len(self))]
-        return Index(list(map(local_name, self.at(ids))), ids)
+        begin = self.literals.start
+        end = self.literals.stop
+        names = (*self[:begin], *self[end:])
+        ids = [*range(begin), *range(end, len(self))]
+        return Index(list(map(local_name, names)), ids)
+
+    @cached_property
+    def _begins(self) -> list[str]:
+        """How words begin in `_letters`: some in brackets, as of "<mug> (3)"."""
+        text, _ = self._letters
+        return ["\0", "\0<"] if "\0<" in text else ["\0"]
+
+    @cached_property
+    def _beginning(self) -> dict[str, list[int]]:
+        """What `find_beginning` found, by the word."""
+        return {}
 
     @cached_property
     def _letters(self) -> tuple[str, np.ndarray]:
@@ -208,13 +229,15 @@ class Spellings:
 
     @cached_property
     def _by_key(self) -> Index:
-        by_local = self.names.by_local
-        ids = []
-        keys = []
-        for index, text in chain(
-            zip(by_local.ids, by_local.texts, strict=True), self._labelled.items()
-        ):
-            if not self.names[index].startswith(('"', "_:")):
+        ids = list(self.names.by_local.ids)
+        keys = list(map(name_key, self.names.by_local.texts))
+        blank = self.names.blank_ids
+        if blank:  # they stand beside each other
+            begin = bisect_left(ids, blank.start)
+            del ids[begin : begin + len(blank)]
+            del keys[begin : begin + len(blank)]
+        for index, label in self._labelled.items():
+            if index not in blank and index not in self.names.literals:
                 ids.append(index)
-                keys.append(name_key(text))
+                keys.append(name_key(label))
         return Index(keys, ids)

@@ -144,9 +144,10 @@ def name_of_term(term: Term | Triple) -> str:
 
 def local_name(name: str) -> str:
     """Return the short form of a name: the last part of an IRI, the text of a literal."""
-    term = parse_literal(name)
-    if term is not None:
-        return term.value
+    if name.startswith('"'):
+        term = parse_literal(name)
+        if term is not None:
+            return term.value
     if ":" in name and is_iri(name):
         whole = name.rstrip("#/:")
         last = whole[max(map(whole.rfind, "#/:")) + 1 :]
@@ -162,12 +163,14 @@ def name_key(text: str) -> str:
     if not text.isascii():
         text = unicodedata.normalize("NFC", text)
     text = text.casefold()
-    if text.startswith("/"):
-        text = _CONCEPT.sub(r"\1", text)
     key = text
-    if "." in key:
-        key = _SENSE.sub("", key)
-    key = "".join(key.split()).replace("_", "").replace("-", "")  # fast
+    if not text.isalnum():  # else nothing is to be left out
+        if text.startswith("/"):
+            text = _CONCEPT.sub(r"\1", text)
+        key = text
+        if "." in key:
+            key = _SENSE.sub("", key)
+        key = "".join(key.split()).replace("_", "").replace("-", "")  # fast
     if not key.isalpha() and not any(map(str.isalpha, key)):
         return text
     if key[-1] not in _LAST:
