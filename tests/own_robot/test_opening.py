@@ -122,6 +122,43 @@ def test_the_tips_count_where_fingers_bend_towards_each_other() -> None:
     assert gripper.how.endswith("open by 7.0 cm")
 
 
+def test_tips_of_bodies_of_their_own_are_the_fingers(tmp_path: Path) -> None:
+    """Carriages that slide past each other carry the tips, as of a rack and a pinion."""
+    text, _ = CASES["closed at 0, negative axis"]
+    for name in ("left", "right"):
+        rack = '<geom type="box" size=".01 .05 .005" pos="0 0 -.05"/>'
+        tip = (
+            f'<body name="tip_{name}" pos="0 0 .04">'
+            '<geom type="box" size=".01 .005 .03"/></body>'
+        )
+        start = text.index(f'<body name="{name}"')
+        end = text.index("</body>", start)
+        geom = text.index("<geom", start)
+        text = text[:geom] + rack + tip + text[end:]
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.fields["fingers"] == ["tip_left", "tip_right"]
+    # The tips reach from 7 to 13 cm.
+    assert 0.1 < gripper.fields["tcp_position_m"][2] < 0.13
+    assert gripper.how.endswith("open by 7.8 cm")
+    held = gripper.fields["held_joints"]
+    assert check_fingers(describe(tmp_path, text, held)).ok
+    closed = check_fingers(describe(tmp_path, text, {"left": 0.0, "right": 0.0}))
+    assert "held_joints = { left = -0.038, right = 0.038 }" in closed.remedy
+
+
+def test_fingers_that_overlap_at_all_ends_are_none(tmp_path: Path) -> None:
+    text = fingers((0.0, 1, "0 .002", 0), (0.0, -1, "0 .002", 0))
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert "fingers" not in gripper.fields
+    assert gripper.how.endswith("as left and right overlap at all their ends")
+    other, _ = CASES["closed at 0, negative axis"]
+    robot = describe(tmp_path, other, {})
+    (tmp_path / "arm.xml").write_text(text)
+    check = check_fingers(replace(robot, held_joints={"left": 0.002, "right": 0.002}))
+    assert not check.ok
+    assert check.remedy == "Open them in the file, or with held_joints."
+
+
 URDF_FINGERS = {
     "overlap at 0, outside their range": (
         '<limit lower=".02" upper=".05" effort="9" velocity="1"/>',

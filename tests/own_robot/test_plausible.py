@@ -212,6 +212,7 @@ TABLES = {
     "a box named table": BOX.format("table_top", ".2 .2 .02", ".1 0 .38"),
     "a body": f'<body name="bench">{BOX.format("b", ".4 .2 .2", ".3 0 .2")}</body>',
     "a raised floor": '<geom name="floor" type="plane" size="2 2 .1" pos="0 0 .4"/>',
+    "sunk into it": BOX.format("slab", ".45 .35 .05", ".4 0 .4"),
     "a box on its side": '<geom name="plate" type="box" size=".02 .45 .35" '
     'pos=".4 0 .38" euler="0 1.5708 0"/>',
     "of two parts": BOX.format("Desk", ".3 .2 .02", ".1 0 .38")

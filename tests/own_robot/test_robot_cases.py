@@ -19,6 +19,7 @@ from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.lift.lift import Lift
 from knowarm.world.tasks.skills.lift.model import build_lift_scene
 from tests.own_robot.robot_cases import CASES
+from tests.world.helpers import EXAMPLES
 
 SIX = "j1, j2, j3, j4, j5, j6; left out: {}; TCP: between the ends"
 BASE = "base: turned or shifted"
@@ -199,6 +200,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     robot = replace(
         robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2)
     )
+    described = (EXAMPLES / "scara.toml").read_text()
     # Enough; the best of all
     trials = (
         ([0.4, 0.7, 0.95], -135.0),
@@ -206,7 +208,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     )
     for shares, yaw in trials:
         monkeypatch.setattr(draft_area, "oracle_success", Mock(side_effect=shares))
-        area, text = draft_area.find_area(robot, lambda file, areas: "", Lift())
+        area, text = draft_area.find_area(robot, lambda file, areas: described, Lift())
         assert area == {
             "centre_m": [0.6, 0.0],
             "half_size_m": [0.025, 0.15],
@@ -219,7 +221,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
         raise UserError("Fingers touch.")
 
     monkeypatch.setattr(draft_area, "oracle_success", refuse)
-    assert draft_area.find_area(robot, lambda file, areas: "", Lift()) == (
+    assert draft_area.find_area(robot, lambda file, areas: described, Lift()) == (
         {},
         "not possible: Fingers touch.",
     )

@@ -26,7 +26,7 @@ from knowarm.own_robot.draft_chain import (
     subtree,
     tool_sites,
 )
-from knowarm.own_robot.opening import widest_opening
+from knowarm.own_robot.opening import LEAST_M, SAME_M, widest_opening
 from knowarm.own_robot.poses import Fields
 
 AGREEING_COSINE = 0.7
@@ -92,7 +92,7 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     sites = tool_sites(model, fixed_to(model, hand) if outer else inside)
     kept = sites
     if outer:
-        geoms = geoms_of(model, outer)
+        geoms = geoms_of(model, _with_fixed(model, outer))
         kept = [s for s in sites if _is_between(data, s, point, approach, geoms)]
     if kept:
         site = kept[0]
@@ -148,7 +148,7 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
         is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
         if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
-    bodies = model.jnt_bodyid[slides].tolist()
+    bodies = [_tip(data, b, frame[:, 2]) for b in model.jnt_bodyid[slides].tolist()]
     names = [model.body(b).name for b in bodies]
     geoms = [geoms_of(model, [b]).tolist() for b in bodies]
     if not outer:
@@ -159,8 +159,28 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
     if opening is None:
         joints = " and ".join(joint_names(model, slides))
         return {}, f"; no fingers, as {joints} have no range"
+    if opening.gap_m < LEAST_M:
+        return {}, f"; no fingers, as {' and '.join(names)} overlap at all their ends"
     text = f"; fingers: {' and '.join(names)}, open by {100 * opening.gap_m:.1f} cm"
     return {"fingers": names, "held_joints": dict(opening.values)}, text
+
+
+def _with_fixed(model: MjModel, bodies: Ids) -> Ids:
+    """Return bodies with joints, and those that are fixed to them."""
+    return np.flatnonzero(np.isin(model.body_weldid, bodies)).tolist()
+
+
+def _tip(data: MjData, finger: int, approach: Floats) -> int:
+    """Return the named body fixed to a finger that reaches farthest out of the hand, or itself."""
+    model = data.model
+    tip = finger
+    farthest = extent(data, geoms_of(model, [finger]), approach) + SAME_M
+    for body in fixed_to(model, finger):
+        reach = extent(data, geoms_of(model, [body]), approach)
+        if model.body(body).name and reach > farthest:
+            farthest = reach
+            tip = body
+    return tip
 
 
 def _approach(
@@ -170,7 +190,7 @@ def _approach(
     model = data.model
     origin = data.xanchor[last]
     axis = data.xaxis[last].copy()
-    bodies = fingers or subtree(model, hand)
+    bodies = _with_fixed(model, fingers) or subtree(model, hand)
     geoms = geoms_of(model, bodies)
     centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
     middle = centres.mean(axis=0)

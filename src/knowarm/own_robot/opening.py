@@ -135,7 +135,8 @@ def check_fingers(robot: Robot) -> Check:
     for name in robot.fingers:
         if name in bodies:
             fingers.append(geoms_of(model, [bodies.index(name)]).tolist())
-            joints = joints_of(model, [bodies.index(name)])
+            moved = int(model.body_weldid[bodies.index(name)])
+            joints = joints_of(model, [moved])
             slides += [j for j in joints if is_slide(model, j)]
         else:
             fingers.append([model.geom(name).id])
@@ -153,7 +154,7 @@ def check_fingers(robot: Robot) -> Check:
     best = None
     if len(slides) == 2:
         best = widest_opening(data, slides, fingers, frame)
-    if best is None or drawn >= LEAST_SHARE * best.gap_m:
+    if best is None or drawn >= min(LEAST_SHARE * best.gap_m, best.gap_m - SAME_M):
         remedy = "Open them in the file, or with held_joints."
         return Check("fingers", drawn >= LEAST_M, found, remedy)
     values = ", ".join(f"{name} = {value:g}" for name, value in best.values.items())

@@ -25,7 +25,8 @@ USUAL_RAD = 3.14  # A range to write down as an example
 SIDE = 5  # Places per side of the rectangle above which parts are searched
 CLEARANCE_M = 0.01
 HIGH_M = 100.0  # From where it is looked down
-RESTING_M = 0.03  # Farthest that a base stands from what is below it
+RESTING_M = 0.03  # Farthest that a base stands above what bears it
+SUNK_M = 0.1  # Farthest that it is drawn into that
 
 
 def question_ranges(scene: Scene) -> tuple[str, str]:
@@ -132,7 +133,7 @@ def stands_on(robot: Robot, low_m: float) -> bool:
         top = data.geom_xpos[geom.id][2]
         if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
             top += upward @ middle + np.abs(upward) @ half
-        if abs(top - low_m) < RESTING_M:
+        if -RESTING_M < top - low_m < SUNK_M:
             return True
     return False
 

@@ -215,10 +215,11 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
 def _finger_joints(robot: Robot) -> str:
     """Name the joints of the fingers in the robot's file, with their ranges."""
     file = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
+    named = np.isin([file.body(b).name for b in range(file.nbody)], robot.fingers)
     ranges = []
     for number in range(file.njnt):
         joint = file.joint(number)
-        if file.body(joint.bodyid[0]).name in robot.fingers:
+        if named[file.body_weldid == joint.bodyid[0]].any():
             low, high = joint.range
             ranges.append(f"{joint.name} of {low:g} to {high:g}")
     return (
