@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from knowarm.config import from_dict
+from knowarm.deploy.contract import deployment
 from knowarm.deploy.joint_map import real_joints
-from knowarm.deploy.runner import JointMap
+from knowarm.deploy.runner import JointMap, Start
 from knowarm.errors import UserError
 from knowarm.own_robot.calibration import (
     Motor,
@@ -462,3 +463,40 @@ def test_ranges_that_are_given_come_before_the_files() -> None:
     ranges = ranges_of(model, {"gripper": [0.0, 1.0]})
     assert ranges["gripper"].tolist() == [0, 1]
     np.testing.assert_allclose(ranges["elbow_flex"], LIMITS["elbow_flex"])
+
+
+@pytest.mark.parametrize("unit", ["range", "deg"])
+def test_targets_of_a_policy_are_those_of_its_calibrated_arm(
+    unit: str, trained, tmp_path: Path, monkeypatch
+) -> None:
+    """From a calibration file to what a deployed policy sends, in ticks of the motors."""
+    joints = trained.config.env.robot
+    names = ROBOTS[joints].joints
+    generator = np.random.default_rng(3)
+    ticks = {}
+    for name in names:
+        low = int(generator.integers(300, 1200))
+        ticks[name] = (low, low + int(generator.integers(1800, 2700)))
+    calibration = write_calibration(tmp_path / "arm.json", ticks)
+    monkeypatch.setattr("knowarm.own_robot.command.check_robot", lambda *a, **o: [])
+    new = tmp_path / "map.toml"
+    Doctor(robot=joints, calibration=calibration, unit=unit, write=new).run()
+    runner = deployment(trained, new).runner()
+    home = runner.contract["joints"]["home"]
+    rows = runner.contract["knowledge"]["rows"]
+    knowledge = rows[0] if rows else None
+    runner.reset(Start(dict(zip(runner.joint_names, home, strict=True)), knowledge))
+    size = runner.contract["camera"]["size"]
+    for _ in range(3):
+        runner.act({"image": np.zeros((1, size, size, 3), np.uint8)})
+    targets = runner.targets[0]
+    assert np.abs(targets - home).max() > 0
+    lower = np.array(runner.contract["joints"]["lower"])
+    upper = np.array(runner.contract["joints"]["upper"])
+    for j, value in enumerate(runner.joint_map.to_real(runner.targets)[0]):
+        low, high = ticks[names[j]]
+        kind = "deg" if unit == "deg" else "range_m100_100"
+        raw = ticks_of(kind, value, low, high)
+        turned = (raw - (low + high) / 2) * 2 * math.pi / 4096
+        angle = turned + (lower[j] + upper[j]) / 2
+        assert math.degrees(abs(angle - targets[j])) < 0.05

@@ -217,6 +217,11 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
         }
         assert f"{100 * max(shares):.0f} %" in text
 
+    monkeypatch.setattr(draft_area, "oracle_success", Mock(return_value=0.0))
+    area, text = draft_area.find_area(robot, lambda file, areas: described, Lift())
+    assert area == {}
+    assert "in none of the areas" in text
+
     def refuse(config: object) -> float:
         raise UserError("Fingers touch.")
 

@@ -43,5 +43,10 @@ def find_area(
                 best_area = area
             if best >= ENOUGH:
                 break
+    if not best_area:
+        return (
+            {},
+            "not possible: the oracle succeeds in none of the areas that were tried",
+        )
     found = f"the oracle succeeds in {100 * best:.0f} % of the episodes in its area"
     return best_area, found
