@@ -10,6 +10,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from knowarm.cli.main import main
+from knowarm.deploy.driver import shrunk
 from knowarm.errors import UserError
 from knowarm.own_robot import camera_check
 from knowarm.own_robot.camera_check import check_camera, named_points
@@ -298,6 +299,28 @@ def test_a_photograph_is_rectified_to_what_the_policy_sees(scene, k1: float) -> 
         right_up = project(scene, place[None])[0]
         wanted = (right_up * [1, -1] + 1) * 240
         np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=1.5)
+
+
+def test_images_of_a_real_camera_are_rectified_before_a_policy_sees_them(scene) -> None:
+    camera = real_camera(scene, k1=-0.3, zoom=0.8)
+    contract = {
+        "size": 64,
+        "fovy_deg": scene.robot.camera_fovy_deg,
+        "intrinsics": tuple(camera.focus),
+        "distortion": tuple(camera.lens),
+    }
+    place = [*points(scene).values()][-4]
+    x, y = (by_hand(camera, place[None])[0] * HEIGHT).round().astype(int)
+    photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    photo[y - 4 : y + 5, x - 4 : x + 5] = 255
+    seen = shrunk(photo, contract)
+    assert seen.shape == (64, 64, 3)
+    rows, columns = np.nonzero(seen.sum(axis=2) > 200)
+    wanted = (project(scene, place[None])[0] * [1, -1] + 1) * 32 - 0.5
+    np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=0.7)
+    plain = shrunk(photo, {"size": 64})
+    assert (plain != seen).any(), "the central square is another image"
+    assert shrunk(seen, contract) is seen, "which is rectified already"
 
 
 def test_the_simulator_renders_a_rolled_camera(scene) -> None:

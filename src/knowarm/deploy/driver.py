@@ -8,7 +8,7 @@ monotonic one, which no time server sets.
 
 import io
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from knowarm.config import above_zero, at_least, check_values
 from knowarm.deploy.runner import Runner, Start
 from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
-from knowarm.pictures import central_square
+from knowarm.pictures import central_square, rectified
 from knowarm.reading import one_line
 
 Targets = Floats
@@ -153,9 +153,10 @@ class Driver:
         """Return an image with its stamp, or the reason why it is not taken."""
         if isinstance(image, str):
             return image
-        size = self._runner.contract["camera"]["size"]
+        camera = self._runner.contract["camera"]
+        size = camera["size"]
         if self._resize:
-            image = shrunk(image, size)
+            image = shrunk(image, camera)
         if image.shape != (size, size, 3) or image.dtype != np.uint8:
             return f"is {image.shape} instead of ({size}, {size}, 3); resize it"
         if image.min() == image.max():
@@ -345,12 +346,20 @@ def _named(names: Sequence[str], is_meant: Mask) -> str:
     return ", ".join(np.array(names)[is_meant])
 
 
-def shrunk(image: NDArray[Any], size: int) -> NDArray[Any]:
-    """Average the central square of an RGB image (H, W, 3) to ``size``; smaller ones stay."""
+def shrunk(image: NDArray[Any], camera: Mapping[str, Any]) -> NDArray[Any]:
+    """Average the central square of an RGB image (H, W, 3) to a policy's; smaller ones stay.
+
+    Images of a contract's ``camera`` with intrinsics are rectified first, those of its size not.
+    """
+    size = camera["size"]
     is_rgb = image.shape[2:] == (3,) and image.dtype == np.uint8
-    if not is_rgb or min(image.shape[:2]) < size:
+    if not is_rgb or min(image.shape[:2]) < size or image.shape[:2] == (size, size):
         return image
-    return np.asarray(central_square(Image.fromarray(image), size))
+    whole = Image.fromarray(image)
+    if "intrinsics" not in camera:
+        return np.asarray(central_square(whole, size))
+    lens = (camera["fovy_deg"], camera["intrinsics"], camera["distortion"])
+    return np.asarray(rectified(whole, size, *lens))
 
 
 def decoded(

@@ -271,7 +271,7 @@ class Episode:
         if not isinstance(image, np.ndarray):
             raise ValueError(f"the observation lacks the array {IMAGE!r}")
         if self._resize or observation.get(RESIZE) in (True,):
-            image = shrunk(image, runner.contract["camera"]["size"])
+            image = shrunk(image, runner.contract["camera"])
         # Members of a tuple are compared: True of NumPy counts as well.
         starts = not runner.is_started or observation.get(RESET) in (True,)
         prompt = observation.get(PROMPT)

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from knowarm.arrays import Floats
 from knowarm.errors import packages_of
-from knowarm.pictures import central_square
+from knowarm.pictures import central_square, rectified
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import level_axes, roll
 
@@ -174,19 +174,13 @@ def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
     """
     if robot.camera_intrinsics is None:
         return central_square(image, side)
-    cv2 = _cv2()
-    camera = camera_of(robot)
-    scale = np.array([image.height, image.height, 1.0])
-    matrix = (
-        _matrix(camera.focus) / np.array([SIDE, SIDE, 1.0])[:, None] * scale[:, None]
+    return rectified(
+        image,
+        side,
+        robot.camera_fovy_deg,
+        robot.camera_intrinsics,
+        robot.camera_distortion,
     )
-    length = side / 2 / np.tan(np.radians(robot.camera_fovy_deg) / 2)
-    middle = (side - 1) / 2
-    wanted = np.array([[length, 0, middle], [0, length, middle], [0, 0, 1]])
-    maps = cv2.initUndistortRectifyMap(
-        matrix, camera.lens, None, wanted, (side, side), cv2.CV_32FC1
-    )
-    return Image.fromarray(cv2.remap(np.asarray(image), *maps, cv2.INTER_LINEAR))
 
 
 def _cv2() -> Any:
