@@ -137,6 +137,20 @@ def test_a_lock_is_checked_and_restored(tmp_path):
         process.communicate()
 
 
+def test_a_folder_that_another_process_took_beside_a_lock_that_locks_nothing(tmp_path):
+    """As processes of two machines may on a network file system."""
+    with lock_folder(tmp_path, remedy="Stop it.") as lock:
+        other = json.loads((tmp_path / HOLDER).read_text()) | {
+            "host": "another",
+            "pid": 7,
+            "token": "x",
+        }
+        (tmp_path / HOLDER).write_text(json.dumps(other))
+        with pytest.raises(UserError, match=r"is in use by process 7 on another"):
+            lock.check()
+    assert json.loads((tmp_path / HOLDER).read_text()) == other
+
+
 def test_a_training_writes_nothing_into_a_folder_that_another_process_took(tmp_path):
     config = short(total_steps=400)
     path = tmp_path / config.name / "0"

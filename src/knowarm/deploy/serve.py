@@ -254,7 +254,7 @@ class Episode:
     def __init__(self, runner: Runner, resize: bool = False) -> None:
         self.runner = runner
         self._resize = resize
-        self._images: ImageWatch
+        self._images = ImageWatch(runner.contract["joints"]["mpi"])
         self._prompt: Any = None
         self.question: Any = None
 

@@ -46,7 +46,8 @@ class ImageWatch:
 
     def commanded(self, targets: Floats) -> None:
         """Take the joint targets (J,) that are sent."""
-        self._steps += int(not np.array_equal(targets, self._command))
+        if self._command is None or (targets != self._command).any():
+            self._steps += 1
         self._command = targets.copy()
 
     def problem(self, image: NDArray[np.uint8], angles: Floats) -> str:
