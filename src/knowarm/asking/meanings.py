@@ -1,6 +1,7 @@
 """Meanings of words: what of a graph, and which objects, the words of a question may stand for."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from knowarm.asking.lexicon import (
     verbs_of,
 )
 from knowarm.asking.vocabulary import IS, Entry, Vocabulary
+from knowarm.questions import COLOUR_RELATION
 
 IGNORED = {*WORDS["things"], *WORDS["ignored"]}
 """Words that change nothing, or stand for any object."""
@@ -108,6 +110,13 @@ class Meanings:
         return (
             "phrase" if before in WORDS["before_nouns"] and before != "not" else "open"
         )
+
+    @property
+    def has_object(self) -> bool:
+        """Whether the words name an object, or a colour that the image shows."""
+        relations = (IS, COLOUR_RELATION)
+        matches = chain.from_iterable(self.matches)
+        return any(match.entry.relation in relations for match in matches)
 
     def phrases(self, positions: Sequence[int]) -> list[str]:
         """Return the words at positions; those that determiners alone separate are one phrase."""

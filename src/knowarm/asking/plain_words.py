@@ -24,7 +24,7 @@ from knowarm.asking.lexicon import (
     sentences,
     tokens,
 )
-from knowarm.asking.readings import ReadCondition, joined
+from knowarm.asking.readings import ReadCondition, is_clear, joined
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import UserError
 
@@ -55,22 +55,26 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainRead
     error = None
     for sentence in sentences(text):
         words = tokens(sentence)
+        reader = Reader(text, words, vocabulary)
+        if UNANSWERED.match(" ".join(words)):
+            raise reader.refused("only questions for an object are answered")
         try:
-            reader = Reader(text, words, vocabulary)
-            if UNANSWERED.match(" ".join(words)):
-                raise reader.refused("only questions for an object are answered")
             end = reader.best()
         except UserError as refused:
-            if words and words[0] not in WORDS["speaker"]:
+            if words[0] not in WORDS["speaker"] or reader.words.has_object:
                 raise
             error = refused
             left_out.append(sentence)
             continue
         left_out += reader.words.phrases(end.left_out)
         first, *others = end.done
+        if conditions and first.join == "or":
+            raise reader.refused("'or' joins no sentences")
         if conditions:
             first = replace(first, join="but")
         conditions += [first, *others]
+        if not is_clear(conditions):
+            raise reader.refused("its sentences do not fit together")
     if not conditions:
         raise error or UserError(f"The question {text!r} has no words.")
     question = _with_extreme(conditions, reader, holders)
