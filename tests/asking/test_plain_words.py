@@ -224,6 +224,70 @@ def test_relations_with_spaces_can_be_said():
     assert reading(graph, FACETS, "cheaper than 6") == '"costs money" < 6'
 
 
+@pytest.mark.parametrize(
+    ("question", "text"),
+    [
+        ("the mug", "is mug"),
+        ("a red mug", "hasColor red and is mug"),
+        ("the mug behind the bottle", "is mug and behind (is bottle)"),
+        ("something I can drink coffee from", "usedFor drinking"),
+        ("the thing you would use to water plants", "usedFor watering"),
+        ("put the mug on the tray", None),
+        ("bring me the second mug from the left", None),
+        ("anything fragile", None),
+        ("I am thirsty", None),
+    ],
+)
+def test_questions_that_people_asked_first_are_read_or_refused(question, text):
+    graph = graph_named("objects")
+    if text is not None:
+        assert reading(graph, FACETS, question) == text
+        return
+    with pytest.raises(UserError, match="not understood"):
+        reading(graph, FACETS, question)
+
+
+NEGATIVE = graph_of(
+    [
+        ("mug", "notUsedFor", "eating"),
+        ("bowl", "usedFor", "drinking"),
+        ("bottle", "unsafeFor", "children"),
+        ("vase", "safeFor", "adults"),
+        ("lamp", "doesNotContain", "water"),
+        ("kettle", "contains", "tea"),
+        ("candle", "cannotHold", "water"),
+        ("pot", "canHold", "soup"),
+        ("bucket", "avoid", "heat"),
+        ("bell", "preferredFor", "heat"),
+        ("book", "hasAbility", "burnable"),
+        ("jar", "hasAbility", "breakable"),
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("question", "names"),
+    [
+        ("something to eat from", set()),
+        ("it contains water", set()),
+        ("unsafe for children", {"bottle"}),
+        ("safe for adults", {"vase"}),
+        ("it avoids heat", {"bucket"}),
+        ("preferred for heat", {"bell"}),
+        ("it can hold soup", {"pot"}),
+        ("something breakable", {"jar"}),
+        ("something I can burn", {"book"}),
+    ],
+)
+def test_a_positive_wording_is_answered_by_no_relation_that_denies(question, names):
+    if not names:
+        with pytest.raises(UserError, match="No object of the task answers"):
+            answer(NEGATIVE, FACETS, question)
+        return
+    found = answer(NEGATIVE, FACETS, question)
+    assert {name for name, _ in found.evidence} == names
+
+
 def test_near_conditions_are_near_in_meaning():
     with pytest.raises(UserError, match="usedFor drinking") as refusal:
         reading(graph_named("objects"), FACETS, "I am thirsty")
