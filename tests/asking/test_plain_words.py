@@ -174,6 +174,9 @@ DENYING = graph_of(
         ("bowl", "NotHasProperty", "wet"),
         ("pan", "lacksPart", "lid"),
         ("jar", "isNotA", "tool"),
+        ("jar", "incompatibleWith", "bleach"),
+        ("pot", "freeIn", "summer"),
+        ("brush", "avoids", "flammable"),
     ]
 )
 
@@ -197,6 +200,13 @@ DENYING = graph_of(
         ("not unsafe for children", "not unsafeFor children"),
         ("forbidden for babies", "forbiddenFor babies"),
         ("it avoids contact with skin", "avoidsContactWith skin"),
+        ("incompatible with bleach", "incompatibleWith bleach"),
+        ("compatible with bleach", "compatibleWith bleach"),
+        ("free in summer", "freeIn summer"),
+        ("it avoids flammable things", "avoids flammable"),
+        ("something flammable", None),
+        ("something with bleach", None),
+        ("something in summer", None),
         ("something for children", None),
         ("something for babies", None),
         ("contact with skin", None),

@@ -304,8 +304,10 @@ class Vocabulary:
     def prepositions(self, relation: str) -> set[str]:
         """Return the prepositions and forms of "have" that may precede values of a relation."""
         words = set(self.words.get(relation, ()))
-        words.discard("for")  # what is for children need not be safe for them
-        return words.union(self.family(relation).weak)
+        family = self.family(relation)
+        if family.relations or words <= _EMPTY:
+            return words.union(family.weak)
+        return set()  # what is "for children" need not be safe for them
 
     def measured(self, word: str) -> tuple[str, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<", or ""."""
