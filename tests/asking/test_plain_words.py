@@ -298,6 +298,11 @@ def test_a_positive_wording_is_answered_by_no_relation_that_denies(question, nam
     assert {name for name, _ in found.evidence} == names
 
 
+def test_an_amount_of_money_is_a_price():
+    text = reading(graph_named("shop"), FACETS, "a mug under 6 euros")
+    assert text == "is mug and price < 6"
+
+
 def test_near_conditions_are_near_in_meaning():
     with pytest.raises(UserError, match="usedFor drinking") as refusal:
         reading(graph_named("objects"), FACETS, "I am thirsty")

@@ -1,7 +1,7 @@
 """Grammar of questions in plain English: all readings of some words, and the nearest of them."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, compress, count
@@ -440,8 +440,12 @@ class Reader:
         """Yield the states behind a number: compared with what was said, or of what follows."""
         sign, digits = _COMPARED.findall(word)[0]
         number = f"{sign or '='} {digits}"
-        length = 1 + (self.words[state.position + 1] in WORDS["money"])
-        for relation in sorted(state.strong or ()):
+        is_money = self.words[state.position + 1] in WORDS["money"]
+        length = 1 + is_money
+        relations: Collection[str] = state.strong or ()
+        if is_money and state.is_bare:  # "under 6 euros"
+            relations = self.vocabulary.of_family("price")
+        for relation in sorted(relations):
             if relation in self.vocabulary.numbers:
                 yield self.with_number(state, relation, number, length)
         last = state.last if state.join else ""

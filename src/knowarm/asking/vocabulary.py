@@ -258,6 +258,10 @@ class Vocabulary:
                 return family
         return Family()
 
+    def of_family(self, name: str) -> set[str]:
+        """Return the relations of a family."""
+        return {word for word in self.words if self.family(word) is FAMILIES[name]}
+
     def said(self, word: str) -> frozenset[str]:
         """Return the relations that a word says: with its own word, or with one of its family."""
         if word not in self._said:
