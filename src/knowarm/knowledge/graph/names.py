@@ -40,15 +40,14 @@ class Names(tuple[str, ...]):
         if word in self._beginning:
             return self._beginning[word]
         text, starts = self._letters
-        found = []
-        for begin in self._begins:
-            wanted = begin + letters_of(word)
-            start = text.find(wanted)
-            while start >= 0:
-                found.append(self.by_local.ids[np.searchsorted(starts, start)])
-                start = text.find(wanted, start + 1)
-        self._beginning[word] = found
-        return found
+        wanted = f"\0{letters_of(word)}"
+        ids = []
+        start = text.find(wanted)
+        while start >= 0:
+            ids.append(self.by_local.ids[np.searchsorted(starts, start)])
+            start = text.find(wanted, start + 1)
+        self._beginning[word] = ids
+        return ids
 
     def find_literals(self, text: str) -> list[int]:
         """Return the ids of the literals of this text, in any case, ascending."""
@@ -85,12 +84,6 @@ class Names(tuple[str, ...]):
         return Index(list(map(local_name, names)), ids)
 
     @cached_property
-    def _begins(self) -> list[str]:
-        """How words begin in `_letters`: some in brackets, as of "<mug> (3)"."""
-        text, _ = self._letters
-        return ["\0", "\0<"] if "\0<" in text else ["\0"]
-
-    @cached_property
     def _beginning(self) -> dict[str, list[int]]:
         """What `find_beginning` found, by the word."""
         return {}
@@ -98,9 +91,10 @@ class Names(tuple[str, ...]):
     @cached_property
     def _letters(self) -> tuple[str, np.ndarray]:
         """The letters of the texts of `by_local`, a zero byte before each, and where, (n,)."""
-        letters = letters_of("\0".join(self.by_local.texts))
-        lengths = [1 + len(text) for text in letters.split("\0")]
-        return f"\0{letters}", np.cumsum([0, *lengths[:-1]])
+        letters = letters_of("\0" + "\0".join(self.by_local.texts))
+        letters = letters.replace("\0<", "\0")  # as of "<mug> (3)"
+        lengths = list(map(len, letters.split("\0")))
+        return letters, np.cumsum(lengths[:-1]) + np.arange(len(lengths) - 1)
 
     @cached_property
     def _by_text(self) -> "Index":
