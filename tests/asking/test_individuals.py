@@ -180,6 +180,11 @@ def test_no_other_is_named_where_there_is_none(triples):
         [(ACTION + "brush", RDF_TYPE, ACTION + "HouseholdActivity")],
         [("Brush", "subClassOf", "CleaningEvent")],
         [("brush", "isA", "action")],
+        [
+            ("brush", "type", "Action"),
+            ("brush", "type", "Event"),
+            ("brush", "type", "Entity"),
+        ],
     ],
 )
 def test_what_is_done_is_no_object(triples):

@@ -17,8 +17,19 @@ from knowarm.knowledge.graph.terms import (
     numbered,
 )
 
-_DEEDS = {"action", "activity", "event", "process", "motion", "verb"}
+_DEEDS = {
+    "action",
+    "activity",
+    "event",
+    "process",
+    "motion",
+    "verb",
+    "occurrent",
+    "perdurant",
+}
 """Last words of classes of what is done or happens."""
+_ANYTHING = {"thing", "entity", "resource", "concept", "class", "individual"}
+"""Last words of classes of anything."""
 _OPEN = {"NamedIndividual", "Thing", "Resource"}
 """Last parts of classes that leave open what their individuals are."""
 
@@ -101,13 +112,14 @@ def is_class(graph: KnowledgeGraph, entity: int) -> bool:
 
 
 def is_deed(graph: KnowledgeGraph, entity: int) -> bool:
-    """Return whether all classes of an entity, and above it, are of actions or events."""
+    """Return whether all classes of an entity, or above it, that tell are of actions or events."""
     relations = graph.type_relations + graph.is_a_relations + graph.subclass_relations
     last_words = set()
     for name in graph.names.at(_tails(graph, entity, relations)):
-        if local_name(name) not in _OPEN:
+        if not name.startswith("_:"):
             last_words.add(label_of(name, graph.labels).split(" ")[-1])
-    return bool(last_words) and last_words <= _DEEDS
+    telling = last_words - _ANYTHING
+    return bool(telling) and telling <= _DEEDS
 
 
 def types_of(graph: KnowledgeGraph, entity: int) -> list[int]:
