@@ -282,6 +282,24 @@ def test_individuals_of_a_class_answer(tmp_path, capsys):
     assert words_of(graph, FACETS)["on"] == {"table": ["mug", "bowl"], "shelf": ["mug"]}
 
 
+@pytest.mark.parametrize(
+    ("question", "condition"),
+    [
+        ("something on the table", "ON table"),
+        ("bring the mug on the table", "is mug and ON table"),
+        ("the mug that is not on the table", "is mug and not ON table"),
+        ("the red mug on the table", "hasColor red and is mug and ON table"),
+    ],
+)
+@pytest.mark.parametrize("table", ["table_4", "obj4"])
+def test_places_are_said_by_their_class(question, condition, table):
+    things = [("mug_1", "type", "mug"), (table, "type", "table")]
+    graph = graph_of([*things, ("mug_1", "ON", table), ("mug_2", "type", "mug")])
+    answers = answer(graph, FACETS, question)
+    assert answers.question == condition
+    assert {name for name, _ in answers.evidence} == {"mug"}
+
+
 def test_individuals_by_name_answer(tmp_path, capsys):
     path = tmp_path / "names.csv"
     path.write_text(NUMBERED)

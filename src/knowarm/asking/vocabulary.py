@@ -26,6 +26,8 @@ from knowarm.asking.lexicon import (
 from knowarm.asking.quotes import condition, quoted
 from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.homonyms import is_class
+from knowarm.knowledge.graph.individuals import classes_of
 from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
@@ -98,6 +100,8 @@ class Vocabulary:
             self._add(Entry(words_of(colour), COLOUR_RELATION, text))
         for name, tail in self._pairs(heads):
             self._learn(name, tail)
+            for kind in self._classes(tail):
+                self._learn(name, kind)  # "on table" of what is on table_4
             for inner, end in self._pairs([tail]):
                 if inner not in self.denials and name not in self.denials:
                     self._learn(name, end, inner)
@@ -110,6 +114,13 @@ class Vocabulary:
             text = local_name(graph.names[tail])
             if re.fullmatch(r"\d+(\.\d+)?", text):
                 self.numbers[name][head] = float(text)
+
+    def _classes(self, tail: int) -> list[int]:
+        """Return the classes of an individual that a relation leads to; none of a class."""
+        is_literal = self.graph.names[tail].startswith('"')
+        if is_literal or is_class(self.graph, tail):
+            return []
+        return classes_of(self.graph, tail)
 
     def _label(self, name: str) -> str:
         labels = self.graph.labels
