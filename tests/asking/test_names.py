@@ -10,7 +10,7 @@ from knowarm.knowledge.graph.graph import gamma
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import literal, name_key
 from knowarm.knowledge.queries.queries import QueryGraph
-from tests.knowledge.test_owl import KITCHEN, read
+from tests.knowledge.ontologies import KITCHEN, read
 
 A, B, E = "http://a.org/", "http://b.org/", "http://e.org/"
 FACETS = [(name, c) for name in ("mug", "wine_glass", "pot") for c in ("blue", "red")]
@@ -245,7 +245,7 @@ def test_queries_keep_names_of_one_last_part_apart_and_leave_out_blank_nodes(tmp
 
 
 def test_what_axioms_of_owl_say_is_asked(tmp_path):
-    graph, _, _ = read(tmp_path, KITCHEN)
+    graph, _ = read(tmp_path, KITCHEN)
     facets = [(name, "red") for name in ("mug", "spoon", "teacup")]
     assert {n for n, _ in answer(graph, facets, "usedFor drinking").evidence} == {
         "mug",

@@ -448,7 +448,7 @@ Individual: m1
 @pytest.mark.parametrize("syntax", ONTOLOGY)
 def test_an_ontology_states_the_same_in_every_syntax(tmp_path, syntax, suffix):
     name = syntax if suffix == "its own" else suffix
-    with pytest.warns(DataWarning, match="2 facts follow from class axioms"):
+    with pytest.warns(DataWarning, match="4 triples follow from axioms"):
         graph = read_graph(write(tmp_path / f"a.{name}", ONTOLOGY[syntax]))
     named = {
         t
@@ -465,7 +465,7 @@ def test_an_ontology_states_the_same_in_every_syntax(tmp_path, syntax, suffix):
 
 def test_terms_of_obo_are_read(tmp_path):
     text = "format-version: 1.2\nontology: x\n\n[Term]\nid: X:1\nname: mug\nrelationship: in X:3\n"
-    with pytest.warns(DataWarning, match="1 facts follow"):
+    with pytest.warns(DataWarning, match="1 triples follow"):
         graph = read_graph(write(tmp_path / "a.obo", text))
     obo = "http://purl.obolibrary.org/obo/"
     assert (obo + "X_1", obo + "x#in", obo + "X_3") in set(graph)

@@ -539,4 +539,8 @@ class QuestionReader:
         text = " ".join(map(local_name, triple))
         if sure < 1:
             text += f" ({sure:.2g})"
+        grounds = graph.grounds(triple)
+        if grounds != (triple,):
+            reasons = [" ".join(map(local_name, ground)) for ground in grounds]
+            text += f" because {', '.join(reasons)}"
         yield Judgement(True, (text, *fits.evidence), sure * fits.probability)

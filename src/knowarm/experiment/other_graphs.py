@@ -58,7 +58,7 @@ def with_graph(
 
 def _with_names(path: str, names: Mapping[str, str]) -> str:
     """Write a graph in which objects are labelled as the task names them; return its path."""
-    graph = read_graph(path)
+    graph = read_graph(path).stated()
     labels = dict(graph.labels)
     for name, other in names.items():
         entity = graph.entity_id(other)

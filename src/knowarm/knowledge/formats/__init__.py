@@ -13,13 +13,14 @@ from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.formats.annotations import without_administration
 from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
 from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
+from knowarm.knowledge.formats.imports import with_imports
 from knowarm.knowledge.formats.others import refuse_others
 from knowarm.knowledge.formats.rdf import read_owl, read_rdf, write_rdf
 from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
 from knowarm.knowledge.formats.written import looks_written, read_written
+from knowarm.knowledge.graph.closure import closed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.owl import with_class_axioms
 from knowarm.reading import reading, replacing
 
 Reader = Callable[[Path], KnowledgeGraph]
@@ -152,8 +153,8 @@ def read_graph(
             no triples.
 
     Warns:
-        DataWarning: something in the file is left out, its first line may be a header, or facts
-            that follow from class axioms of OWL were added.
+        DataWarning: something in the file is left out, its first line may be a header, an ontology
+            that it imports is not at hand, or what follows from its axioms was added.
     """
     if path is None or str(path) in SHIPPED:
         return shipped_graph(str(path or "household"))
@@ -177,19 +178,24 @@ def read_graph(
             f"{path} holds no triples (read as {format}). Check that it is complete, and that it "
             "is a graph."
         )
+    if format != "folder":
+        graph = with_imports(graph, path, _read_file)
     graph = without_administration(graph, path)
-    graph, added, others = with_class_axioms(graph)
-    if added or others:
-        text = f"{path}: {added} facts follow from class axioms of OWL and were added"
-        if others:
-            counts = [f"{count} {kind}" for kind, count in sorted(others.items())]
-            text += f"; class axioms that state none: {', '.join(counts)}"
-        warn(f"{text}.")
+    graph, message = closed(graph)
+    if message:
+        warn(f"{path}: {message}.")
     return graph
 
 
+def _read_file(path: Path) -> KnowledgeGraph:
+    return FORMATS[_format_of(path)].read(path)
+
+
 def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
-    """Write a graph to a file in the format of its suffix."""
+    """Write what a graph states to a file in the format of its suffix.
+
+    What follows from axioms is derived again when the file is read.
+    """
     path = Path(path)
     if path.suffix not in WRITERS:
         raise UserError(
@@ -197,7 +203,15 @@ def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
             f"Give the file one of these suffixes."
         )
     with replacing(path, "Give another path.") as temporary:
-        WRITERS[path.suffix](graph, temporary)
+        WRITERS[path.suffix](_to_write(graph), temporary)
+
+
+def _to_write(graph: KnowledgeGraph) -> KnowledgeGraph:
+    """Return what a graph states if the rest follows from it, else the whole graph."""
+    stated = graph.stated()
+    if stated is not graph and closed(stated).graph == graph:
+        return stated
+    return graph
 
 
 @cache

@@ -40,7 +40,8 @@ def without_administration(graph: KnowledgeGraph, path: Path) -> KnowledgeGraph:
         f"{path}: {len(graph) - len(kept)} administrative annotations of OBO are left out: "
         f"{listed(names)}."
     )
-    return graph_of(kept, labels=graph.labels, confidence=graph.confidence)
+    rest = graph_of(kept, labels=graph.labels, confidence=graph.confidence)
+    return rest.lacking(graph.missing)
 
 
 def _is_administrative(name: str) -> bool:

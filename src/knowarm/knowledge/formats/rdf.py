@@ -19,7 +19,16 @@ from xml.sax.handler import EntityResolver, feature_external_ges
 from xml.sax.saxutils import XMLGenerator
 from xml.sax.xmlreader import AttributesImpl
 
-from pyoxigraph import BlankNode, NamedNode, Quad, RdfFormat, Triple, parse, serialize
+from pyoxigraph import (
+    BlankNode,
+    Literal,
+    NamedNode,
+    Quad,
+    RdfFormat,
+    Triple,
+    parse,
+    serialize,
+)
 
 from knowarm.errors import UserError, packages_of, warn
 from knowarm.fence import ParserError, fenced
@@ -33,6 +42,8 @@ from knowarm.knowledge.graph.terms import (
     Term,
     blank_names,
     iri_of_name,
+    local_name,
+    name_key,
     name_of_iri,
     triple_of_names,
 )
@@ -72,6 +83,13 @@ TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
 """Syntaxes whose parser goes on behind a malformed term."""
 
 
+CONFIDENCES = frozenset(
+    map(name_key, ("confidence", "probability", "certainty", "weight"))
+)
+"""Relations that state the probability of a triple, from 0 to 1, in any spelling, "has" before it
+or not."""
+_REIFIES = RDF + "reifies"
+
 OWL_SYNTAXES = {
     "ofn": "OWL functional syntax",
     "omn": "OWL Manchester syntax",
@@ -85,8 +103,9 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """Read an RDF file, plain or compressed.
 
     rdfs:label and skos:prefLabel become labels. Unnamed blank nodes are numbered in the order of
-    the file, and named graphs are merged. Triples about triples, and single statements with a bad
-    IRI, are left out with a warning.
+    the file, and named graphs are merged. Of what is said about triples (RDF 1.2), their confidence
+    is read (see `CONFIDENCES`); the rest, and single statements with a bad IRI, are left out with a
+    warning.
     """
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
@@ -111,7 +130,7 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
 def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
     """Read an ontology in another syntax (see `OWL_SYNTAXES`).
 
-    py-horned-owl translates it to RDF, by the mapping of the OWL 2 standard. Imports are not read.
+    py-horned-owl translates it to RDF, by the mapping of the OWL 2 standard.
     """
     with packages_of("owl", f"{path} is no RDF and"):
         import pyhornedowl  # noqa: F401
@@ -161,15 +180,19 @@ def _read(
     path: Path,
     syntax: RdfFormat,
     bad_iris: Sequence[SyntaxError] = (),
+    reified: "_Reified | None" = None,
 ) -> KnowledgeGraph:
     """Read an RDF file; again, triple by triple, if malformed IRIs were found in it.
+
+    It is read again as well if something was said about a term before the file told that it stands
+    for a triple.
 
     Raises:
         SyntaxError: more than single statements are malformed.
     """
     builder = GraphBuilder()
     errors = list(bad_iris)
-    about = set[str]()  # terms that stand for triples
+    about = reified or _Reified()
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
     with opened() as file:
@@ -189,16 +212,18 @@ def _read(
             if bad_iris and not all(map(_is_sound, (head, quad.predicate, tail))):
                 no_iri += 1
             elif (
-                type(head) is NamedNode and type(tail) is NamedNode and not about
+                type(head) is NamedNode
+                and type(tail) is NamedNode
+                and not about.triples
             ):  # most: fast
                 builder.add(head.value, relation, tail.value)
-            elif isinstance(head, Triple) or isinstance(tail, Triple):
-                about.add(str(head))
-            elif str(head) not in about:
+            elif not about.takes(quad):
                 builder.add_statement(_name(head), relation, _name(tail))
         builder.prefixes = _absolute(prefixes | quads.prefixes)
     if not bad_iris and any("IRI" in _reason(error) for error in errors):
         return _read(opened, path, syntax, errors)
+    if reified is None and not about.triples.keys().isdisjoint(builder.entities):
+        return _read(opened, path, syntax, bad_iris, _Reified(about.triples))
     malformed = len(errors) - len(bad_iris)
     if malformed + no_iri > len(builder.ids) // 30 + bool(builder.ids):
         raise errors[0]
@@ -208,8 +233,7 @@ def _read(
             f"{path}: {no_iri} triples with a malformed IRI and {malformed} malformed statements "
             f"are left out, in line {lines}: {_reason(errors[0])}."
         )
-    if about:
-        warn(f"{path}: what is said about {len(about)} triples (RDF 1.2) is left out.")
+    builder.confidence = about.confidence
     unnamed: dict[str, str] = defaultdict(blank_names(set(builder.entities)).__next__)
 
     def graph_name(name: str) -> str:
@@ -217,7 +241,76 @@ def _read(
             return unnamed[name]
         return name_of_iri(name)
 
-    return builder.build(new_name=graph_name)
+    graph = builder.build(new_name=graph_name)
+    quoted = set[tuple[str, str, str]]()
+    for names in chain.from_iterable(about.triples.values()):
+        triple = (graph_name(names[0]), graph_name(names[1]), graph_name(names[2]))
+        if triple not in graph:
+            quoted.add(triple)
+    if about.left_out:
+        warn(
+            f"{path}: what is said about {about.left_out} triples (RDF 1.2) is left out."
+        )
+    if quoted:
+        warn(
+            f"{path}: {len(quoted)} triples are quoted (RDF 1.2) and not stated, and are left out."
+        )
+    graph.confidence = graph.own_confidence()
+    return graph
+
+
+class _Reified:
+    """What is said about triples (RDF 1.2).
+
+    Attributes:
+        triples: the triples that a term stands for, by the term.
+        confidence: the probability of triples.
+        left_out: how many statements about triples say something else.
+    """
+
+    def __init__(
+        self, triples: Mapping[str, list[tuple[str, str, str]]] | None = None
+    ) -> None:
+        self.triples = defaultdict[str, list[tuple[str, str, str]]](list, triples or {})
+        self.confidence: dict[tuple[str, str, str], float] = {}
+        self.left_out = 0
+
+    def takes(self, quad: Quad) -> bool:
+        """Take a statement about a triple; return False of others."""
+        tail = quad.object
+        if isinstance(tail, Triple):
+            self._stand_for(quad, tail)
+            return True
+        about = self.triples.get(_name(quad.subject))
+        if about is None:
+            return False
+        confidence = _confidence(quad)
+        self.left_out += confidence is None
+        for triple in about:
+            if confidence is not None:
+                self.confidence[triple] = max(
+                    confidence, self.confidence.get(triple, 0.0)
+                )
+        return True
+
+    def _stand_for(self, quad: Quad, triple: Triple) -> None:
+        if quad.predicate.value != _REIFIES or isinstance(triple.object, Triple):
+            self.left_out += 1
+            return
+        names = (_name(triple.subject), triple.predicate.value, _name(triple.object))
+        self.triples[_name(quad.subject)].append(names)
+
+
+def _confidence(quad: Quad) -> float | None:
+    """Return the probability that a statement about a triple gives it; None of others."""
+    word = name_key(local_name(quad.predicate.value))
+    is_confidence = word in CONFIDENCES or word.removeprefix("has") in CONFIDENCES
+    if is_confidence and isinstance(quad.object, Literal):
+        with suppress(ValueError):
+            number = float(quad.object.value)
+            if 0 <= number <= 1:
+                return number
+    return None
 
 
 def _sound(
@@ -252,7 +345,7 @@ def _is_sound(term: Term | Triple) -> bool:
     return False
 
 
-def _name(term: Term) -> str:
+def _name(term: Term | Triple) -> str:
     return term.value if isinstance(term, NamedNode) else str(term)
 
 

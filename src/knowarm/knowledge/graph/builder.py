@@ -9,6 +9,7 @@ from operator import itemgetter
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.knowledge.graph.closure import closed
 from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, blank_names, parse_literal
 
@@ -77,6 +78,11 @@ class GraphBuilder:
         for name, (_, text) in ranked:
             texts[new_name(name)] = text
         texts.update(labels or {})
+        confidence = dict[Triple, float]()
+        for (head, relation, tail), probability in self.confidence.items():
+            if probability < 1:
+                triple = (new_name(head), new_name(relation), new_name(tail))
+                confidence[triple] = probability
         inside = texts.keys() & {*entities, *relations}
         return KnowledgeGraph(
             entities,
@@ -84,7 +90,7 @@ class GraphBuilder:
             triples,
             nodes=np.arange(len(entities), dtype=np.int32),
             labels={name: texts[name] for name in sorted(inside)},
-            confidence={triple: p for triple, p in self.confidence.items() if p < 1},
+            confidence=confidence,
             prefixes=self.prefixes,
         )
 
@@ -128,26 +134,39 @@ def graph_of(
 
 
 def with_triples(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
-    """Return a graph of other triples, and the rest of a graph: entities, labels, confidence."""
-    return graph_of(
+    """Return a graph of other triples with the entities, labels and confidence of a graph.
+
+    What follows from axioms among them is added.
+    """
+    changed = graph_of(
         triples,
         nodes=graph.entities,
         labels=graph.own_labels(),
-        confidence=graph.confidence,
+        confidence=graph.stated().own_confidence(),
         prefixes=graph.prefixes,
     )
+    return closed(changed.lacking(graph.missing)).graph
 
 
 def with_facts(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
     """Return a graph with more triples of its names and of new ones."""
-    return with_triples(graph, (*graph, *triples))
+    return with_triples(graph, (*graph.stated(), *triples))
 
 
 def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
-    """Return the triples and entities of both; labels and confidence of the first graph go first.
+    """Return what both graphs state as `merged`, and what follows from it."""
+    return closed(merged(first, second)).graph
 
+
+def merged(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
+    """Return what both state, and the entities of both.
+
+    Labels and confidence of the first graph go first.
     Blank nodes of two graphs are never the same: those of the second get names that are free.
     """
+    missing = dict.fromkeys((*first.missing, *second.missing))
+    first = first.stated()
+    second = second.stated()
     taken = set(first.entities)
     free = blank_names(taken.union(second.entities))
     new_names = dict(zip(second.entities, second.entities, strict=True))
@@ -166,20 +185,25 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     labels = dict[str, str]()
     for name, text in second.own_labels().items():
         labels[new_names.get(name, name)] = text
-    return graph_of(
+    both = graph_of(
         (*first, *map(renamed, second)),
         nodes=(*taken, *new_names.values()),
         labels=labels | first.own_labels(),
-        confidence=confidence | dict(first.confidence),
+        confidence=confidence | first.own_confidence(),
         prefixes={**second.prefixes, **first.prefixes},
     )
+    return both.lacking(tuple(missing))
 
 
 def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
-    """Return the triples of the first graph that the second lacks, with the entities they name."""
+    """Return the triples of the first graph that the second lacks, with the entities they name.
+
+    Of a graph with axioms these are stated triples, and what follows from them.
+    """
+    first = first.stated()
     excluded = set(second)
     kept = [triple not in excluded for triple in first]
-    return first.rows(np.flatnonzero(kept))
+    return closed(first.rows(np.flatnonzero(kept))).graph
 
 
 def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:

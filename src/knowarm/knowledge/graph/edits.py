@@ -8,6 +8,7 @@ from contextlib import suppress
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.builder import with_facts, with_triples
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
+from knowarm.knowledge.graph.terms import local_name
 
 
 def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
@@ -41,7 +42,15 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 f"The edit {text!r} removes a triple that the graph does not hold. It states: "
                 f"{stated}."
             )
-        graph = with_triples(graph, filter(triple.__ne__, graph))
+        reasons = [
+            " ".join(map(local_name, reason)) for reason in graph.because(triple)
+        ]
+        if reasons:
+            raise UserError(
+                f"The edit {text!r} removes a triple that follows from others: "
+                f"{'; '.join(reasons)}. Remove one of these."
+            )
+        graph = with_triples(graph, filter(triple.__ne__, graph.stated()))
     return graph
 
 

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.derivations import Derivations
 from knowarm.knowledge.graph.names import Names, Spellings
 from knowarm.knowledge.graph.terms import (
     LABEL_RELATIONS,
@@ -55,6 +56,8 @@ class KnowledgeGraph:
         labels: written label (rdfs:label) by entity or relation name.
         confidence: probability that a triple holds, 0 to 1, by triple of names; others are certain.
         prefixes: beginnings of IRIs by the prefixes that the file declares, "" for `:`.
+        missing: names of the ontologies that the graph imports and that were not at hand.
+        derivations: what was not stated, and what it follows from; None if all was stated.
     """
 
     def __init__(
@@ -67,6 +70,8 @@ class KnowledgeGraph:
         labels: Mapping[str, str] | None = None,
         confidence: Mapping[Triple, float] | None = None,
         prefixes: Mapping[str, str] | None = None,
+        missing: tuple[str, ...] = (),
+        derivations: Derivations | None = None,
     ) -> None:
         """Make a graph of ids (n, 3) int: head, relation, tail, in any order.
 
@@ -85,6 +90,8 @@ class KnowledgeGraph:
         self.labels: Mapping[str, str] = labels or {}
         self.confidence: Mapping[Triple, float] = confidence or {}
         self.prefixes: Mapping[str, str] = prefixes or {}
+        self.missing = missing
+        self.derivations = derivations
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
@@ -192,6 +199,50 @@ class KnowledgeGraph:
             triple: share for triple, share in self.confidence.items() if triple in self
         }
 
+    def because(self, triple: Triple) -> tuple[Triple, ...]:
+        """Return the triples from which a derived one follows in one step; none of a stated one."""
+        head = self.names.find(triple[0])
+        relation = self.relation_names.find(triple[1])
+        tail = self.names.find(triple[2])
+        if self.derivations is None or head is None or relation is None or tail is None:
+            return ()
+        reasons = list[Triple]()
+        for h, r, t in self.derivations.because((head, relation, tail)):
+            reasons.append((self.names[h], self.relation_names[r], self.names[t]))
+        return tuple(reasons)
+
+    def grounds(self, triple: Triple) -> tuple[Triple, ...]:
+        """Return the triples from which one follows in the end, in the order of reading.
+
+        They are stated, or what an anonymous class says ("mug usedFor drinking").
+        """
+        grounds = dict[Triple, None]()
+        waiting = [triple]
+        while waiting:
+            ground = waiting.pop()
+            reasons = self.because(ground)
+            if all(_is_anonymous(reason) for reason in reasons):
+                grounds[ground] = None
+            else:
+                waiting += reversed(reasons)
+        named = [ground for ground in grounds if not _is_anonymous(ground)]
+        return tuple(named or grounds)
+
+    def stated(self) -> "KnowledgeGraph":
+        """Return the graph without what was derived."""
+        if self.derivations is None:
+            return self
+        is_derived = self.derivations.is_derived(self.triples)
+        graph = self.rows(np.flatnonzero(~is_derived), nodes=self.nodes)
+        graph.derivations = None
+        return graph
+
+    def lacking(self, missing: tuple[str, ...]) -> "KnowledgeGraph":
+        """Return the same graph, which imports ontologies that are not at hand."""
+        graph = copy.copy(self)
+        graph.missing = missing
+        return graph
+
     def out_rows(self, entity: int) -> Ids:
         """Return the rows whose head is the entity id, (k,) int64."""
         return np.arange(*_range(self.heads, entity))
@@ -229,6 +280,7 @@ class KnowledgeGraph:
             labels=self.labels,
             confidence=self.confidence,
             prefixes=self.prefixes,
+            missing=self.missing,
         )
 
     def find_entity(self, name: str) -> int | None:
@@ -288,6 +340,10 @@ class KnowledgeGraph:
         """Return whether an entity id is in this graph."""
         low, high = _range(self.nodes, entity)
         return low < high
+
+
+def _is_anonymous(triple: Triple) -> bool:
+    return triple[0].startswith("_:") or triple[2].startswith("_:")
 
 
 def _range(ids: Ids, wanted: int) -> tuple[int, int]:

@@ -28,6 +28,12 @@ class Names(tuple[str, ...]):
         """Return the names of ids."""
         return list(map(self.__getitem__, ids))
 
+    def starting_with(self, begin: str) -> Sequence[str]:
+        """Return the names with a begin: a slice, for names are sorted."""
+        low = bisect_left(self, begin)
+        high = bisect_left(self, begin[:-1] + chr(ord(begin[-1]) + 1))
+        return self[low:high]
+
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
         return self.by_local[local]

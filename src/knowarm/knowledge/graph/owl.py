@@ -1,122 +1,131 @@
-"""OWL class axioms as plain facts: `mug subClassOf (usedFor some Drinking)` states mug usedFor
-Drinking, also of what is a subclass or an instance of mug."""
+"""Axioms of RDFS and OWL 2, and the rules by which facts follow from them.
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator
+The rules are those of OWL 2 RL, without those that say nothing ("everything is a Thing") and
+without equality of what shares a value of a functional property: names of a graph are different
+things. What a restriction states of all members of a class is a fact about the class:
+`mug subClassOf (usedFor some Drinking)` is mug usedFor Drinking. Such a fact also holds of what is
+below the class, and it says nothing about *all* drinking, so that neither an inverse nor a range
+follows from it. It is therefore held under a relation of its own, the ``general`` one of usedFor.
+"""
 
-from knowarm.knowledge.graph.builder import with_facts
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
-from knowarm.knowledge.graph.terms import RDF, RDF_TYPE, RDFS, local_name, parse_literal
+from knowarm.knowledge.graph.denials import denial
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.rules import read_rules
+from knowarm.knowledge.graph.terms import RDF, RDFS
 
 OWL = "http://www.w3.org/2002/07/owl#"
-_SUBCLASS = RDFS + "subClassOf"
-_ON_CLASS = OWL + "onClass"
-_ON_PROPERTY = OWL + "onProperty"
-_INTERSECTION = OWL + "intersectionOf"
-_RESTRICTIONS = (
-    OWL + "someValuesFrom",
-    OWL + "hasValue",
-    OWL + "qualifiedCardinality",
-    OWL + "minQualifiedCardinality",
-    _ON_CLASS,
+FRESH = "\0"
+"""Begin of names that no graph can hold."""
+NAMESPACES = {
+    RDF: "type first rest",
+    RDFS: "subClassOf subPropertyOf domain range",
+    OWL: "equivalentClass equivalentProperty inverseOf sameAs differentFrom onProperty onClass "
+    "onDataRange someValuesFrom allValuesFrom hasValue hasSelf cardinality minCardinality "
+    "maxCardinality qualifiedCardinality minQualifiedCardinality maxQualifiedCardinality "
+    "intersectionOf unionOf oneOf complementOf disjointWith disjointUnionOf members hasKey "
+    "propertyDisjointWith propertyChainAxiom sourceIndividual assertionProperty "
+    "targetIndividual targetValue SymmetricProperty TransitiveProperty FunctionalProperty "
+    "InverseFunctionalProperty AllDisjointClasses AllDisjointProperties Class Thing Nothing",
+    FRESH: "transitive target general denied generallyDenied kind left right result excludes "
+    "neededBy",
+}
+"""Words of the rules by namespace."""
+
+
+def _words() -> dict[str, str]:
+    names = dict[str, str]()
+    for namespace, words in NAMESPACES.items():
+        for word in words.split():
+            names[word] = namespace + word
+    return names
+
+
+WORDS = _words()
+"""Names of the words."""
+IS_A = (WORDS["type"], WORDS["subClassOf"])
+"""What puts individuals and classes into classes."""
+NOT_A = (denial(IS_A[0]), denial(IS_A[1]))
+"""What denies it."""
+WORDS["notType"] = NOT_A[0]
+WORDS["notSubClassOf"] = NOT_A[1]
+
+HIERARCHY = read_rules("""
+    [?c subClassOf ?d], ?x type ?c -> ?x type ?d
+    [?c subClassOf ?d], ?x subClassOf ?c -> ?x subClassOf ?d
+    ?c equivalentClass ?d -> ?c subClassOf ?d
+    ?c equivalentClass ?d -> ?d subClassOf ?c
+""")
+"""What follows from named classes alone; found first, it is the reason that is given."""
+
+FACTS = HIERARCHY + read_rules("""
+    ?p equivalentProperty ?q -> ?p subPropertyOf ?q
+    ?p equivalentProperty ?q -> ?q subPropertyOf ?p
+    ?p subPropertyOf ?q, ?x ?p ?y -> ?x ?q ?y
+    ?p domain ?c, ?x ?p ?y -> ?x type ?c
+    ?p range ?c, ?x ?p ?y -> ?y type ?c
+    ?p inverseOf ?q, ?x ?p ?y -> ?y ?q ?x
+    ?p inverseOf ?q, ?x ?q ?y -> ?y ?p ?x
+    ?p type SymmetricProperty, ?x ?p ?y -> ?y ?p ?x
+    ?r transitive ?s, ?x ?r ?y, [?y ?s ?z] -> ?x ?r ?z
+    ?b result ?r, ?p ?b ?q, ?x ?p ?y, ?y ?q ?z -> ?x ?r ?z
+    ?x sameAs ?y -> ?y sameAs ?x
+    ?x sameAs ?y, ?y sameAs ?z -> ?x sameAs ?z
+    ?x sameAs ?y, ?x ?p ?z -> ?y ?p ?z
+    ?x sameAs ?y, ?z ?p ?x -> ?z ?p ?y
+    ?p sameAs ?q, ?x ?p ?y -> ?x ?q ?y
+    ?i left ?a, ?i right ?b, ?x type ?a, ?x type ?b -> ?x type ?i
+    ?i left ?a, ?i right ?b, ?x subClassOf ?a, ?x subClassOf ?b -> ?x subClassOf ?i
+    ?r someValuesFrom ?c, ?r onProperty ?p, ?x ?p ?y, ?y type ?c -> ?x type ?r
+    ?r hasValue ?y, ?r onProperty ?p, ?x ?p ?y -> ?x type ?r
+    ?r hasValue ?y, ?r onProperty ?p, ?x type ?r -> ?x ?p ?y
+    ?r allValuesFrom ?c, ?r onProperty ?p, ?x type ?r, ?x ?p ?y -> ?y type ?c
+    ?p general ?g, ?c ?g ?y, ?x type ?c -> ?x ?g ?y
+    ?p general ?g, ?c ?g ?y, ?x subClassOf ?c -> ?x ?g ?y
+    ?p general ?g, ?q general ?h, ?p subPropertyOf ?q -> ?g subPropertyOf ?h
+    ?p general ?g, ?p domain ?c, ?x ?g ?y, ?x kind ?k -> ?x ?k ?c
+    ?g neededBy ?b, ?y ?b ?r, ?x ?g ?y, ?x kind ?k -> ?x ?k ?r
+    ?g neededBy ?b, ?c ?b ?r, ?y subClassOf ?c -> ?y ?b ?r
+    ?g neededBy ?b, ?c ?b ?r, ?y type ?c -> ?y ?b ?r
+""")
+"""All that holds. ``?p ?b ?q`` chains relations; ``?y ?b ?r``: what has ``?g ?y`` is an ``?r``."""
+
+DENIALS = read_rules("""
+    ?e targetIndividual ?y -> ?e target ?y
+    ?e targetValue ?y -> ?e target ?y
+    ?p denied ?n, ?e assertionProperty ?p, ?e sourceIndividual ?x, ?e target ?y -> ?x ?n ?y
+    ?q subPropertyOf ?p, ?p denied ?m, ?q denied ?n, ?x ?m ?y -> ?x ?n ?y
+    ?p inverseOf ?q, ?p denied ?m, ?q denied ?n, ?x ?m ?y -> ?y ?n ?x
+    ?p inverseOf ?q, ?p denied ?m, ?q denied ?n, ?x ?n ?y -> ?y ?m ?x
+    ?p propertyDisjointWith ?q, ?q denied ?n, ?x ?p ?y -> ?x ?n ?y
+    ?p propertyDisjointWith ?q, ?p denied ?n, ?x ?q ?y -> ?x ?n ?y
+    ?p generallyDenied ?m, ?c ?m ?y, ?x type ?c -> ?x ?m ?y
+    ?p generallyDenied ?m, ?c ?m ?y, ?x subClassOf ?c -> ?x ?m ?y
+    ?p generallyDenied ?m, ?x ?m ?c, ?y type ?c -> ?x ?m ?y
+    ?p generallyDenied ?m, ?x ?m ?c, ?y subClassOf ?c -> ?x ?m ?y
+    ?q subPropertyOf ?p, ?p generallyDenied ?m, ?q generallyDenied ?n, ?x ?m ?y -> ?x ?n ?y
+    ?c excludes ?d, ?x type ?c -> ?x notType ?d
+    ?c excludes ?d, ?x subClassOf ?c -> ?x notSubClassOf ?d
+""")
+"""What does not hold."""
+
+DENIALS_BELOW = read_rules("""
+    ?e subClassOf ?d, ?x notType ?d -> ?x notType ?e
+    ?e subClassOf ?d, ?x notSubClassOf ?d -> ?x notSubClassOf ?e
+    ?e subClassOf ?d, ?x excludes ?d -> ?x notSubClassOf ?e
+""")
+"""What is no food is no apple."""
+
+_AXIOMS = (
+    "subClassOf subPropertyOf domain range equivalentClass equivalentProperty inverseOf sameAs "
+    "onProperty intersectionOf unionOf oneOf complementOf disjointWith disjointUnionOf members "
+    "propertyDisjointWith propertyChainAxiom assertionProperty"
 )
-_DEEPEST = 50
-"""Most classes inside each other."""
-_AXIOMS = (_SUBCLASS, OWL + "equivalentClass", RDF_TYPE)
-_About = defaultdict[str, list[str]]
-"""What is said about an anonymous class: values by relation."""
+_AXIOM_CLASSES = ("SymmetricProperty", "TransitiveProperty")
 
 
-def with_class_axioms(
-    graph: KnowledgeGraph,
-) -> tuple[KnowledgeGraph, int, dict[str, int]]:
-    """Add the facts that class axioms state.
-
-    Returns:
-        The graph, the number of new facts, and how many axioms of which kind state none here, such
-        as "allValuesFrom".
-    """
-    if graph.relation_names.find(_ON_PROPERTY) is None:
-        return graph, 0, {}
-    axioms = _Axioms(graph)
-    stated: dict[str, set[tuple[str, str]]] = defaultdict(set)
-    for head, relation, tail in graph:
-        if relation in _AXIOMS and not head.startswith("_:"):
-            stated[head].update(axioms.facts(tail))
-    facts = set[Triple]()
-    for name in stated:
-        seen = {name}
-        waiting = [name]
-        while waiting:
-            for relation, value in stated.get(waiting.pop(), ()):
-                if relation != _SUBCLASS:
-                    facts.add((name, relation, value))
-                elif value not in seen:
-                    seen.add(value)
-                    waiting.append(value)
-    extended = with_facts(graph, facts)
-    return extended, len(extended) - len(graph), dict(axioms.others)
-
-
-class _Axioms:
-    """The anonymous classes of a graph, by the names of their blank nodes."""
-
-    def __init__(self, graph: KnowledgeGraph) -> None:
-        self.others = Counter[str]()
-        self._classes: dict[str, _About] = defaultdict(lambda: _About(list))
-        for head, relation, tail in graph:
-            if head.startswith("_:"):
-                self._classes[head][relation].append(tail)
-
-    def facts(
-        self, name: str, inside: tuple[str, ...] = ()
-    ) -> Iterator[tuple[str, str]]:
-        """Yield relations and values that hold of what belongs to a class, ``inside`` others.
-
-        A class with a name is a value of "subclass of".
-        """
-        about = self._classes.get(name)
-        if about is None:
-            yield _SUBCLASS, name
-            return
-        if name in inside or len(inside) > _DEEPEST:
-            self.others["circle"] += 1
-            return
-        inside += (name,)
-        if _INTERSECTION in about:
-            for member in self._items(about[_INTERSECTION][0]):
-                yield from self.facts(member, inside)
-            return
-        relation = about.get(_ON_PROPERTY, ["_:"])[0]
-        values = list[str]()
-        for filler in self._fillers(about):
-            for kind, value in self.facts(filler, inside):
-                if kind == _SUBCLASS:
-                    values.append(value)
-        if not values or relation.startswith("_:"):
-            kinds = about.keys() - {RDF_TYPE, _ON_PROPERTY, _ON_CLASS}
-            self.others[local_name(min(kinds, default="Class"))] += 1
-            return
-        for value in values:
-            yield relation, value
-
-    def _fillers(self, about: _About) -> list[str]:
-        """Return the classes and individuals of which a restriction demands one or more."""
-        some, value, exactly, at_least, on_class = (
-            about.get(relation, []) for relation in _RESTRICTIONS
-        )
-        fillers = some + value
-        for bound in exactly + at_least:
-            number = parse_literal(bound)
-            if number is not None and number.value not in ("", "0"):
-                return fillers + on_class
-        return fillers
-
-    def _items(self, rest: str) -> Iterator[str]:
-        """Yield the members of an RDF list."""
-        seen = set[str]()
-        while rest in self._classes and rest not in seen:
-            seen.add(rest)
-            cell = self._classes[rest]
-            yield from cell[RDF + "first"]
-            rest = next(iter(cell[RDF + "rest"]), "")
+def has_axioms(graph: KnowledgeGraph) -> bool:
+    """Return whether a graph states anything from which facts follow."""
+    for word in _AXIOMS.split():
+        if graph.relation_names.find(WORDS[word]) is not None:
+            return True
+    return any(graph.names.find(WORDS[word]) is not None for word in _AXIOM_CLASSES)
