@@ -1,7 +1,10 @@
 """Questions to ontologies: what follows answers, and the evidence says from what."""
 
+import pytest
+
 from knowarm.asking.answers import answer
-from tests.knowledge.ontologies import DISHES, read
+from knowarm.errors import UserError
+from tests.knowledge.ontologies import DISHES, read, some
 
 
 def test_questions_follow_the_hierarchy(tmp_path):
@@ -23,3 +26,47 @@ def test_questions_follow_the_hierarchy(tmp_path):
     )
     denied = answer(graph, facets, "not subClassOf Dish")
     assert denied.stated.tolist() == [False, False, True]
+
+
+def test_a_class_above_the_class_above_is_one_too(tmp_path):
+    text = ":Mug rdfs:subClassOf :Cup . :Cup rdfs:subClassOf :Container ."
+    graph, _ = read(tmp_path, text + ":Bowl rdfs:subClassOf :Container .")
+    facets = [(name, "red") for name in ("mug", "bowl")]
+    for question in ("a container", "subClassOf Container", "is container"):
+        assert {name for name, _ in answer(graph, facets, question).evidence} == {
+            "mug",
+            "bowl",
+        }
+    with pytest.raises(UserError, match="No object of the task answers"):
+        answer(graph, facets, "not subClassOf Container")
+
+
+def test_annotated_triples_are_as_probable_as_they_say(tmp_path):
+    text = (
+        ":bottle :usedFor :drinking {| :confidence .01 |} . :mug :usedFor :drinking ."
+    )
+    graph, _ = read(tmp_path, text)
+    facets = [(name, "red") for name in ("mug", "bottle")]
+    assert set(answer(graph, facets, "usedFor drinking").evidence) == {("mug", "red")}
+
+
+@pytest.mark.parametrize(
+    ("axioms", "question"),
+    [
+        (":Vessel owl:disjointWith :Food .", "not subClassOf Food"),
+        ("[] owl:sourceIndividual :Mug ; owl:assertionProperty :usedFor ;"
+         "owl:targetIndividual :eating . :Bowl :usedFor :eating .", "not usedFor eating"),
+        (f":Vessel rdfs:subClassOf [ owl:complementOf {some('usedFor', ':eating')} ] ."
+         ":Bowl :usedFor :eating .", "not usedFor eating"),
+    ],
+    ids=["classes", "facts", "restrictions"],
+)  # fmt: skip
+def test_what_axioms_deny_is_denied_and_not_only_unsaid(tmp_path, axioms, question):
+    rest = ":Mug rdfs:subClassOf :Vessel . :Lamp :near :Pan . :Apple rdfs:subClassOf :Food ."
+    graph, _ = read(tmp_path, axioms + rest)
+    facets = [(name, "red") for name in ("mug", "lamp")]
+    answers = answer(graph, facets, question)
+    assert answers.satisfies.tolist() == [True, True]
+    assert answers.stated.tolist() == [True, False]
+    with pytest.raises(UserError, match="No object of the task answers"):
+        answer(graph, facets, question.removeprefix("not "))

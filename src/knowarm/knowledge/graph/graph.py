@@ -201,10 +201,12 @@ class KnowledgeGraph:
 
     def because(self, triple: Triple) -> tuple[Triple, ...]:
         """Return the triples from which a derived one follows in one step; none of a stated one."""
+        if self.derivations is None:
+            return ()
         head = self.names.find(triple[0])
         relation = self.relation_names.find(triple[1])
         tail = self.names.find(triple[2])
-        if self.derivations is None or head is None or relation is None or tail is None:
+        if head is None or relation is None or tail is None:
             return ()
         reasons = list[Triple]()
         for h, r, t in self.derivations.because((head, relation, tail)):
