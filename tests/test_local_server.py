@@ -74,7 +74,7 @@ def test_without_a_port_the_first_free_one_is_taken():
 def test_every_answer_forbids_frames_scripts_and_guesses_of_its_type():
     """Also those of errors; the page of questions is made by the same handler."""
     server = make_server(None, "")
-    thread = threading.Thread(target=server.serve_forever)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=60)
     for path, status in (("/other", 404), ("/?q=x", 403)):

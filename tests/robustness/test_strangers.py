@@ -221,6 +221,19 @@ def test_another_robot_at_the_path_of_a_trusted_one_is_not_trusted(run, tmp_path
         RunFolder.open(run)
 
 
+def test_a_link_to_a_trusted_robot_trusts_no_model_beside_the_link(run, tmp_path):
+    """The model of a description lies beside its name, not beside what a link leads to."""
+    robot = own_robot(tmp_path / "own")
+    trust([str(robot)])
+    other = own_robot(tmp_path / "clone")
+    leak(other.with_suffix(".xml"))
+    other.unlink()
+    other.symlink_to(robot)
+    edit(run, "env", robot=str(other))
+    with pytest.raises(UserError, match="trusted like code"):
+        RunFolder.open(run)
+
+
 def test_a_robot_that_cannot_be_used_is_not_trusted(run, tmp_path):
     robot = own_robot(tmp_path / "own")
     model = robot.parent / "scara.xml"

@@ -115,7 +115,8 @@ def _descriptions(values: Any) -> Iterator[str]:
 
 
 def _mark(name: str) -> Path:
-    return cache_file("trusted", os.path.realpath(name)).with_suffix(".json")
+    # Of the name: a model lies beside it, and not beside what a link leads to.
+    return cache_file("trusted", str(_normal(Path(name)))).with_suffix(".json")
 
 
 def read_description(path: Path, kind: type[T]) -> T:
