@@ -50,7 +50,8 @@ class Names(tuple[str, ...]):
         ids = []
         start = text.find(wanted)
         while start >= 0:
-            ids.append(self.by_local.ids[np.searchsorted(starts, start)])
+            row = int(np.searchsorted(starts, start))
+            ids.append(self.by_local.ids[row])
             start = text.find(wanted, start + 1)
         self._beginning[word] = ids
         return ids
