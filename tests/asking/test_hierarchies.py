@@ -28,6 +28,21 @@ def test_questions_follow_the_hierarchy(tmp_path):
     assert denied.stated.tolist() == [False, False, True]
 
 
+def test_kinds_that_several_relations_state_are_asked_as_one(tmp_path):
+    text = DISHES + ":Light owl:disjointWith :Dish . :b1 a :Bowl . :l1 a :Lamp ."
+    graph, _ = read(tmp_path, text)
+    facets = [(name, "red") for name in ("teapot", "bowl", "lamp")]
+    for question, expected in {
+        "a dish": {"teapot", "bowl"},
+        "something that is not a dish": {"lamp"},
+        "the dishes that are not bowls": {"teapot"},
+        "a light or a pot": {"lamp", "teapot"},
+    }.items():
+        found = answer(graph, facets, question)
+        assert {name for name, _ in found.evidence} == expected, question
+        assert "subClassOf" not in found.question
+
+
 def test_a_class_above_the_class_above_is_one_too(tmp_path):
     text = ":Mug rdfs:subClassOf :Cup . :Cup rdfs:subClassOf :Container ."
     graph, _ = read(tmp_path, text + ":Bowl rdfs:subClassOf :Container .")

@@ -34,6 +34,7 @@ from knowarm.asking.judgements import (
     settled,
     surest,
 )
+from knowarm.asking.kinds import kind_relations
 from knowarm.asking.lexicon import FAMILIES, WORDS
 from knowarm.asking.places import (
     DISTANCES,
@@ -46,10 +47,10 @@ from knowarm.asking.places import (
 )
 from knowarm.asking.quotes import QUOTED, unquoted
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.graph.denials import opposed, stance
+from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.individuals import classes_of, values_of
-from knowarm.knowledge.graph.terms import RDF_TYPE, label_of, local_name, name_key
+from knowarm.knowledge.graph.terms import label_of, local_name, name_key
 from knowarm.questions import COLOUR_RELATION
 
 SIGNS: dict[str, Callable[[Any, Any], bool]] = {
@@ -256,7 +257,7 @@ class QuestionReader:
         self.take("is")
         self.has_relation = self.next not in WORDS["ignored"]  # but "is the mug red"
         value = self.value("a name or class")
-        kinds = self.kinds()
+        kinds = _Relation("is", *kind_relations(self.graph))
         key = name_key(value)
         ids = values_of(self.graph, value, self.graph.has_node)
         names = {name for name in self.objects if name_key(name) == key}
@@ -276,19 +277,6 @@ class QuestionReader:
             return stated
 
         return judgement
-
-    def kinds(self) -> _Relation:
-        """Return the relations that state classes, as one, with those that deny them."""
-        names = self.graph.relation_names
-        labels = self.graph.labels
-        ids = []
-        denying = {*opposed(self.graph, RDF_TYPE), *opposed(self.graph, "subClassOf")}
-        for index, name in enumerate(names):
-            is_kind = re.search(FAMILIES["type"].relations, label_of(name, labels))
-            if is_kind and not stance(name, labels.get(name, "")).denies:
-                ids.append(index)
-                denying.update(opposed(self.graph, name))
-        return _Relation("is", ids, sorted(denying))
 
     def value(self, expected: str) -> str:
         """Read a value: all words to the next keyword or bracket."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knowarm.asking.kinds import kind_relations
 from knowarm.asking.lexicon import (
     DERIVED,
     FAMILIES,
@@ -92,6 +93,8 @@ class Vocabulary:
         self._by_first = defaultdict[str, list[Entry]](list)
         self._said: dict[str, frozenset[str]] = {}
         self._families: dict[str, Family] = {}
+        stating, denying = kind_relations(graph)
+        self._has_many_kinds = len(stating) + len(denying) > 1
         for name in objects:
             self._add(Entry(words_of(name), IS, f"{IS} {quoted(name)}"))
         self._colours = set(map(name_key, colours))
@@ -191,6 +194,8 @@ class Vocabulary:
             return  # the image shows it
         value = local_name(names[tail])
         text = condition(relation, value)
+        if self._has_many_kinds and self.family(relation) is FAMILIES["type"]:
+            text = f"{IS} {quoted(value)}"  # whichever of its relations says so
         if inner:
             text = f"{quoted(relation)} ({condition(inner, value)})"
         entry = Entry(words, relation, text, inner)
