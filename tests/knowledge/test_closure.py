@@ -161,6 +161,30 @@ def test_cardinalities_from_one_on_state_facts(tmp_path):
     assert f"nothing is read: {unread}1 qualifiedCardinality." in message
 
 
+@pytest.mark.parametrize(
+    ("number", "is_enough"),
+    [
+        ("owl:minQualifiedCardinality 1", True),
+        ("owl:minQualifiedCardinality 3", False),
+        ("owl:qualifiedCardinality 1", False),
+    ],
+)
+def test_one_value_fills_a_restriction_only_where_one_is_enough(
+    tmp_path, number, is_enough
+):
+    several = f"[ owl:onProperty :owns ; owl:onClass :Cat ; {number} ]"
+    graph, _ = read(
+        tmp_path,
+        f":Crazy owl:equivalentClass {several} ."
+        f":Bob rdfs:subClassOf {some('owns', ':Cat')} . :bob :owns :tom . :tom a :Cat ."
+        f":Sane rdfs:subClassOf [ owl:complementOf {several} ] .",
+    )
+    triples = derived(graph)
+    assert "Crazy owns Cat" in triples
+    assert ("Bob subClassOf Crazy" in triples) == is_enough
+    assert ("Sane notOwns Cat" in triples) == is_enough
+
+
 def test_what_restrictions_say_holds_below(tmp_path):
     graph, (message,) = read(tmp_path, KITCHEN)
     facts = set()

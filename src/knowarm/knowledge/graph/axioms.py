@@ -194,10 +194,11 @@ class Axioms:
         """Encode what each restriction says of its members."""
         for name, relation, row in self.pairs("onProperty"):
             said = False
-            for value, value_row in self._fillers(name):
+            for value, value_row in self._enough(name):
                 self._add(value, makes(relation), name, row, value_row)
                 if value == WORDS["Thing"]:
                     self._add(relation, "domain", name, row, value_row)
+            for value, value_row in self._fillers(name):
                 if relation.startswith("_:"):
                     continue
                 for part in self._parts(value) or [value]:
@@ -221,6 +222,16 @@ class Axioms:
             for bound, _ in self.of(word).get(name, []):
                 if _number(bound) > 0:
                     fillers += self.of("onClass").get(name, [])
+        return fillers
+
+    def _enough(self, name: str) -> list[tuple[str, int]]:
+        """Return the classes and individuals of which one is enough for a restriction."""
+        fillers = list[tuple[str, int]]()
+        for word in _POSITIVE:
+            fillers += self.of(word).get(name, [])
+        for bound, _ in self.of("minQualifiedCardinality").get(name, []):
+            if _number(bound) == 1:
+                fillers += self.of("onClass").get(name, [])
         return fillers
 
     def _no_fillers(self, name: str) -> list[tuple[str, int]]:
@@ -302,7 +313,7 @@ class Axioms:
         self._add(other, "excludes", name, row)
         for one, restriction in ((name, other), (other, name)):
             for relation, relation_row in self.of("onProperty").get(restriction, []):
-                for value, value_row in self._fillers(restriction):
+                for value, value_row in self._enough(restriction):
                     if not value.startswith("_:"):
                         rows = (row, relation_row, value_row)
                         self._add(one, denied(relation), value, *rows)
