@@ -85,3 +85,18 @@ def test_what_axioms_deny_is_denied_and_not_only_unsaid(tmp_path, axioms, questi
     assert answers.stated.tolist() == [True, False]
     with pytest.raises(UserError, match="No object of the task answers"):
         answer(graph, facets, question.removeprefix("not "))
+
+
+def test_what_rests_on_imports_that_are_not_at_hand_says_so(tmp_path):
+    text = "<http://x.org/o> a owl:Ontology ; owl:imports <http://x.org/other> ."
+    text += ":Mug rdfs:subClassOf :Dish . :Lamp :near :Mug ."
+    graph, lines = read(tmp_path, text)
+    assert "http://x.org/other" in "".join(map(str, lines))
+    facets = [("mug", "red"), ("lamp", "red")]
+    found = answer(graph, facets, "not subClassOf Dish")
+    assert found.evidence == {
+        ("lamp", "red"): (
+            "not stated: subClassOf Dish (imported and not at hand: http://x.org/other)",
+        )
+    }
+    assert "not at hand" not in str(answer(graph, facets, "subClassOf Dish").evidence)

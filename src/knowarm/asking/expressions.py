@@ -328,6 +328,8 @@ class QuestionReader:
 
     def chain(self, relation: _Relation, of: Part, text: str) -> Part:
         """Return the part that is true where a relation leads to something of which one is."""
+        if self.graph.missing:  # they may state it
+            text += f" (imported and not at hand: {', '.join(self.graph.missing)})"
 
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
