@@ -273,7 +273,8 @@ def test_queries_of_an_ontology_are_limited_and_show_their_progress(capsys, tmp_
     names = values["conditions"]["affords a3"]
     assert names == [f"c{number:04}" for number in range(3, 240, 8)]
     assert len(names) == 30  # the most that a line names
-    assert f"{', '.join(names)} │" in text
+    cells = " ".join(text.replace("│", " ").split())  # whatever the terminal's width
+    assert ", ".join(names) in cells
     shown = values["conditions"]["hasColor red"]
     assert len(shown) == 240
     # Named objects are not limited, and few of them show no progress.

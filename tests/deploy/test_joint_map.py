@@ -60,7 +60,7 @@ def scene_with(joint_map, **changes):
 real_joint = st.builds(
     RealJoint,
     sign=st.sampled_from([1, -1]),
-    offset=st.floats(-400, 400),
+    offset=st.floats(-400, 400).map(lambda offset: round(offset, 6)),
     unit=st.sampled_from(UNITS),
 )
 

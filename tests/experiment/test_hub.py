@@ -156,7 +156,7 @@ def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
     assert "/someone/reach" in done.stdout
     card = Hub.repos["someone/reach"]["README.md"].decode()
     assert "irb120-full-fast" in card
-    assert "algorithm `fast`, 1,500,000 steps" in card
+    assert "algorithm fast, 1,500,000 steps" in card
     assert "library_name: knowarm" in card
     assert not any("latest" in name for name in Hub.repos["someone/reach"])
     assert "graphs/0a1b2c3d/mine.ttl" in Hub.repos["someone/reach"]

@@ -147,7 +147,7 @@ def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(
 
 def test_an_untrained_network_is_never_preferred_in_silence(tmp_path, capsys, caplog):
     # No step changes a weight, and no evaluation the return
-    rate = {"learning_rate": 1e-30}
+    rate = {"learning_rate": 1e-12}
     settings = {
         "total_steps": 40,
         "interim": {"episodes": 2},

@@ -1,5 +1,8 @@
 """Names of experiments are written and read by one class."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 
 from knowarm.cli.train import Train
@@ -7,7 +10,7 @@ from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names
 from knowarm.study.config import StudyConfig
-from knowarm.world.robots import DEFAULT_ROBOT
+from knowarm.world.robots import DEFAULT_ROBOT, ROBOTS
 from knowarm.world.tasks import task_names
 
 
@@ -76,8 +79,11 @@ def test_unknown_names_offer_the_nearest(name, message):
     ],
 )
 def test_the_robot_is_an_option_and_every_robot_has_names_of_its_own(
-    name, robot, written
+    name, robot, written, tmp_path, monkeypatch
 ):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROBOTS[DEFAULT_ROBOT].mjcf.parent, "arms")
+    Path("arms", f"{DEFAULT_ROBOT}.toml").rename("arms/my_arm.toml")
     env = {} if robot is None else {"robot": robot}
     config = experiment_config(name, env=env)
     assert config.name == written

@@ -221,7 +221,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(
 ) -> None:
     draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
     assert (draft.success_angle_deg, draft.ignore_roll) == (15.0, False)
-    assert draft.thresholds == {}
+    assert draft.thresholds == {"evaluation_distance_m": draft.distance_m}
     file = tmp_path / "arm.toml"
     file.write_text(draft.toml(file))
     robot = read_description(file, Robot)

@@ -215,6 +215,10 @@ def make_server(
         timeout = 1.0  # [s]: browsers keep connections that ask nothing
 
         def do_GET(self) -> None:
+            with suppress(ConnectionError):  # the browser has left
+                self._answer()
+
+        def _answer(self) -> None:
             reason = refusal(self.path, self.headers)
             if reason is not None:
                 self.send_error(403, reason)
@@ -225,12 +229,11 @@ def make_server(
                 return
             with computing:
                 body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
-            with suppress(ConnectionError):  # the browser has left
-                self.send_response(200)
-                self.send_header("Content-Type", "text/html; charset=utf-8")
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
 
         def _page(self, fields: dict[str, list[str]]) -> str:
             text = question
