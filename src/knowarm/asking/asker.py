@@ -37,7 +37,7 @@ IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
-APART_M = 0.14
+APART_M = 0.16
 """Distance of all objects from each other in a scene that is taken before others [m]."""
 SCENES_WITH_PLACES = 400
 """Those of them that are tried for a question on where things stand."""
