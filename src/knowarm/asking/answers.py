@@ -330,7 +330,8 @@ class _Answering:
         if _SPARQL.match(answers.question):
             hint = SparqlQuery(self.graph, answers.question).hint
         else:
-            hint = self.vocabulary.nearest(tokens(answers.question))
+            words = tokens(answers.question)
+            hint = self.vocabulary.nearest(words, answers.question)
         if hint:
             text += f" {hint}"
         return UserError(

@@ -341,8 +341,8 @@ class Vocabulary:
                 return relation, "<"
         return "", ""
 
-    def nearest(self, words: Collection[str]) -> str:
-        """Return a sentence with the conditions whose values are nearest to words."""
+    def nearest(self, words: Collection[str], asked: str = "") -> str:
+        """Return a sentence with the conditions whose values are nearest to words, but for one."""
         texts = []
         examples: dict[str, str] = {}
         colours = []
@@ -357,8 +357,9 @@ class Vocabulary:
         texts += self._alike_in_meaning(others)
         if not texts and any(COLOUR_RELATION in self.said(word) for word in words):
             texts = colours
-        if texts:
-            texts = list(dict.fromkeys(texts))[:MOST_HINTS]
+        if set(texts) - {asked}:
+            texts = [text for text in dict.fromkeys(texts) if text != asked]
+            texts = texts[:MOST_HINTS]
             return f"Nearest: {'; '.join(texts)}."
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
 
