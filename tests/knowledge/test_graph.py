@@ -184,3 +184,11 @@ def test_each_name_is_read_once_to_find_all(monkeypatch):
         assert graph.find_entity(f"kind{i % 7}") is not None
     own = {name: read[name] for name in graph.entities}
     assert set(own.values()) == {1}
+
+
+def test_names_that_are_offered_end_with_whole_words():
+    names = ("CoffeeMug", "http://x.org/Japan", "frying_pan", "span", "BigWineGlasses")
+    spellings = graph_of((name, "a", "b") for name in names).entity_spellings
+    assert spellings.near("mug") == ["CoffeeMug"]
+    assert spellings.near("pan") == ["frying_pan"]
+    assert spellings.near("wine_glass") == ["BigWineGlasses"]

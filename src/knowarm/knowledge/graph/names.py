@@ -8,7 +8,13 @@ from typing import SupportsIndex
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.terms import is_iri, letters_of, local_name, name_key
+from knowarm.knowledge.graph.terms import (
+    is_iri,
+    label_of,
+    letters_of,
+    local_name,
+    name_key,
+)
 
 Counts = Callable[[int], bool]
 """Whether an id counts."""
@@ -197,7 +203,10 @@ class Spellings:
         wanted = name_key(name)
         ids = set[int]()
         for index, key in zip(self._by_key.ids, self._by_key.texts, strict=True):
-            if key.endswith(wanted):
+            words = label_of(self.names[index], self.labels).split()
+            # Whole words: Japan is no pan
+            ends = {name_key("".join(words[start:])) for start in range(len(words))}
+            if key.endswith(wanted) and wanted in ends:
                 ids.add(index)
         nearby = sorted(map(self.names.short, ids))
         return sorted(nearby, key=len)
