@@ -172,6 +172,11 @@ def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> No
     ("text", "options", "words"),
     [
         ("<robot", {}, "not valid XML"),
+        (
+            "<robot>" + "<a>" * 3000 + "</a>" * 3000 + "</robot>",
+            {},
+            "more than 300 deep",
+        ),
         (urdf('<mesh filename="none.stl"/>'), {}, "Mesh 'none.stl' .* is not found"),
         (urdf('<mesh filename="package://no/a.stl"/>'), {}, "--package no=FOLDER"),
         (urdf('<mesh filename="file:///C:/a.stl"/>'), {}, "Mesh 'file:///C:/a.stl'"),

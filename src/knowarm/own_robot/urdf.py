@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -28,6 +29,8 @@ from knowarm.reading import (
     writing,
 )
 
+MOST_NESTED = 300
+"""Most XML elements inside each other; MJCF nests one per joint."""
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
 
@@ -88,6 +91,7 @@ def as_mjcf(
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise UserError(f"{path} is not valid XML: {one_line(error)}.") from None
+        _refuse_nested(root, path)
     if path.suffix == XACRO or (root is not None and _is_xacro(root)):
         root = _expand(path, find, _pairs("--xacro", arguments, ":="))
     elif arguments:
@@ -160,6 +164,19 @@ def _folders(packages: Mapping[str, str]) -> dict[str, Path]:
             )
         folders[name] = folder
     return folders
+
+
+def _refuse_nested(root: Element, path: Path) -> None:
+    """Refuse XML whose elements lie so deep in each other that no robot is described so."""
+    level = [root]
+    for _ in range(MOST_NESTED):
+        level = list(chain.from_iterable(level))
+        if not level:
+            return
+    raise UserError(
+        f"{path} nests XML elements more than {MOST_NESTED} deep, as no robot's file does. Give a "
+        "URDF, xacro or MJCF file."
+    )
 
 
 def _is_xacro(root: Element) -> bool:
