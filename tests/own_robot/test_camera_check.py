@@ -160,12 +160,12 @@ def direction(generator) -> np.ndarray:
     ],
     ids=["right .5", "right 1", "right 2", "3 cm", "3 degrees"],
 )
-def test_right_cameras_are_accepted_and_wrong_ones_refused_200_times(
+def test_right_cameras_are_accepted_and_wrong_ones_refused_in_nineteen_of_twenty_tries(
     scene, few_cameras, changes, noise_px, least, most
 ) -> None:
     generator = np.random.default_rng(1)
     share = verdicts(
-        scene, lambda g: real_camera(scene, **changes(g)), noise_px, 200, generator
+        scene, lambda g: real_camera(scene, **changes(g)), noise_px, 60, generator
     )
     assert least <= share <= most
 
