@@ -37,8 +37,6 @@ IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
-APART_M = 0.16
-"""Distance of all objects from each other in a scene that is taken before others [m]."""
 SCENES_WITH_PLACES = 400
 """Those of them that are tried for a question on where things stand."""
 
@@ -214,15 +212,6 @@ class Asker:
         return self.trained.thresholds(self._level)
 
     @cached_property
-    def _are_apart(self) -> np.ndarray:
-        """Whether no object of each scene hides another one from the camera, (N,)."""
-        places = self._scenes.positions
-        ways = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
-        count = places.shape[1]
-        ways += np.where(np.eye(count, dtype=bool), np.inf, 0.0)
-        return np.asarray(ways.min(axis=(1, 2)) >= APART_M)
-
-    @cached_property
     def seen(self) -> list[str]:
         """The objects that scenes show; the network may know more."""
         return sorted({name for name, _ in self._facets_shown})
@@ -267,8 +256,6 @@ class Asker:
     def scene(self, answers: Sequence[Answers]) -> int:
         """Return the first scene in which one object answers, another one for each of several.
 
-        Scenes whose objects stand apart go first, since the network sees them best.
-
         If no scene shows other ones, the first in which one object gives the last answer, and the
         answers differ.
 
@@ -281,8 +268,7 @@ class Asker:
         if not fits.any():
             fits = has_one[-1] & (satisfies != satisfies[-1]).any((0, 2))
         if fits.any():
-            is_clear = fits & self._are_apart
-            return int((is_clear if is_clear.any() else fits).argmax())
+            return int(fits.argmax())
         question = answers[-1].question
         names = sorted({name for name, _ in answers[-1].judgements})
         if not set(names) & set(self.seen):
