@@ -100,3 +100,21 @@ def test_what_rests_on_imports_that_are_not_at_hand_says_so(tmp_path):
         )
     }
     assert "not at hand" not in str(answer(graph, facets, "subClassOf Dish").evidence)
+
+
+def test_of_a_relation_and_a_broader_one_the_named_one_is_asked_else_the_broader(
+    tmp_path,
+):
+    text = ":storedIn rdfs:subPropertyOf :locatedIn . :Mug :storedIn :bedroom ."
+    graph, _ = read(
+        tmp_path, text + ":Lamp :locatedIn :bedroom . :Bowl :storedIn :kitchen ."
+    )
+    facets = [(name, "red") for name in ("mug", "lamp", "bowl")]
+    for question, reading, expected in (
+        ("stored in the bedroom", "storedIn bedroom", {"mug"}),
+        ("something in the bedroom", "locatedIn bedroom", {"mug", "lamp"}),
+        ("located in the bedroom", "locatedIn bedroom", {"mug", "lamp"}),
+    ):
+        found = answer(graph, facets, question)
+        assert found.question == reading
+        assert {name for name, _ in found.evidence} == expected

@@ -313,6 +313,8 @@ class Reader:
             return None
         if entry in self.vocabulary.elsewhere:
             cost += INFLECTED
+        if self.vocabulary.is_implied(entry.relation):
+            cost += INFLECTED
         return cost + match.far
 
     def is_kept_out(self, state: ReadingState, entry: Entry, far: float) -> bool:

@@ -29,7 +29,7 @@ from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, sta
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import is_class
 from knowarm.knowledge.graph.individuals import classes_of
-from knowarm.knowledge.graph.terms import label_of, local_name, name_key
+from knowarm.knowledge.graph.terms import RDFS, label_of, local_name, name_key
 from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
 
@@ -93,6 +93,7 @@ class Vocabulary:
         self._by_first = defaultdict[str, list[Entry]](list)
         self._said: dict[str, frozenset[str]] = {}
         self._families: dict[str, Family] = {}
+        self._broader = _broader_relations(graph)
         stating, denying = kind_relations(graph)
         self._has_many_kinds = len(stating) + len(denying) > 1
         for name in objects:
@@ -282,6 +283,9 @@ class Vocabulary:
         """Return the relations that a word says: with its own word, or with one of its family."""
         if word not in self._said:
             relations = set(filter(lambda name: self._says(word, name), self.words))
+            named = relations & set(chain.from_iterable(self._broader.values()))
+            if len(relations) > 1 and named:  # "stored in" of storedIn and locatedIn
+                relations -= {name for name in named if not self._names(word, name)}
             if not relations:
                 for name in self.words:
                     if near(word, self.family(name).otherwise, INFLECTED):
@@ -290,11 +294,19 @@ class Vocabulary:
         return self._said[word]
 
     def _says(self, word: str, relation: str) -> bool:
-        words = set(self.words[relation]) - _EMPTY
         if relation in self.denials:
             return near(word, self.denials[relation], 0)
-        is_name = any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
-        return is_name or near(word, self.family(relation).strong, INFLECTED)
+        is_strong = near(word, self.family(relation).strong, INFLECTED)
+        return is_strong or self._names(word, relation)
+
+    def _names(self, word: str, relation: str) -> bool:
+        """Return whether a word is one of a relation's own."""
+        words = set(self.words[relation]) - _EMPTY
+        return any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
+
+    def is_implied(self, relation: str) -> bool:
+        """Return whether a broader relation of the graph says the same: locatedIn of storedIn."""
+        return bool(self._broader[relation])
 
     def noun(self, word: str, counted: bool = False) -> str:
         """Return the relation whose values a word counts, as "parts" those of hasPart, or "".
@@ -384,6 +396,19 @@ class Vocabulary:
         cosines = (vectors[rows] @ vectors[wanted].T).max(1)
         order = np.argsort(-cosines, kind="stable")
         return [texts[i] for i in order[:3] if cosines[i] >= NEAR_HINT]
+
+
+def _broader_relations(graph: KnowledgeGraph) -> defaultdict[str, set[str]]:
+    """Return the relations of which each is a subproperty, by its name."""
+    broader = defaultdict[str, set[str]](set)
+    names = graph.relation_names
+    subproperty = names.find(RDFS + "subPropertyOf")
+    for row in np.flatnonzero(graph.relations == subproperty).tolist():
+        head = names.find(graph.names[graph.heads[row]])
+        tail = names.find(graph.names[graph.tails[row]])
+        if head is not None and tail is not None and head != tail:
+            broader[names.short(head)].add(names.short(tail))
+    return broader
 
 
 def words_of(label: str) -> tuple[str, ...]:
