@@ -116,3 +116,21 @@ def test_the_worst_split_of_each_pack_is_named():
                 for split in splits
             }
             assert min(least, key=least.get) == worst
+
+
+def test_the_page_shows_what_was_seen_and_solved_as_it_is_in_the_table():
+    page = (RESULTS / "answers.md").read_text("utf-8")
+    text = (RESULTS / "seen.csv").read_text("utf-8")
+    for row in csv.DictReader(text.splitlines()):
+        name = {"irb120": "IRB120", "tiago": "TIAGo"}[row["robot"]]
+        what = {"seen": "seen and solved", "policy": "policy"}[row["acts"]]
+        (line,) = (
+            line for line in page.splitlines() if line.startswith(f"| {name}, {what} |")
+        )
+        success, low, high, right = (
+            f"{100 * float(row[key]):.1f}"
+            for key in ("success", "success_low", "success_high", "right")
+        )
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        column = {"0.1": 1, "0.05": 2}[row["distance_m"]]
+        assert cells[column] == f"{success} [{low}, {high}] ({right})"

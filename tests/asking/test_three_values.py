@@ -318,3 +318,24 @@ def test_places_in_the_image_decide(question, expected):
 def test_without_a_scene_all_that_may_answer_do():
     assert names(GRAPH, "leftOf (is lamp) and is vessel") == {"mug", "bowl"}
     assert names(GRAPH, "not leftmost") == set(OBJECTS)
+
+
+def test_what_answers_in_the_graph_is_named_only_if_no_object_stands_for_it():
+    graph = graph_of(
+        [
+            ("mug", "usedFor", "tea"),
+            ("robe", "madeOf", "silk"),
+            ("mug_1", "hasColor", "red"),
+            ("mug_1", "madeOf", "clay"),
+        ]
+    )
+    with pytest.raises(
+        UserError, match=r"it is true of robe: no object stands for that"
+    ):
+        answer(graph, FACETS, "madeOf silk")
+    with pytest.raises(UserError) as error:  # a red mug is one of the objects
+        answer(graph, FACETS, "madeOf clay and hasColor blue")
+    assert "no object stands" not in str(error.value)
+    with pytest.raises(UserError) as error:
+        answer(graph, FACETS, "SELECT ?object { ?object :madeOf :silk }")
+    assert "no object stands" not in str(error.value)

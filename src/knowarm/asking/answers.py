@@ -324,10 +324,12 @@ class _Answering:
         text = f"No object of the task answers the question {answers.question!r}."
         if denied:
             text += f" What speaks against it: {'; '.join(list(dict.fromkeys(denied))[:4])}."
-        others = self.others(answers.part)
+        is_sparql = _SPARQL.match(answers.question) is not None
+        # A query in SPARQL takes milliseconds per entity
+        others = [] if is_sparql else self.others(answers.part)
         if others:
             text += f" In the graph it is true of {', '.join(others)}: no object stands for that."
-        if _SPARQL.match(answers.question):
+        if is_sparql:
             hint = SparqlQuery(self.graph, answers.question).hint
         else:
             words = tokens(answers.question)
@@ -339,9 +341,12 @@ class _Answering:
         )
 
     def others(self, part: Part) -> list[str]:
-        """Return some entities of which the graph states what a question says."""
+        """Return entities that no object stands for, and of which the graph states a question."""
         others = []
+        known = set(chain.from_iterable(map(self.known, self.meant)))
         for entity in np.unique(self.graph.heads)[:_LOOKED_AT].tolist():
+            if entity in known:
+                continue
             judgement = part(Individual(entity))
             is_stated = judgement.is_stated and not judgement.is_open
             if judgement.answers and is_stated:

@@ -276,11 +276,12 @@ class Asker:
                 f"No scene shows what answers {question!r}: {', '.join(names)}. The scenes show "
                 f"what this run was trained with: {', '.join(self.seen)}. Ask for one of these."
             )
+        tried = SCENES_WITH_PLACES if answers[-1].has_places else SCENES
         other = ""
         if len(answers) > 1:
             other = ", another one than before the edit"
         raise UserError(
-            f"In none of {SCENES:,} scenes does exactly one object answer {question!r}{other}. "
+            f"In none of {tried:,} scenes does exactly one object answer {question!r}{other}. "
             "Ask a question with other answers, or give the number of a scene."
         )
 
