@@ -333,8 +333,8 @@ def test_what_answers_in_the_graph_is_named_only_if_no_object_stands_for_it():
         UserError, match=r"it is true of robe: no object stands for that"
     ):
         answer(graph, FACETS, "madeOf silk")
-    with pytest.raises(UserError) as error:  # a red mug is one of the objects
-        answer(graph, FACETS, "madeOf clay and hasColor blue")
+    with pytest.raises(UserError) as error:  # it stands for a mug, in another colour
+        answer(graph, [("mug", "blue")], "madeOf clay and hasColor red")
     assert "no object stands" not in str(error.value)
     with pytest.raises(UserError) as error:
         answer(graph, FACETS, "SELECT ?object { ?object :madeOf :silk }")
