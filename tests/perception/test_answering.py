@@ -48,7 +48,7 @@ def test_a_policy_in_training_is_given_the_frames_alone(trained, labels, monkeyp
     answering = AnswerGrounding(trained.network, answers_of(trained))
     images, queries = labels.images[:4], labels.queries[:4]
     frames = answering.see(images, answering.of_rows(queries)).frames
-    monkeypatch.setattr(answering, "_name", None)  # names serve evaluations only
+    monkeypatch.setattr(answering, "name", None)  # names serve evaluations only
     torch.testing.assert_close(answering(images, queries), frames, rtol=0, atol=0)
 
 

@@ -18,6 +18,7 @@ from knowarm.perception.config import FRAME
 from knowarm.perception.grounding import GroundingNetwork, in_batches
 from knowarm.perception.images import axes_of
 from knowarm.policy import Policy, PolicyAgent
+from knowarm.questions import number_objects, number_parts
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.tasks.state import EpisodeState
@@ -62,6 +63,45 @@ class FrameRecognition(nn.Module):
             self.network.encoder.features(images), knowledge
         )
         return scores.unflatten(1, (-1, self.network.parts)).amax(2)
+
+    def name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
+        """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
+
+        With this network it is right more often than the m best facets of the image as a whole. All
+        parts of an object are named at the best place of any.
+
+        Returns:
+            Facets and places, (n, m) int64 each.
+        """
+        spec = self.network.spec
+        parts = torch.from_numpy(number_parts(spec.facets))
+        objects = torch.from_numpy(number_objects(spec.facets, whole=True))
+        rows = torch.arange(len(by_place))
+        scores = by_place.clone()
+        facets = []
+        places = []
+        for _ in range(spec.objects // self.network.parts):
+            best = scores.flatten(1).argmax(1)
+            facet = best // scores.shape[2]
+            place = best % scores.shape[2]
+            facets.append(parts[facet])
+            places.append(place[:, None].expand(-1, self.network.parts))
+            # Neither the place nor the object is named again.
+            scores[rows, :, place] = -torch.inf
+            scores[objects == objects[facet][:, None]] = -torch.inf
+        return torch.cat(facets, dim=1), torch.cat(places, dim=1)
+
+    @torch.inference_mode()
+    def look_around(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Find all visible objects in images (n, H, W, 3) uint8.
+
+        Returns:
+            Their facets (n, m) int64, and their frames (n, m, 9).
+        """
+        features = self.network.encoder.features(images)
+        facets, places = self.name(self.network.encoder.scores_by_place(features))
+        cells = self.network.cells(places, facets)
+        return facets, self.network.frames(features, cells)
 
     def check_fits(self, env: EnvConfig) -> None:
         """Check that the network was made for a task."""

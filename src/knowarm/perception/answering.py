@@ -17,7 +17,7 @@ from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import BATCH
 from knowarm.policy import Policy, PolicyAgent
-from knowarm.questions import SURE, number_objects, number_parts
+from knowarm.questions import SURE
 
 
 class SeenAnswers(NamedTuple):
@@ -64,7 +64,7 @@ class AnswerGrounding(FrameRecognition):
     def see(self, images: Tensor, knowledge: Tensor) -> SeenAnswers:
         """Find the answers to queries, as `locate`."""
         frames, scores, by_place = self._find(images, knowledge)
-        named, places = self._name(by_place)
+        named, places = self.name(by_place)
         at_place = by_place.take_along_dim(places[:, None], 2)  # (n, F, m)
         part = self.network.part_of
         is_other = part[:, None] != part[named][:, None]  # of another part, (n, F, m)
@@ -90,9 +90,7 @@ class AnswerGrounding(FrameRecognition):
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
         encoder = self.network.encoder
         features = encoder.features(images)
-        objects, colours = encoder.logits(features)
-        object_of, colour_of = encoder.facet_parts
-        by_place = objects[:, object_of] + colours[:, colour_of]
+        by_place = encoder.scores_by_place(features)
         # Where nothing answers, every facet counts, so that there is a place to guess.
         counted = torch.where((knowledge > 0).any(1, keepdim=True), knowledge, 1.0)
         answering = by_place + counted.log()[:, :, None]
@@ -103,30 +101,6 @@ class AnswerGrounding(FrameRecognition):
         cell = self.network.cells(place, facet)
         frames = self.network.frames(features, cell[:, None])[:, 0]
         return frames, scores, by_place
-
-    def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
-        """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
-
-        With this network it is right more often than the m best facets of the image as a whole. All
-        parts of an object are named at the best place of any.
-        """
-        spec = self.network.spec
-        parts = torch.from_numpy(number_parts(spec.facets))
-        objects = torch.from_numpy(number_objects(spec.facets, whole=True))
-        rows = torch.arange(len(by_place))
-        scores = by_place.clone()
-        facets = []
-        places = []
-        for _ in range(spec.objects // self.network.parts):
-            best = scores.flatten(1).argmax(1)
-            facet = best // scores.shape[2]
-            place = best % scores.shape[2]
-            facets.append(parts[facet])
-            places.append(place[:, None].expand(-1, self.network.parts))
-            # Neither the place nor the object is named again.
-            scores[rows, :, place] = -torch.inf
-            scores[objects == objects[facet][:, None]] = -torch.inf
-        return torch.cat(facets, dim=1), torch.cat(places, dim=1)
 
 
 class AnsweringAgent(PolicyAgent):

@@ -82,6 +82,12 @@ class PlaceEncoder(nn.Module):
         place = objects[:, count, None].log_softmax(2)
         return names.log_softmax(1) + place, colours.log_softmax(1)
 
+    def scores_by_place(self, features: Tensor) -> Tensor:
+        """Score the facets at every place, (n, F, P) float32: their object's logit and colour's."""
+        objects, colours = self.logits(features)
+        object_of, colour_of = self.facet_parts
+        return objects[:, object_of] + colours[:, colour_of]
+
     def facet_scores(self, features: Tensor) -> Tensor:
         """Score the facets over all places of `features`: (n, F) float32."""
         objects, colours = self.logits(features)

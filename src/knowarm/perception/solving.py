@@ -1,4 +1,4 @@
-"""See, then solve: the grasp frame that a network sees, and inverse kinematics to it; no policy.
+"""See, then solve: a network sees objects and grasp frame, a guide solves the way; no policy.
 
 It needs what a policy does without: joint angles and a kinematic model of the arm.
 """
@@ -12,15 +12,17 @@ from torch import Tensor
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.perception.agent import FrameRecognition
+from knowarm.perception.grounding import BATCH
 from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
+from knowarm.world.agents.scripted import guide_of
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.tasks.skills.ik import InverseKinematics
+from knowarm.world.tasks.skills.guides import Sight, Way
 from knowarm.world.tasks.state import nearest_levels
 
 
 class SolvingAgent:
-    """Moves every joint straight to its angle at the frame that is seen in the first image.
+    """Moves the arm on the way that the task's guide solves for what is seen in the first image.
 
     Args:
         agent: the agent whose recognition sees; its policy plays no part.
@@ -30,7 +32,8 @@ class SolvingAgent:
         notes: those of ``agent``.
 
     Raises:
-        UserError: the agent has no recognition of frames, or the arm moves more than its joints.
+        UserError: the agent has no recognition of frames, or the task no guide that moves all its
+            joints.
     """
 
     notes: dict[str, np.ndarray]
@@ -41,17 +44,15 @@ class SolvingAgent:
                 "Only what sees a grasp frame can solve the way to it: this agent has no "
                 "grounding network. Take a run such as zoo/irb120-choose-answers-fast."
             )
-        scene = scene_of(env)
-        if scene.joint_names != scene.robot.joints:
-            raise UserError(
-                f"The way to a grasp frame does not tell what else moves in {env.task.name}: "
-                "solving is for skills that reach a pose."
-            )
         self._agent = agent
+        self._recognition = agent.recognition
         self._network = agent.recognition.network
-        self._solver = InverseKinematics.within_angle(
-            scene, env.success_angle_deg, env.ignore_roll
-        )
+        self._recognition.check_fits(env)
+        self._guide = guide_of(env)
+        self._grasps = scene_of(env).grasp_position
+        names = [target.name for target in scene_of(env).targets]
+        facets = self._network.spec.facets
+        self._object_of = np.array([names.index(name) for name, _ in facets])
 
     @property
     def depends_on_rows(self) -> bool:
@@ -62,19 +63,35 @@ class SolvingAgent:
         """Forget everything: n episodes start."""
         self._agent.reset(batch)
         self.notes = {}
-        self._start = np.stack(list(batch.joints.values()), axis=1)
-        self._step = batch.increments.max()
-        self._goal: Floats | None = None
+        self._joints = np.stack(list(batch.joints.values()), axis=1)
+        self._way: Way | None = None
 
     def act(self, observations: Mapping[str, np.ndarray]) -> Integers:
-        """Choose the action of each joint that ends nearest to its solution, (n, J)."""
-        if self._goal is None:
+        """Choose the action of each joint that ends nearest to the way, (n, J)."""
+        if self._way is None:
             images = torch.from_numpy(observations["image"].copy())
             frames = self._agent.recognize(images)
             self.notes = self._agent.notes
-            position, matrix = self.poses(frames)
-            self._goal = self._solver.solve(position, matrix, self._start).joints
-        return nearest_levels((self._goal - observations["joint_targets"]) / self._step)
+            self._way = self._guide.way(self._sight(images, frames))
+        return nearest_levels(self._way.error(observations["joint_targets"]))
+
+    def _sight(self, images: Tensor, frames: Tensor) -> Sight:
+        """Return what images show: the goal frames (n, 9), and all objects.
+
+        The object that is meant is the one whose frame is nearest to the goal frame.
+        """
+        position, matrix = self.poses(frames)
+        named = [self._recognition.look_around(batch) for batch in images.split(BATCH)]
+        facets, around = (torch.cat(parts) for parts in zip(*named, strict=True))
+        objects = self._object_of[facets.numpy()]
+        count = objects.shape[1]
+        points = self.poses(around.flatten(0, 1))[0].reshape(-1, count, 3)
+        distance = np.linalg.norm(points - position[:, None], axis=2)
+        order = np.argsort(distance, axis=1, kind="stable")
+        objects = np.take_along_axis(objects, order, axis=1)
+        points = np.take_along_axis(points, order[..., None], axis=1)
+        places = points[..., :2] - self._grasps[objects, :2]
+        return Sight(self._joints, position, matrix, objects, places)
 
     def poses(self, frames: Tensor) -> tuple[Floats, Floats]:
         """Return the poses of frames (n, 9): (n, 3) [m], and row-major rotations (n, 9)."""

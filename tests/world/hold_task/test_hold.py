@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import knowarm
+from knowarm.world.agents import Batch
 
 PLACE = "tests.world.hold_task.hold:Hold"
 
@@ -36,7 +37,7 @@ def test_opening_the_fingers_in_the_second_phase_ends_the_episode(hold):
     )
     agent = knowarm.OracleAgent(env)
     env.reset(seed=1)
-    agent.guide.restart()
+    agent.reset(Batch.of(env))
     for _ in range(100):
         actions = agent.act({})
         up = env.running.memory["held"] >= 5

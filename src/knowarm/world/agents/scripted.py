@@ -12,8 +12,11 @@ from knowarm.world.agents.protocol import (
     Observations,
     PrivilegedAgent,
 )
+from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.base import Images
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.skills.guides import Guide, Sight, Way
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
 
@@ -67,28 +70,38 @@ class OpenLoopAgent(_UninformedAgent):
 class OracleAgent(PrivilegedAgent):
     """Moves to the true goal frame by inverse kinematics, without looking at the image.
 
-    In every step each joint takes the action that ends nearest to what the task's `Task.guide`
-    says. It shows that a task can be solved with the seven actions, and its score is an upper
-    reference for agents that see images.
+    In every step each joint takes the action that ends nearest to the way of the skill's guide
+    (`Skill.guide`). It shows that a task can be solved with the seven actions, and its score is an
+    upper reference for agents that see images.
 
     Attributes:
-        guide: knows the way.
+        guide: solves the ways.
+        way: those of the running episodes.
     """
 
+    way: Way
     _straight = False  # Whether the way ends straight along the approach direction
 
     def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
-        self.guide = env.config.task.skill.guide(env.running, seed, self._straight)
+        self.guide = guide_of(env.config, seed, self._straight)
 
     def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""
         super().reset(batch)
-        self.guide.restart()
+        self.way = self.guide.way(Sight.true(self._env.running))
 
     def act(self, observations: Observations) -> Integers:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
-        return nearest_levels(self.guide.error())
+        return nearest_levels(self.way.error(self._env.running.joint_targets))
+
+
+def guide_of(env: EnvConfig, seed: int = 0, straight: bool = False) -> Guide:
+    """Make the guide of a task's episodes; ``straight`` as in `Skill.guide`."""
+    scene = scene_of(env)
+    kind = env.task.skill.guide(straight)
+    largest_step = float(joint_increments(scene.robot, env).max())
+    return kind(scene, largest_step, env.success_angle_deg, env.ignore_roll, seed)
 
 
 class ApproachAgent(OracleAgent):

@@ -27,6 +27,7 @@ from knowarm.world.tasks.asked.query.arrangements import Arrangements, arrange
 from knowarm.world.tasks.asked.query.layouts import support
 from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.tasks.asked.query.query_source import NameQueries
+from knowarm.world.tasks.skills.guides import Sight
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)
@@ -73,7 +74,8 @@ class PickingAgent(OracleAgent):
         target = env.running.objects[rows, pick]
         grasp = env.running.grasp_positions()[rows, pick]
         matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
-        self.guide.go_to(grasp, matrix)
+        sight = Sight.true(env.running)._replace(position=grasp, matrix=matrix)
+        self.way = self.guide.way(sight)
 
 
 class TryingAgent(PickingAgent):

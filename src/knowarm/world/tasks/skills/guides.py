@@ -1,77 +1,158 @@
-"""Guides: which way scripted agents take, by inverse kinematics once per episode."""
+"""Guides: ways by inverse kinematics, solved once per episode from what is known as it starts."""
 
-from typing import Protocol
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Integers, Mask
+from knowarm.errors import UserError
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.tasks.state import EpisodeState
 
 APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
 WAYPOINTS = 8  # Poses of this way
 NEAR = 0.05  # Joints within this share of the largest step of a pose have passed it
+PASSES = 3  # Points that are passed in one step at most
 
 
-class Guide(Protocol):
-    """Knows the way to the solution of every running episode."""
+class Sight(NamedTuple):
+    """What is known of n episodes as they start: the truth, or what an image shows."""
 
-    def restart(self) -> None:
-        """Prepare for new episodes: all environments were just reset."""
+    joints: Floats
+    """Angle of each joint, (n, J) [rad]."""
+    position: Floats
+    """Point that the gripper has to reach, world, (n, 3) [m]."""
+    matrix: Floats
+    """Rotation from goal frame to world, row-major, (n, 9)."""
+    objects: Integers
+    """Visible objects, the one that is meant first, (n, m)."""
+    places: Floats
+    """Their x and y, (n, m, 2) [m]."""
 
-    def error(self) -> Floats:
-        """Return the way from joint targets to the next pose in largest steps, (n, J)."""
-
-
-class ShortestWay:
-    """Moves every joint straight to its angle at the true goal frame."""
-
-    def __init__(self, state: EpisodeState, seed: int) -> None:
-        self._state = state
-        self._solver = InverseKinematics.of_task(state.scene, state, seed=seed)
-
-    def restart(self) -> None:
-        """Solve the inverse kinematics of every episode."""
-        self.go_to(self._state.goal_position, self._state.goal_matrix)
-
-    def go_to(self, position: Floats, matrix: Floats) -> None:
-        """Solve for other goal frames than the true ones, (n, 3) [m] and (n, 9)."""
-        start = self._state.simulator.joint_positions
-        self._goal = self._solver.solve(position, matrix, start).joints
-
-    def error(self) -> Floats:
-        """Return the way from joint targets to solution in largest steps, (n, J)."""
-        return self._steps_to(self._goal)
-
-    def _steps_to(self, joints: Floats) -> Floats:
-        """Return the way from joint targets to joint angles (n, J) in largest steps, (n, J)."""
-        return (joints - self._state.joint_targets) / self._state.increments[1]
+    @classmethod
+    def true(cls, state: EpisodeState) -> Self:
+        """Return what the simulator knows."""
+        return cls(
+            joints=state.simulator.joint_positions,
+            position=state.goal_position,
+            matrix=state.goal_matrix,
+            objects=state.objects,
+            places=state.positions,
+        )
 
 
-class StraightApproach(ShortestWay):
+class Way:
+    """Points of n joint paths that an arm passes one after the other.
+
+    Args:
+        points: joint targets, (n, W, J) [rad].
+        largest_step: of a joint [rad].
+        tolerance: largest error of a joint at which each point is passed [largest steps], (W,).
+        pause: steps that the arm waits there, (W,).
+    """
+
+    def __init__(
+        self,
+        points: Floats,
+        largest_step: float,
+        tolerance: Floats | None = None,
+        pause: Integers | None = None,
+    ) -> None:
+        count = points.shape[1]
+        self.points = points
+        self._largest = largest_step
+        self._tolerance = np.full(count, NEAR) if tolerance is None else tolerance
+        self._pause = np.zeros(count, np.int64) if pause is None else pause
+        self._rows = np.arange(len(points))
+        self._next = np.zeros(len(points), np.int64)
+        self._waited = np.zeros(len(points), np.int64)
+
+    def error(self, joint_targets: Floats) -> Floats:
+        """Return the way from joint targets to the next point in largest steps, (n, J)."""
+        last = self.points.shape[1] - 1
+        for _ in range(PASSES):
+            _, is_near = self._steps_to_next(joint_targets)
+            is_passed = is_near & (self._waited >= self._pause[self._next])
+            self._waited = np.where(is_passed, 0, self._waited)
+            self._next = np.minimum(self._next + is_passed, last)
+        steps, is_near = self._steps_to_next(joint_targets)
+        self._waited = self._waited + is_near
+        return steps
+
+    def _steps_to_next(self, joint_targets: Floats) -> tuple[Floats, Mask]:
+        """Return the way to the next point (n, J), and whether that is near, (n,)."""
+        steps = (self.points[self._rows, self._next] - joint_targets) / self._largest
+        return steps, np.abs(steps).max(axis=1) < self._tolerance[self._next]
+
+
+class Guide:
+    """Moves every joint straight to its angle at the goal frame.
+
+    Args:
+        scene: robot and objects.
+        largest_step: of a joint [rad].
+        angle_deg: between gripper and goal frame, below which it counts as reached.
+        ignore_roll: whether that angle ignores the rotation about the approach axis.
+        seed: of the solver's starts.
+
+    Raises:
+        UserError: the scene moves more than the robot's joints.
+    """
+
+    moves_fingers: ClassVar[bool] = False
+    """Whether its ways close the fingers."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        largest_step: float,
+        angle_deg: float,
+        ignore_roll: bool,
+        seed: int = 0,
+    ) -> None:
+        if not self.moves_fingers and scene.joint_names != scene.robot.joints:
+            raise UserError(
+                "The way to a grasp frame does not tell what else moves: "
+                f"{', '.join(scene.joint_names[len(scene.robot.joints) :])}. Override "
+                "`Skill.guide` with a `Guide` that does."
+            )
+        self._scene = scene
+        self._largest = largest_step
+        self._seed = seed
+        self._angle_deg = angle_deg
+        self._ignore_roll = ignore_roll
+        self._solver = self._make_solver()
+
+    def way(self, sight: Sight) -> Way:
+        """Solve the way of every episode."""
+        goal = self._solver.solve(sight.position, sight.matrix, sight.joints).joints
+        return Way(goal[:, None], self._largest)
+
+    def _make_solver(self, starts: int = 8) -> InverseKinematics:
+        """Make a solver with a number of starts."""
+        return InverseKinematics.within_angle(
+            self._scene,
+            self._angle_deg,
+            self._ignore_roll,
+            starts=starts,
+            seed=self._seed,
+        )
+
+
+class StraightApproach(Guide):
     """Moves to a pose behind the goal frame, and then straight along the frame's z axis.
 
     On the shortest way of the joints, fingers can hit the object.
     """
 
-    def restart(self) -> None:
-        """Solve the inverse kinematics of the way of every episode."""
-        super().restart()
-        state = self._state
-        back = -state.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
-        solver = InverseKinematics.of_task(state.scene, state, starts=1)
+    def way(self, sight: Sight) -> Way:
+        """Solve the way of every episode."""
+        goal = super().way(sight).points[:, -1]
+        back = -sight.matrix.reshape(-1, 3, 3)[:, :, 2]
         distances = np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]
         shifts = distances[:, None, None] * back
-        way = solver.solve_way(
-            state.goal_position, state.goal_matrix, self._goal, shifts
-        )
-        self._way = np.concatenate([way[::-1], self._goal[None]])
-        self._next = np.zeros(len(back), np.int64)
-
-    def error(self) -> Floats:
-        """Return the way from joint targets to the next pose in largest steps, (n, J)."""
-        rows = np.arange(len(self._next))
-        error = self._steps_to(self._way[self._next, rows])
-        is_near = np.abs(error).max(axis=1) < NEAR
-        self._next = np.minimum(self._next + is_near, WAYPOINTS)
-        return self._steps_to(self._way[self._next, rows])
+        solver = self._make_solver(starts=1)
+        way = solver.solve_way(sight.position, sight.matrix, goal, shifts)
+        points = np.concatenate([way[::-1], goal[None]])
+        return Way(points.transpose(1, 0, 2), self._largest)

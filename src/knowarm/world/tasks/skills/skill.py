@@ -14,7 +14,7 @@ from knowarm.world.scene.scene import Scene, build_scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
-from knowarm.world.tasks.skills.guides import Guide, ShortestWay, StraightApproach
+from knowarm.world.tasks.skills.guides import Guide, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
 from knowarm.world.tasks.state import EpisodeState, Frames, NamedArrays
 
@@ -90,17 +90,12 @@ class Skill(BaseTaskPart):
         """Make what knows the actions that solve running episodes, for imitation."""
         return Teacher(state)
 
-    def guide(self, state: EpisodeState, seed: int, straight: bool) -> Guide:
-        """Make what guides scripted agents to the solution of running episodes.
+    def guide(self, straight: bool) -> type[Guide]:
+        """Return what guides scripted agents to the solution of running episodes.
 
-        Args:
-            state: the episodes.
-            seed: of the solver of the inverse kinematics.
-            straight: whether the way ends straight along the approach direction.
+        ``straight`` asks for a way that ends straight along the approach direction.
         """
-        if straight:
-            return StraightApproach(state, seed)
-        return ShortestWay(state, seed)
+        return StraightApproach if straight else Guide
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Return the arrays (n, ...) that are remembered between steps, as an episode starts.

@@ -16,6 +16,7 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.reward import SUCCESS_REWARD
+from knowarm.world.tasks.skills.lift.guide import LiftGuide
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
@@ -28,6 +29,9 @@ State = EpisodeState[LiftSimulator]
 GRIP_REWARD = 1.0
 RISE_REWARD = 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
+DISTURBED_M = (
+    0.03  # Way of the centre of mass of another object after which it ends too
+)
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
 # Size of a drafted area relative to the rectangle: that of shipped robots
@@ -61,6 +65,7 @@ class Lift(Skill):
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
         "gripped": "whether both fingers touched it at the end",
+        "disturbed": "whether another object had moved by 3 cm at the end",
     }
 
     probes = (LiftProbe,)
@@ -131,9 +136,9 @@ class Lift(Skill):
         """Make what approaches, closes the fingers and lifts."""
         return LiftTeacher(state)
 
-    def guide(self, state: State, seed: int, straight: bool) -> LiftTeacher:
-        """Make the teacher: there is no shorter way."""
-        return self.teacher(state)
+    def guide(self, straight: bool) -> type[LiftGuide]:
+        """Return what finds a way between other objects; all end straight."""
+        return LiftGuide
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember for how many steps the object has been held up."""
@@ -160,15 +165,19 @@ class Lift(Skill):
         return self._is_up(state, state.objects[np.arange(len(which)), which])
 
     def success(self, state: State) -> Mask:
-        """Return which objects were held up long enough, (n,) bool."""
-        return state.memory["held"] >= self.hold_steps
+        """Return which objects were held up long enough, with no other one disturbed, (n,) bool."""
+        return (state.memory["held"] >= self.hold_steps) & ~_disturbed(state)
 
     def failure(self, state: State) -> Mask:
-        """Return which objects were pushed 15 cm away or fell off their support, (n,) bool."""
+        """Return which episodes are lost, (n,) bool.
+
+        Those whose object was pushed 15 cm away or fell off its support, and those in which another
+        one was moved by 3 cm, lifted or toppled.
+        """
         place = state.simulator.place(state.target)
         moved = np.linalg.norm(place - state.positions[:, 0], axis=1)
         is_lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
-        return is_lost & ~state.success
+        return (is_lost & ~state.success) | _disturbed(state)
 
     def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
@@ -184,13 +193,15 @@ class Lift(Skill):
         return np.where(state.success, SUCCESS_REWARD, value)
 
     def infos(self, state: State) -> NamedArrays:
-        """Add the object's rise [m] and whether both fingers touch it."""
+        """Add the object's rise [m], whether both fingers touch it, and whether others moved."""
         gripped = state.simulator.touched(state.target)
-        return {"rise": _rise(state), "gripped": gripped}
+        disturbed = _disturbed(state)
+        return {"rise": _rise(state), "gripped": gripped, "disturbed": disturbed}
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
-        """Store rise and touch at the end of each episode."""
-        return {"rise_m": infos["rise"], "gripped": infos["gripped"]}
+        """Store rise, touch and what was disturbed at the end of each episode."""
+        names = {"rise": "rise_m", "gripped": "gripped", "disturbed": "disturbed"}
+        return {column: infos[name] for name, column in names.items()}
 
     def _is_up(self, state: State, objects: Integers) -> Mask:
         """Return which objects (n,) are at the height, with both fingers at them."""
@@ -200,3 +211,13 @@ class Lift(Skill):
 
 def _rise(state: State) -> Floats:
     return state.simulator.rise(state.target)
+
+
+def _disturbed(state: State) -> Mask:
+    """Return in which episodes an object that is not meant has moved, (n,) bool."""
+    is_disturbed = np.zeros(len(state.steps), bool)
+    for which in range(1, state.objects.shape[1]):
+        objects = state.objects[:, which]
+        moved = state.simulator.displacement(objects, state.positions[:, which])
+        is_disturbed |= moved > DISTURBED_M
+    return is_disturbed

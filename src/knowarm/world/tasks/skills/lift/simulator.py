@@ -52,7 +52,8 @@ class LiftSimulator(MujocoSimulator):
         data.qpos[self._poses] = scene.rest
         mj_kinematics(model, data)
         mj_comPos(model, data)
-        self._rest_height = data.xipos[scene.bodies, 2].copy()
+        # Centres of mass on the support, x and y apart, (K, 3)
+        self._rest_centre = data.xipos[scene.bodies].copy()
 
     def centre(self, targets: Integers) -> Floats:
         """Return the centre of mass of one target per environment, world, (n, 3) [m]."""
@@ -64,7 +65,16 @@ class LiftSimulator(MujocoSimulator):
 
     def rise(self, targets: Integers) -> Floats:
         """Return how far each target's centre of mass is above where it stood, (n,) [m]."""
-        return self.centre(targets)[:, 2] - self._rest_height[targets]
+        return self.centre(targets)[:, 2] - self._rest_centre[targets, 2]
+
+    def displacement(self, targets: Integers, places: Floats) -> Floats:
+        """Return how far each target's centre of mass is from where it stood, (n,) [m].
+
+        ``places`` are the x and y at which they stood, (n, 2) [m].
+        """
+        rest = self._rest_centre[targets]
+        rest[:, :2] += places
+        return np.linalg.norm(self.centre(targets) - rest, axis=1)
 
     def touched(self, targets: Integers) -> Mask:
         """Return whether both fingers touch one target per environment, (n,)."""
@@ -97,6 +107,14 @@ class LiftSimulator(MujocoSimulator):
         can_grip = (distance < NEAR_M) & (joint_targets[:, -1] > 0)
         self._advance(np.flatnonzero(~can_grip), self._free_substeps)
         self._advance(np.flatnonzero(can_grip), self._substeps)
+
+    def set_joints(
+        self, joint_positions: Floats, env_ids: Indices | None = None
+    ) -> None:
+        """As `MujocoSimulator.set_joints`, the second finger as the first."""
+        rows = np.arange(len(joint_positions)) if env_ids is None else env_ids
+        self._qpos[rows[:, None], self._fingers] = joint_positions[:, -1:]
+        super().set_joints(joint_positions, env_ids)
 
     def _advance(self, ids: Indices, substeps: int) -> None:
         """Advance environments (k,) by a control period in a number of physics steps."""

@@ -1,0 +1,269 @@
+"""Guide of lifting: a way to a grasp that touches nothing else, by trying several of them."""
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from knowarm.arrays import Floats, Mask
+from knowarm.world.scene.scene import build_scene
+from knowarm.world.tasks.skills.guides import Guide, Sight, Way
+from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
+from knowarm.world.tasks.skills.lift.model import LiftScene
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
+from knowarm.world.tasks.state import Indices
+
+BACK_M = (0.10, 0.075, 0.05, 0.035, 0.02, 0.01)  # Distances of the straight approach
+OVER_M = (
+    0.15,
+    0.10,
+    0.05,
+)  # Heights above its first pose, of which some may be left out
+RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the way upwards
+CLOSED = (0.0, 0.35)  # Shares of their way that fingers are closed before the grasp
+UNREACHED = 1000.0  # Cost of a grasp that the arm does not reach [steps]
+CLEARANCE_M = 0.006  # Least distance from other objects
+GRIP_STEPS = 3  # Steps until closing fingers have gripped
+SETTLE_STEPS = 2  # Steps until the arm has followed its joint targets
+
+# Largest errors at which points are passed [largest steps]
+TO_APPROACH = 1.0
+ON_APPROACH = 0.5
+NEAR_GRASP = 0.2
+NEAR_POSES = 3  # Poses of the approach that are near the grasp
+
+
+class Turn(NamedTuple):
+    """How a grasp differs from the one that an object's description gives."""
+
+    about_vertical_deg: float
+    about_fingers_deg: float  # about the axis along which the fingers close
+    is_flipped: bool  # half a turn about the approach, which swaps the fingers
+
+    @property
+    def detour(self) -> float:
+        """Return how much longer another way may be before this turn is preferred [steps]."""
+        return abs(self.about_fingers_deg) / 5 + abs(self.about_vertical_deg) / 4
+
+    def of(self, matrix: Floats) -> Floats:
+        """Turn grasp frames, row-major rotations (n, 9)."""
+        vertical = _rotation(2, self.about_vertical_deg)
+        tilt = _rotation(1, self.about_fingers_deg)
+        flip = _rotation(2, 180.0 * self.is_flipped)
+        turned = vertical @ matrix.reshape(-1, 3, 3) @ tilt @ flip
+        return turned.reshape(-1, 9)
+
+
+def _turns(about_vertical_deg: float, *about_fingers_deg: float) -> list[Turn]:
+    """List turns, each as it is and flipped."""
+    turns = []
+    for tilt in about_fingers_deg:
+        turns.append(Turn(about_vertical_deg, tilt, False))
+        turns.append(Turn(about_vertical_deg, tilt, True))
+    return turns
+
+
+TRIED = (
+    _turns(0.0, 0.0, 20.0, -20.0),
+    _turns(0.0, 40.0, -40.0, 60.0, -60.0, 80.0, -80.0)
+    + _turns(25.0, 0.0, 40.0, -40.0, 80.0, -80.0)
+    + _turns(-25.0, 0.0, 40.0, -40.0, 80.0, -80.0),
+)
+"""Turns of the grasp; the second ones where no way to one of the first is free."""
+
+
+class Candidate(NamedTuple):
+    """A way to a grasp of k of the episodes, without its beginning."""
+
+    ids: Indices
+    """Numbers of the episodes, (k,)."""
+    poses: Floats
+    """Joint angles from above to the grasp, (k, P, A) [rad]."""
+    closed: float
+    """Share of their way that the fingers are closed on it."""
+    is_reached: Mask
+    """Whether the arm reaches all of it, (k,)."""
+
+
+class LiftGuide(Guide):
+    """Moves around other objects to a grasp, closes the fingers, and lifts.
+
+    Of several grasps of the object, which differ by a tilt about the fingers' axis, a turn about
+    the vertical and half a turn of the gripper, it takes the one with the shortest way on which the
+    arm touches nothing. Where there is none, it takes the shortest way.
+
+    Attributes:
+        is_free: which episodes of the last `way` have one on which the arm touches nothing, (n,).
+    """
+
+    moves_fingers = True
+    is_free: Mask
+
+    def __init__(self, scene: LiftScene, *args: Any, **options: Any) -> None:
+        super().__init__(scene, *args, **options)
+        self._lifting = scene
+        self._arm = build_scene(scene.robot, scene.targets[:1])
+        self._solver = InverseKinematics(self._arm, starts=4, seed=self._seed)
+        self._follower = InverseKinematics(self._arm, starts=1, seed=self._seed)
+
+    def way(self, sight: Sight) -> Way:
+        """Solve the way of every episode."""
+        surroundings = Surroundings(self._lifting, sight)
+        n = len(sight.position)
+        start = sight.joints[:, :-1]
+        closed = np.zeros(n)
+        self.is_free = np.zeros(n, bool)
+        poses: Floats | None = None
+        for candidate in self._candidates(sight):
+            if poses is None:
+                poses = candidate.poses.copy()
+            ids = candidate.ids
+            path = self._path(start[ids], candidate.poses)
+            is_free = candidate.is_reached & surroundings.are_free(
+                ids, path[:, ::-1], candidate.closed
+            )
+            chosen = ids[is_free]
+            poses[chosen] = candidate.poses[is_free]
+            closed[chosen] = candidate.closed
+            self.is_free[chosen] = True
+        assert poses is not None
+        path = self._path(start, poses)
+        return self._closing(path, poses.shape[1], closed)
+
+    def _candidates(self, sight: Sight) -> Iterator[Candidate]:
+        """Yield ways for the episodes without a free one yet, first one for each."""
+        for turns in TRIED:
+            ids = np.flatnonzero(~self.is_free)
+            if not len(ids):
+                return
+            grasps = [self._grasp(turn, sight, ids) for turn in turns]
+            cost = np.stack([cost for _, _, cost in grasps])
+            joints = np.stack([joints for joints, _, _ in grasps])
+            matrices = np.stack([matrix for _, matrix, _ in grasps])
+            for ranked in np.argsort(cost, axis=0, kind="stable"):
+                columns = np.flatnonzero(~self.is_free[ids])
+                if not len(columns):
+                    return
+                chosen = (ranked[columns], columns)
+                yield from self._approaches(
+                    ids[columns], sight, joints[chosen], matrices[chosen], cost[chosen]
+                )
+
+    def _grasp(
+        self, turn: Turn, sight: Sight, ids: Indices
+    ) -> tuple[Floats, Floats, Floats]:
+        """Solve for a turned grasp: joints (k, A), matrix (k, 9) and cost [steps], (k,)."""
+        start = sight.joints[ids, :-1]
+        matrix = turn.of(sight.matrix[ids])
+        solution = self._solver.solve(sight.position[ids], matrix, start, attempts=1)
+        steps = np.abs(solution.joints - start).max(axis=1) / self._largest
+        is_reached = solution.within(REACHED_M, REACHED_DEG)
+        cost = np.where(is_reached, steps + turn.detour, UNREACHED)
+        return solution.joints, matrix, cost
+
+    def _approaches(
+        self,
+        ids: Indices,
+        sight: Sight,
+        joints: Floats,
+        matrix: Floats,
+        cost: Floats,
+    ) -> Iterator[Candidate]:
+        """Yield ways to a grasp at joint angles (k, A) for those of k episodes that need one."""
+        back = -matrix.reshape(-1, 3, 3)[:, :, 2]
+        up = np.array([0.0, 0.0, 1.0])
+        shifts = [distance * back for distance in reversed(BACK_M)]
+        shifts += [BACK_M[0] * back + height * up for height in reversed(OVER_M)]
+        way = self._follower.solve_way(
+            sight.position[ids], matrix, joints, np.stack(shifts)
+        )
+        poses = np.concatenate([way[::-1], joints[None]]).transpose(1, 0, 2)
+        is_reached = cost < UNREACHED
+        for closed, left_out in product(CLOSED, reversed(range(len(OVER_M) + 1))):
+            is_open = ~self.is_free[ids]
+            lowered = poses[is_open]
+            lowered[:, :left_out] = lowered[:, left_out : left_out + 1]
+            if len(lowered):
+                yield Candidate(ids[is_open], lowered, closed, is_reached[is_open])
+
+    def _path(self, start: Floats, poses: Floats) -> Floats:
+        """Return joint angles from the start (k, A) to the poses and along them, (k, W, A)."""
+        way = poses[:, 0] - start
+        steps = int(np.ceil(np.abs(way).max() / self._largest))
+        share = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
+        before = start[:, None] + share * way[:, None]
+        return np.concatenate([before, poses], axis=1)
+
+    def _closing(self, path: Floats, near: int, closed: Floats) -> Way:
+        """Return the way along a path, whose end are ``near`` poses, with grip and rise."""
+        grasp = path[:, -1]
+        position, matrix = self._follower.pose(grasp)
+        shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
+        rise = self._follower.solve_way(position, matrix, grasp, shifts)
+        arm = np.concatenate([path, grasp[:, None], rise.transpose(1, 0, 2)], axis=1)
+        count = path.shape[1]
+        fingers = np.full(arm.shape[:2], self._lifting.joint_upper[-1])
+        fingers[:, :count] *= closed[:, None]
+        tolerance = np.full(arm.shape[1], TO_APPROACH)
+        tolerance[count - near : count] = ON_APPROACH
+        tolerance[count - NEAR_POSES : count + 1] = NEAR_GRASP
+        pause = np.zeros(arm.shape[1], np.int64)
+        pause[count - 1] = SETTLE_STEPS
+        pause[count] = GRIP_STEPS
+        points = np.concatenate([arm, fingers[:, :, None]], axis=2)
+        return Way(points, self._largest, tolerance, pause)
+
+
+class Surroundings:
+    """Tells where the arm of n episodes touches something, by the shapes of a scene.
+
+    Args:
+        scene: robot and objects.
+        sight: which objects stand where; one that is not in it is not there.
+    """
+
+    def __init__(self, scene: LiftScene, sight: Sight) -> None:
+        n, count = len(sight.objects), len(scene.targets)
+        simulator = LiftSimulator(scene, n)
+        margin = simulator.batch.expand("geom_margin").reshape(n, -1)
+        is_object = scene.geom_target >= 0
+        margin[is_object & (scene.geom_target != sight.objects[:, :1])] = CLEARANCE_M
+        contacts = simulator.batch.bind("ncon").reshape(n)
+        places = np.repeat(sight.places[:, :1], count, axis=1)
+        objects = sight.objects[..., None]
+        np.put_along_axis(places, objects, sight.places, axis=1)
+        visible = (objects == np.arange(count)).any(axis=1)
+        home = np.tile(scene.home, (n, 1))
+        simulator.reset(np.arange(n), home, places, None, visible)
+        simulator.set_joints(home)
+        self._simulator = simulator
+        self._contacts = contacts
+        # Of the objects with what they stand on
+        self._others = contacts.copy()
+        self._closed_m = scene.joint_upper[-1]
+
+    def are_free(self, ids: Indices, path: Floats, closed: float) -> Mask:
+        """Return in which episodes (k,) nothing is touched on a path (k, W, A) [rad], (k,).
+
+        ``closed`` is the share of their way that the fingers are closed.
+        """
+        is_free = np.ones(len(ids), bool)
+        for joints in path.transpose(1, 0, 2):
+            left = np.flatnonzero(is_free)
+            if not len(left):
+                break
+            fingers = np.full(len(left), closed * self._closed_m)
+            pose = np.column_stack([joints[left], fingers])
+            self._simulator.set_joints(pose, ids[left])
+            touches = self._contacts[ids[left]] > self._others[ids[left]]
+            is_free[left] = ~touches
+        return is_free
+
+
+def _rotation(axis: int, angle_deg: float) -> Floats:
+    """Return the rotation about the y (1) or z (2) axis, (3, 3)."""
+    cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    if axis == 1:
+        return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
