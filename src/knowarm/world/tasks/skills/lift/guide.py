@@ -224,7 +224,8 @@ class Surroundings:
     """
 
     def __init__(self, scene: LiftScene, sight: Sight) -> None:
-        n, count = len(sight.objects), len(scene.targets)
+        n = len(sight.objects)
+        count = len(scene.targets)
         simulator = LiftSimulator(scene, n)
         margin = simulator.batch.expand("geom_margin").reshape(n, -1)
         is_object = scene.geom_target >= 0
@@ -263,7 +264,9 @@ class Surroundings:
 
 def _rotation(axis: int, angle_deg: float) -> Floats:
     """Return the rotation about the y (1) or z (2) axis, (3, 3)."""
-    cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    angle = np.radians(angle_deg)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     if axis == 1:
         return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
