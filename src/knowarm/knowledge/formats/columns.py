@@ -4,15 +4,14 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from itertools import chain, product
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
-from knowarm.errors import UserError, warn
-from knowarm.knowledge.graph.builder import GraphBuilder
-from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
 
 PAIRS = (
@@ -20,6 +19,7 @@ PAIRS = (
     ("s", "o"), ("node1", "node2"), ("entity1", "entity2"), ("e1", "e2"), ("start_id", "end_id"),
     ("start", "end"), ("source", "target"), ("src", "dst"), ("from", "to"),
     ("from_word", "to_word"), ("arg1", "arg2"), ("cue", "response"), ("cue", "association"),
+    ("object1", "object2"),
 )  # fmt: skip
 """Names of head and tail that stand beside each other, the surest first: a source beside a subject
 is a reference."""
@@ -28,7 +28,8 @@ _SURE = 4
 ROLES = {
     "head": tuple(dict.fromkeys(map(itemgetter(0), PAIRS))),
     "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
-                 "edge", "edge_type", "interaction", "label", "labels", "type", "name"),
+                 "edge", "edge_type", "interaction", "label", "labels", "type", "name",
+                 "object_relation"),
     "tail": (*dict.fromkeys(map(itemgetter(1), PAIRS)), "value"),
 }  # fmt: skip
 """Names of the three columns, the surest first."""
@@ -48,14 +49,17 @@ _CONFIDENCES = (CONFIDENCE, "probability", "certainty")
 
 
 class Columns(NamedTuple):
-    """Numbers of the columns of a triple."""
+    """Numbers of columns."""
 
-    head: int
-    relation: int
-    tail: int
+    triple: tuple[int, int, int]
+    """Those of head, relation and tail."""
+    confidence: int | None
+    others: tuple[str, ...]
+    """Names of columns that are not read."""
 
 
-def columns_of(names: Sequence[str], where: Path) -> Columns | None:
+@lru_cache
+def columns_of(names: tuple[str, ...], where: Path) -> Columns | None:
     """Return the columns that names tell; None if they name neither head nor tail.
 
     Raises:
@@ -72,21 +76,24 @@ def columns_of(names: Sequence[str], where: Path) -> Columns | None:
             f"{where}: of {listed(names)}, {heads[0]} names a head and {tails[0]} a tail, but not "
             f"of each other. Name them {', '.join(ROLES)}."
         )
-    relation = _column(keys, "relation")
+    relation = _column(keys, ROLES["relation"])
     if relation is None:
         raise UserError(
             f"{where}: none of {listed(names)} names the relation. Name the "
             f"relation one of {', '.join(ROLES['relation'])}; if there is none and all state the "
             "same, add it."
         )
-    head, tail = pairs[0]
     truth = sorted(_TRUTH.intersection(keys))
     if truth:
         raise UserError(
             f"{where}: {truth[0]} says which triples hold. Leave it out, and write those that do "
             "not hold with a relation such as notUsedFor."
         )
-    return Columns(keys.index(head), relation, keys.index(tail))
+    head, tail = map(keys.index, pairs[0])
+    confidence = _column(keys, _CONFIDENCES)
+    read = (head, relation, tail, confidence)
+    others = [name for number, name in enumerate(names) if number not in read]
+    return Columns((head, relation, tail), confidence, tuple(filter(None, others)))
 
 
 def _is_pair(pair: tuple[str, str]) -> bool:
@@ -97,12 +104,10 @@ def _is_pair(pair: tuple[str, str]) -> bool:
     return is_sure or pair in PAIRS
 
 
-def _column(keys: list[str], role: str) -> int | None:
-    """Return the first of the columns that have the surest of the names for a role."""
-    for name in ROLES[role]:
-        if name in keys:
-            return keys.index(name)
-    return None
+def _column(keys: list[str], names: Sequence[str]) -> int | None:
+    """Return the first of the columns that have the surest of some names."""
+    known = filter(keys.__contains__, names)
+    return next(map(keys.index, known), None)
 
 
 def _keys(names: Sequence[str]) -> list[str]:
@@ -134,15 +139,6 @@ def name_of_cell(cell: str) -> str:
     return unicodedata.normalize("NFC", " ".join(cell.split()))
 
 
-def confidence_key(names: Sequence[str]) -> int | None:
-    """Return the number of the column with confidence, None without."""
-    keys = list(map(_key, names))
-    for name in _CONFIDENCES:
-        if name in keys:
-            return keys.index(name)
-    return None
-
-
 def confidence_of(value: object, where: str) -> float:
     """Return the probability that a cell states; an empty one states that the triple is certain."""
     with suppress(ValueError):
@@ -153,34 +149,6 @@ def confidence_of(value: object, where: str) -> float:
         f"{where}: the confidence is {value!r}; it must be a number from 0 to 1, such as 0.9. "
         "Divide percentages by 100, or rename a column that holds something else, such as weight."
     )
-
-
-class Statements:
-    """Triples with their confidence, of which those of confidence 0 state nothing."""
-
-    def __init__(self, path: Path, builder: GraphBuilder) -> None:
-        self.path = path
-        self.builder = builder
-        self.impossible = 0
-
-    def add(self, triple: Triple, confidence: float | None) -> None:
-        """Add a triple; one that is stated several times is as certain as the surest time."""
-        if confidence == 0:
-            self.impossible += 1
-            return
-        self.builder.add_statement(*triple)
-        if confidence is not None:
-            known = self.builder.confidence.get(triple, 0.0)
-            self.builder.confidence[triple] = max(known, confidence)
-
-    def build(self) -> KnowledgeGraph:
-        """Return the graph; say what is not in it."""
-        if self.impossible:
-            warn(
-                f"{self.path}: {self.impossible} facts of confidence 0 state nothing and are left "
-                "out."
-            )
-        return self.builder.build()
 
 
 def listed(names: Iterable[str]) -> str:

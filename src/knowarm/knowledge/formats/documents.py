@@ -1,30 +1,24 @@
-"""Graphs in one document: JSON (lists of triples, nodes with links), GraphML and GEXF."""
+"""Graphs in one document: JSON, GraphML, GEXF and GML."""
 
+import json
+import re
+import shlex
 import warnings
-from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import (
-    ROLES,
-    Statements,
-    columns_of,
-    confidence_key,
-    confidence_of,
-    listed,
-    name_of_cell,
-)
+from knowarm.errors import UserError
+from knowarm.knowledge.formats.columns import columns_of, listed
 from knowarm.knowledge.formats.files import open_bytes
-from knowarm.knowledge.formats.json_forms import json_value, plain_graph
-from knowarm.knowledge.formats.scenes import read_scene
-from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.formats.json_forms import LINKS, PROGRAMS, Form
+from knowarm.knowledge.formats.records import Records
+from knowarm.knowledge.formats.scenes import SCENES
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, literal
 from knowarm.reading import reading
 
-_LISTS = ("links", "edges", "relationships", "triples", "facts")
-"""Keys of a JSON object under which links may lie."""
+_BETWEEN = re.compile(r"[\s,;]*")
+"""What may stand between the values of lines."""
 
 
 def read_json_graph(path: Path) -> KnowledgeGraph:
@@ -32,39 +26,104 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
 
     They are the whole document, or lie beside ``nodes`` under one of the keys "links", "edges", ...
     as NetworkX and D3 write them; a link may give the number of a node, or the node itself. Or the
-    document has a form of `json_forms`.
+    document has one of the forms of scenes and other programs, or holds one object that has.
     """
-    document = json_value(path)
-    scene = read_scene(document, path)
-    if scene is not None:
-        return scene
+    document = _json_value(path)
     with reading(path, "Correct the file, or export it again."):
-        links = plain_graph(document, path)
-    nodes: Any = []
-    if isinstance(links, dict):
-        nodes = links.get("nodes", [])
-        lists = (links[key] for key in _LISTS if isinstance(links.get(key), list))
-        links = next(lists, None)
-    if not isinstance(links, list) or not isinstance(nodes, list):
-        raise UserError(
-            f"{path}: this JSON is neither JSON-LD nor a graph. A graph is a list of "
-            '["mug", "usedFor", "drinking"], of objects with the keys head, relation and tail, or '
-            'an object with such a list under "links".'
+        form = _form_of(document)
+        if form is None and isinstance(document, dict):
+            inside = {key: part for key, part in document.items() if _form_of(part)}
+            if len(inside) > 1:
+                raise UserError(
+                    f"{path} holds {len(inside)} graphs: {listed(inside)}. Save one of them as a "
+                    "file."
+                )
+            for part in inside.values():
+                document = part
+                form = _form_of(part)
+        if form is None:
+            _refuse_no_graph(document, path)
+            form = LINKS
+        records = form.collects(path, form.name)
+        form.read(document, records)
+        return records.build()
+
+
+def _json_value(path: Path) -> Any:
+    """Return the value of a file, or the list of its values, of which it holds one per line."""
+    decoder = json.JSONDecoder()
+    values = list[Any]()
+    with reading(path, "Correct the file."), open_bytes(path) as file:
+        text = file.read().decode()
+        position = _behind_blanks(text, 0)
+        while position < len(text):
+            try:
+                value, end = decoder.raw_decode(text, position)
+            except json.JSONDecodeError as error:
+                line = text.count("\n", 0, position) + 1 if values else error.lineno
+                raise UserError(
+                    f"{path}, line {line}: not well-formed JSON: {error.msg}. Correct the "
+                    "line; a file holds one value, or one per line."
+                ) from error
+            values.append(value)
+            position = _behind_blanks(text, end)
+    if len(values) == 1:
+        return values[0]
+    return values
+
+
+def _behind_blanks(text: str, position: int) -> int:
+    return _BETWEEN.match(text, position).end()  # type: ignore[union-attr]
+
+
+def _form_of(document: Any) -> Form | None:
+    """Return the first of the forms that a document has."""
+    for form in (*SCENES, *PROGRAMS):
+        if form.recognizes(document):
+            return form
+    return LINKS if LINKS.fits(document) else None
+
+
+def _refuse_no_graph(document: Any, path: Path) -> None:
+    """Refuse what is neither a list of links nor one link."""
+    if isinstance(document, list):
+        return
+    if isinstance(document, dict):
+        if not {dict, list}.intersection(map(type, document.values())):
+            if columns_of(tuple(document), path) is not None:
+                return
+        elif len(document) > 1:
+            _refuse_by_name(document, path)
+    raise UserError(
+        f"{path}: this JSON is neither JSON-LD nor a graph. A graph is a list of "
+        '["mug", "usedFor", "drinking"], of objects with the keys head, relation and tail, or '
+        'an object with such a list under "links".'
+    )
+
+
+def _refuse_by_name(document: Mapping[str, Any], path: Path) -> None:
+    """Refuse properties by name, {"mug": {"on": "desk"}, ...}, with a command that lists them."""
+    kinds = set[type]()
+    for properties in document.values():
+        if isinstance(properties, dict):
+            kinds.update(map(type, properties.values()))
+        elif not isinstance(properties, list) or {*map(type, properties)} != {str}:
+            return
+    triples = '[[h, "hasProperty", t] for h in d for t in d[h]]'
+    if kinds & {str, int, float, bool, list}:
+        triples = (
+            "[[h, r, t] for h in d for r in d[h] "
+            "for t in (d[h][r] if isinstance(d[h][r], list) else [d[h][r]]) if t is not None]"
         )
-    graph = _Records(path)
-    for number, node in enumerate(nodes):
-        if isinstance(node, dict):
-            graph.add_node(node.get("id", number), node)
-        else:
-            graph.add_node(node, {})
-    # Links may count the nodes.
-    if not any(isinstance(key, int) for key in graph.nodes):
-        graph.nodes.update(enumerate(list(graph.nodes.values())))
-    for link in links:
-        if isinstance(link, list):
-            link = dict(zip(ROLES, link, strict=False))
-        graph.add_link(link)
-    return graph.build()
+    file = json.dumps(str(path), ensure_ascii=False)
+    code = (
+        f"import json; d = json.load(open({file})); "
+        f'json.dump({triples}, open("triples.json", "w"))'
+    )
+    raise UserError(
+        f"{path}: this JSON is neither JSON-LD nor a graph. If its keys are things, write triples: "
+        f"python -c {shlex.quote(code)}"
+    )
 
 
 def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
@@ -85,92 +144,9 @@ def read_with_networkx(path: Path, kind: str) -> KnowledgeGraph:
             f"{path}: edges without a direction are no triples. Declare the edges as directed, if "
             "they lead from source to target."
         )
-    graph = _Records(path)
+    records = Records(path)
     for name, values in network.nodes(data=True):
-        graph.add_node(name, values)
+        records.add_node(name, values)
     for head, tail, values in network.edges(data=True):
-        graph.add_link({**values, "head": head, "tail": tail})
-    return graph.build()
-
-
-class _Records:
-    """Nodes and links with named values, which become a graph."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.builder = GraphBuilder()
-        self.statements = Statements(path, self.builder)
-        self.nodes: dict[Any, str] = {}  # name by identifier
-        self.labels = defaultdict[str, list[str]](list)  # names by label
-        self.left_out: set[str] = set()
-        self.named_by_keys: dict[tuple[str, ...], tuple[list[str], str | None]] = {}
-
-    def add_node(self, key: Any, values: dict[str, Any]) -> None:
-        """Add an entity with its label, by its identifier or number."""
-        if not isinstance(key, str | int | float):
-            raise UserError(
-                f"{self.path}: a node is named by text or a number, not {key!r:.80}."
-            )
-        name = name_of_cell(str(key))
-        self.nodes[key] = name
-        self.builder.add_node(name)
-        label = values.get("label", values.get("name"))
-        if isinstance(label, str) and label != name:
-            self.builder.add_statement(name, LABEL_RELATIONS[0], literal(label))
-            self.labels[label].append(name)
-
-    def add_link(self, values: Any) -> None:
-        """Add a triple."""
-        keys = tuple(values) if isinstance(values, dict) else ()
-        if keys not in self.named_by_keys:
-            self.named_by_keys[keys] = self._named(keys)
-        named, certainty = self.named_by_keys[keys]
-        triple = [self._name(values[key]) for key in named]
-        confidence = None
-        if certainty is not None:
-            confidence = confidence_of(values[certainty], str(self.path))
-        if not triple or not all(triple):
-            raise UserError(
-                f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a "
-                "relation and a tail. Name them so, or write lists of three."
-            )
-        self.statements.add((triple[0], triple[1], triple[2]), confidence)
-
-    def _named(self, keys: tuple[str, ...]) -> tuple[list[str], str | None]:
-        """Return which of the keys of a link hold head, relation and tail, and confidence."""
-        columns = columns_of(keys, self.path) or ()
-        named = [keys[column] for column in columns]
-        certainty = None
-        number = confidence_key(keys)
-        if number is not None and columns:
-            certainty = keys[number]
-        self.left_out.update(set(keys) - {*named, certainty})
-        return named, certainty
-
-    def _name(self, value: Any) -> str:
-        """Return the name of a node by its identifier or number or as it is, else of a value."""
-        if isinstance(value, dict):
-            value = value.get("id")
-        if not isinstance(value, str | int | float):
-            return ""
-        if isinstance(value, bool):
-            return str(value).lower()
-        return self.nodes.get(value) or name_of_cell(str(value))
-
-    def build(self) -> KnowledgeGraph:
-        """Return the graph; say what is not in it. Nodes with one label are individuals of it."""
-        shared = {
-            label: names for label, names in self.labels.items() if len(names) > 1
-        }
-        for label, names in shared.items():
-            for name in names:
-                self.builder.add(name, RDF_TYPE, label)
-        if shared:
-            warn(
-                f"{self.path}: several nodes have one label, so they count as individuals of a "
-                f"class of this name: {listed(sorted(shared)[:8])}."
-            )
-        others = sorted(self.left_out - {"id", "key"})
-        if others:
-            warn(f"{self.path}: these values of links are not read: {listed(others)}.")
-        return self.statements.build()
+        records.add_link({**values, "head": head, "tail": tail})
+    return records.build()

@@ -1,189 +1,147 @@
-"""JSON as other programs write it: lines of values, Neo4j, ConceptNet's API, HexTuples, SPARQL."""
+"""JSON of graphs and of other programs: links, Neo4j, ConceptNet's API, HexTuples, SPARQL, ..."""
 
-import json
-import re
-import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from operator import itemgetter
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import columns_of, listed
-from knowarm.knowledge.formats.files import open_bytes
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, RDFS, literal
-from knowarm.reading import reading
+from knowarm.errors import UserError
+from knowarm.knowledge.formats.columns import columns_of
+from knowarm.knowledge.formats.records import Records
+from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, literal
 
-_BETWEEN = re.compile(r"[\s,;]*")
-"""What may stand between the values of lines."""
+_LISTS = ("links", "edges", "relationships", "triples", "facts")
+"""Keys of an object under which links may lie."""
 _MIN_WEIGHT = 1.0
 """Least weight of the edges of ConceptNet, as of its file of assertions."""
-_Graph = dict[str, Any]
-"""Nodes and links, as the reader of JSON takes them."""
+_ENGLISH = "/c/en/"
+_LOOKED_AT = 100
+"""Records among which one is looked for that is recognized."""
 
 
-def json_value(path: Path) -> Any:
-    """Return the value of a file, or the list of its values, of which it holds one per line."""
-    with reading(path, "Correct the file."), open_bytes(path) as file:
-        text = file.read().decode()
-    values = list(_values(text, path))
-    if len(values) == 1:
-        return values[0]
-    return values
+class Form(NamedTuple):
+    """A kind of documents."""
+
+    name: str
+    read: Callable[[Any, Any], None]
+    fits: Callable[[Any], bool]
+    """Whether it is recognized by an object or list of the document."""
+    under: tuple[str, ...] = ()
+    """Key under which that lies; () where it is the document, or lies in it."""
+    collects: type[Records] = Records
+
+    def recognizes(self, document: Any) -> bool:
+        """Return whether a document is of this kind."""
+        records = records_of(document, *self.under)[:_LOOKED_AT]
+        return any(map(self.fits, [*_under(document, self.under), *records]))
 
 
-def _values(text: str, path: Path) -> Iterator[Any]:
-    """Yield the values that stand one after the other."""
-    decoder = json.JSONDecoder()
-    position = _BETWEEN.match(text).end()  # type: ignore[union-attr]
-    while position < len(text):
-        with reading(path, "Correct the file."):
-            try:
-                value, position = decoder.raw_decode(text, position)
-            except json.JSONDecodeError as error:
-                line = text.count("\n", 0, position) + 1 if position else error.lineno
-                raise UserError(
-                    f"{path}, line {line}: not well-formed JSON: {error.msg}. Correct the "
-                    "line; a file holds one value, or one per line."
-                ) from error
-        yield value
-        position = _BETWEEN.match(text, position).end()  # type: ignore[union-attr]
+def has(*keys: str) -> Callable[[Any], bool]:
+    """Return the function that tells whether a value is an object with some keys."""
+    return lambda value: isinstance(value, dict) and value.keys() >= set(keys)
 
 
-def plain_graph(value: Any, path: Path) -> Any:
-    """Return nodes and links of a form of another program, other values as they are."""
-    for is_form, graph_of_form in _FORMS:
-        if is_form(value):
-            return graph_of_form(value, path)
-    return value
+def records_of(document: Any, *keys: str) -> list[Any]:
+    """Return the records under some keys of a document, or of itself without keys.
+
+    They lie in a list, or in an object with one of them per key.
+    """
+    records = list[Any]()
+    for values in _under(document, keys):
+        if isinstance(values, list):
+            records += values
+        elif isinstance(values, dict):
+            records += filter(has(), values.values())
+    return records
 
 
-def _is_triple(value: Any) -> bool:
-    """Return whether a value is a list of three texts."""
-    return isinstance(value, list) and list(map(type, value)) == [str, str, str]
+def _under(document: Any, keys: tuple[str, ...]) -> list[Any]:
+    """Return what a document holds under keys, or itself without keys."""
+    if not keys:
+        return [document]
+    if not isinstance(document, dict):
+        return []
+    return [document[key] for key in keys if key in document]
 
 
-def _all_have(keys: set[str], records: Any) -> bool:
-    """Return whether a value is a list of objects that have keys."""
-    if not isinstance(records, list) or not records:
-        return False
-    for record in records:
-        if not isinstance(record, dict) or not keys <= record.keys():
-            return False
-    return True
-
-
-def _one_triple(value: list[str], path: Path) -> _Graph:
-    """Return the graph of a file with one line."""
-    return {"links": [value]}
-
-
-def _is_link(value: Any) -> bool:
-    """Return whether a value is an object with a head and a tail."""
-    if not isinstance(value, dict):
-        return False
-    if {dict, list}.intersection(map(type, value.values())):
-        return False
-    try:
-        return columns_of(list(value), Path()) is not None
-    except UserError:
-        return True  # The reader of links says what is wrong
-
-
-def columns_of_keys(value: Mapping[str, Any]) -> Any:
-    """Return the columns that keys name, None without."""
-    try:
-        return columns_of(list(value), Path())
-    except UserError:
-        return None
-
-
-def _is_apoc(value: Any) -> bool:
-    """Return whether a value is an export of Neo4j by APOC: lines, a list, or "nodes", "rels"."""
-    if isinstance(value, dict) and "rels" in value:
-        return True
-    records = value if isinstance(value, list) else [value]
-    if not _all_have({"type", "id"}, records):
-        return False
-    return {"node", "relationship"}.issuperset(map(itemgetter("type"), records))
-
-
-def _apoc(value: Any, path: Path) -> _Graph:
-    """Return nodes with their names and types, and relationships."""
-    records = value if isinstance(value, list) else [value]
-    if isinstance(value, dict) and "rels" in value:
-        records = [*value.get("nodes", []), *value["rels"]]
-    nodes = dict[Any, dict[str, Any]]()
-    types = dict[tuple[Any, str], None]()
-    links = list[Any]()
-    properties = set[str]()
-    for record in records:
-        inside = record.get("properties") or {}
-        if "start" not in record:
-            _add_node(record, nodes, types)
-            properties.update(inside.keys() - {"name"})
-            continue
-        for end in (record["start"], record["end"]):
-            if end.get("id") not in nodes or end.get("properties"):
-                _add_node(end, nodes, types)
-        properties.update(inside)
-        head = record["start"].get("id")
-        links.append([head, record.get("label"), record["end"].get("id")])
-    if properties:
-        warn(f"{path}: these properties are not read: {listed(sorted(properties))}.")
-    for node, kind in types:
-        links.append([node, RDF_TYPE, kind])
-    return {"nodes": list(nodes.values()), "links": links}
-
-
-def _add_node(
-    record: Mapping[str, Any],
-    nodes: dict[Any, dict[str, Any]],
-    types: dict[tuple[Any, str], None],
-) -> None:
-    key = record.get("id")
-    node = {"id": key}
-    name = (record.get("properties") or {}).get("name")
-    if name is not None:
-        node["name"] = name
-    nodes[key] = nodes.get(key, {}) | node
-    for kind in record.get("labels") or ():
-        types[key, kind] = None
-
-
-def _is_conceptnet(value: Any) -> bool:
-    """Return whether a value is an answer of ConceptNet's API."""
-    if not isinstance(value, dict):
-        return False
-    return _all_have({"start", "rel", "end"}, value.get("edges"))
-
-
-def _conceptnet(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return the English edges of a page that have the least weight or more."""
-    links = list[Any]()
-    weak = 0
-    foreign = 0
-    for edge in value["edges"]:
-        language, head = _concept(edge["start"])
-        other_language, tail = _concept(edge["end"])
-        if float(edge.get("weight", _MIN_WEIGHT)) < _MIN_WEIGHT:
-            weak += 1
-        elif language != "en" or other_language != "en":
-            foreign += 1
+def _read_links(document: Any, records: Records) -> None:
+    """Read a list of links, one link, or an object that holds a list beside nodes."""
+    nodes: Any = []
+    links = document
+    if isinstance(document, dict):
+        nodes = document.get("nodes", [])
+        lists = filter(_is_list, map(document.get, _LISTS))
+        links = next(lists, [document])
+    elif list(map(type, document)) == [str, str, str]:
+        links = [document]
+    if isinstance(nodes, dict):  # as in the JSON Graph Format
+        nodes = [{**about, "id": key} for key, about in nodes.items()]
+    for number, node in enumerate(nodes):
+        if isinstance(node, dict):
+            records.add_node(node.get("id", number), node)
         else:
-            relation = _identifier(edge["rel"]).removeprefix("/r/")
-            links.append([head, relation, tail])
-    left_out = []
-    if weak:
-        left_out.append(f"{weak} edges of a weight below {_MIN_WEIGHT:g}")
-    if foreign:
-        left_out.append(f"{foreign} edges with a term that is not English")
-    following = (value.get("view") or {}).get("nextPage")
+            records.add_node(node, {})
+    # Links may count the nodes.
+    if not any(isinstance(key, int) for key in records.names):
+        records.names.update(enumerate(list(records.names.values())))
+    for link in links:
+        records.add_link(link)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list)
+
+
+def _is_graph(value: Any) -> bool:
+    """Return whether a value is an object with a list of links."""
+    return isinstance(value, dict) and any(map(_is_list, map(value.get, _LISTS)))
+
+
+def _read_cytoscape(document: Any, records: Records) -> None:
+    graph = dict[str, Any]()
+    for key in ("nodes", "edges"):
+        records_with_data = document["elements"].get(key, ())
+        graph[key] = list(map(itemgetter("data"), records_with_data))
+    _read_links(graph, records)
+
+
+def _is_neo4j(value: Any) -> bool:
+    """Return whether a value is a record of an export of Neo4j by APOC."""
+    return has("id", "type")(value) and value["type"] in ("node", "relationship")
+
+
+def _read_neo4j(document: Any, records: Records) -> None:
+    """Read nodes with their names and types, and relationships, from lines, lists or objects."""
+    if isinstance(document, dict):
+        document = [*document.get("nodes", []), *document.get("rels", [document])]
+    for record in document:
+        nodes = [record]
+        if "start" in record:
+            nodes = [record["start"], record["end"]]
+            head, tail = map(itemgetter("id"), nodes)
+            records.add_link([head, record.get("label"), tail])
+            records.unread.update(record.get("properties") or ())
+        for node in nodes:
+            properties = node.get("properties") or {}
+            records.unread.update(properties.keys() - {"name"})
+            records.add_node(node["id"], {"name": properties.get("name")})
+            for kind in node.get("labels") or ():
+                records.add_link([node["id"], RDF_TYPE, kind])
+
+
+def _read_conceptnet(document: Any, records: Records) -> None:
+    """Read the English edges of an answer of the API that have the least weight or more."""
+    for edge in document["edges"]:
+        head, relation, tail = map(_identifier, map(edge.get, ("start", "rel", "end")))
+        if float(edge.get("weight", _MIN_WEIGHT)) < _MIN_WEIGHT:
+            records.left_out[f"edges of a weight below {_MIN_WEIGHT:g}"] += 1
+        elif not (head.startswith(_ENGLISH) and tail.startswith(_ENGLISH)):
+            records.left_out["edges with a term that is not English"] += 1
+        else:
+            name = relation.removeprefix("/r/")
+            records.add_link([head.split("/")[3], name, tail.split("/")[3]])
+    following = (document.get("view") or {}).get("nextPage")
     if following:
-        left_out.append(f"the edges of the next page, {following}")
-    if left_out:
-        warn(f"{path}: left out are {' and '.join(left_out)}.")
-    return {"links": links}
+        records.left_out[f"next page, {following}"] += 1
 
 
 def _identifier(term: Any) -> str:
@@ -191,240 +149,112 @@ def _identifier(term: Any) -> str:
     return str(term.get("@id", "")) if isinstance(term, dict) else str(term)
 
 
-def _concept(term: Any) -> tuple[str, str]:
-    """Return the language and the name of a term: of /c/en/mug/n."""
-    cells = _identifier(term).split("/")
-    if len(cells) < 4 or cells[1] != "c":
-        return "", ""
-    return cells[2], cells[3]
+def _is_hextuple(value: Any) -> bool:
+    return _is_list(value) and len(value) == 6 and isinstance(value[0], str)
 
 
-def _is_hextuples(value: Any) -> bool:
-    """Return whether all values are lists of six strings, the fourth a datatype."""
-    records = value
-    if isinstance(value, list) and value and isinstance(value[0], str):
-        records = [value]
-    if not isinstance(records, list) or set(map(type, records)) != {list}:
-        return False
-    return set(map(len, records)) == {6}
-
-
-def _hextuples(value: list[Any], path: Path) -> _Graph:
-    """Return triples of IRIs and literals; graphs are merged."""
-    records = [value] if value and isinstance(value[0], str) else value
-    links = []
-    for head, relation, text, datatype, language, _ in records:
+def _read_hextuples(document: Any, records: Records) -> None:
+    """Read triples of IRIs and literals; graphs are merged."""
+    if _is_hextuple(document):
+        document = [document]
+    for head, relation, text, datatype, language, _ in document:
         tail = text
         if datatype.rpartition("/")[2] not in ("globalId", "localId"):
-            tail = _hex_literal(text, datatype, language)
-        links.append([head, relation, tail])
-    return {"links": links}
+            tail = _literal(text, language, datatype)
+        records.add_link([head, relation, tail])
 
 
-def _hex_literal(text: str, datatype: str, language: str) -> str:
+def _literal(text: str, language: str, datatype: str) -> str:
     if language:
         return literal(text, language=language)
-    if not datatype or datatype.endswith("#string"):
-        return literal(text)
-    return literal(text, datatype=datatype)
+    return literal(text, datatype=datatype or None)
 
 
-def _is_sparql(value: Any) -> bool:
-    """Return whether a value is the answer to a SPARQL query."""
-    if not isinstance(value, dict) or not isinstance(value.get("head"), dict):
-        return False
-    return "results" in value or "boolean" in value
-
-
-def _sparql(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return the rows of an answer whose variables are named as head, relation and tail."""
-    variables = value["head"].get("vars", [])
-    columns = columns_of_keys(dict.fromkeys(variables))
+def _read_sparql(document: Any, records: Records) -> None:
+    """Read the rows of an answer whose variables are named as head, relation and tail."""
+    variables = document["head"].get("vars", [])
+    try:
+        columns = columns_of(tuple(variables), records.path)
+    except UserError:
+        columns = None
     if columns is None or len(variables) != 3:
         names = ", ".join(map("?{}".format, variables)) or "none"
         raise UserError(
-            f"{path}: holds the answers of a SPARQL query, with the variables {names}. Ask for "
-            "triples: SELECT ?s ?p ?o WHERE { ?s ?p ?o }, or CONSTRUCT, and save its answer as "
+            f"{records.path}: holds the answers of a SPARQL query, with the variables {names}. Ask "
+            "for triples: SELECT ?s ?p ?o WHERE { ?s ?p ?o }, or CONSTRUCT, and save its answer as "
             "Turtle."
         )
-    links = []
-    for row in value["results"]["bindings"]:
-        terms = map(row.get, map(variables.__getitem__, columns))
-        links.append(list(map(_sparql_term, terms)))
-    return {"links": links}
+    for row in document["results"]["bindings"]:
+        records.add_link({name: _term(row.get(name)) for name in variables})
 
 
-def _sparql_term(term: Mapping[str, str] | None) -> str:
+def _term(term: Any) -> str:
     """Return the name of a term; "" of an unbound variable."""
     if term is None:
         return ""
+    text = term["value"]
     if term["type"] == "uri":
-        return term["value"]
+        return text
     if term["type"] == "bnode":
-        return f"_:{term['value']}"
-    return _hex_literal(
-        term["value"], term.get("datatype", ""), term.get("xml:lang", "")
-    )
+        return f"_:{text}"
+    language = term.get("xml:lang", term.get("lang", ""))
+    return _literal(text, language, term.get("datatype", ""))
 
 
 def _is_rdf_json(value: Any) -> bool:
-    """Return whether a value is RDF/JSON: terms by subject and predicate."""
-    if not isinstance(value, dict) or not value:
+    """Return whether a value holds what RDF/JSON says about a subject: lists of terms."""
+    if not isinstance(value, dict) or not all(map(_is_list, value.values())):
         return False
-    for about in value.values():
-        if not isinstance(about, dict) or not about:
-            return False
-        for terms in about.values():
-            if not _all_have({"type", "value"}, terms):
-                return False
-    return True
+    return any(terms and has("type", "value")(terms[0]) for terms in value.values())
 
 
-def _rdf_json(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return the triples of RDF/JSON."""
-    links = []
-    for head, about in value.items():
+def _read_rdf_json(document: Any, records: Records) -> None:
+    for head, about in document.items():
         for relation, terms in about.items():
             for term in terms:
-                plain = dict(term)
-                plain["xml:lang"] = term.get("lang", "")
-                links.append([head, relation, _sparql_term(plain)])
-    return {"links": links}
+                records.add_link([head, relation, _term(term)])
 
 
-def _is_wikidata(value: Any) -> bool:
-    """Return whether a value holds entities of Wikidata's dump or API."""
-    if isinstance(value, dict) and isinstance(value.get("entities"), dict):
-        value = list(value["entities"].values())
-    records = value if isinstance(value, list) else [value]
-    return _all_have({"id", "labels", "claims"}, records)
-
-
-def _refuse_wikidata(value: Any, path: Path) -> _Graph:
+def _refuse_wikidata(document: Any, records: Records) -> None:
     raise UserError(
-        f"{path}: holds entities of Wikidata as JSON. Download them as Turtle: "
+        f"{records.path}: holds entities of Wikidata as JSON. Download them as Turtle: "
         "https://www.wikidata.org/wiki/Special:EntityData/Q81707.ttl, or ask "
         "https://query.wikidata.org for triples with CONSTRUCT."
     )
 
 
-def _is_by_name(value: Any) -> bool:
-    """Return whether a value holds properties of things by name: {"mug": {"on": "desk"}, ...}."""
-    if not isinstance(value, dict) or len(value) < 2:
-        return False
-    return all(map(_is_properties, value.values()))
-
-
-def _is_properties(value: Any) -> bool:
-    """Return whether a value is an object with values, or a list of words."""
-    if isinstance(value, list):
-        return set(map(type, value)) == {str}
-    return isinstance(value, dict)
-
-
-def _refuse_by_name(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Refuse properties by name, with the command that lists them as triples."""
-    file = json.dumps(str(path), ensure_ascii=False)
-    triples = '[[h, "hasProperty", t] for h in d for t in d[h]]'
-    if any(map(_has_words, value.values())):
-        triples = (
-            "[[h, r, t] for h in d for r in d[h] "
-            "for t in (d[h][r] if isinstance(d[h][r], list) else [d[h][r]]) if t is not None]"
-        )
-    code = (
-        f"import json; d = json.load(open({file})); "
-        f'json.dump({triples}, open("triples.json", "w"))'
-    )
-    raise UserError(
-        f"{path}: this JSON is neither JSON-LD nor a graph. If its keys are things, write triples: "
-        f"python -c {shlex.quote(code)}"
-    )
-
-
-def _has_words(properties: Any) -> bool:
-    """Return whether an object holds values of relations, and no further objects."""
-    if not isinstance(properties, dict):
-        return False
-    return any(
-        isinstance(inside, str | int | float | list) for inside in properties.values()
-    )
-
-
-def _is_cytoscape(value: Any) -> bool:
-    """Return whether a value is a graph of Cytoscape, whose nodes and edges each have data."""
-    elements = value.get("elements") if isinstance(value, dict) else None
-    return isinstance(elements, dict) and "edges" in elements
-
-
-def _cytoscape(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return the data of nodes and edges."""
-    elements = value["elements"]
-    nodes = [node.get("data", {}) for node in elements.get("nodes", ())]
-    links = [edge.get("data", {}) for edge in elements["edges"]]
-    return {"nodes": nodes, "links": links}
-
-
-def _is_json_graph(value: Any) -> bool:
-    """Return whether a value is in the JSON Graph Format: nodes by identifier, and edges."""
-    graph = value.get("graph") if isinstance(value, dict) else None
-    return isinstance(graph, dict) and isinstance(graph.get("edges"), list)
-
-
-def _json_graph(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return nodes and edges."""
-    graph = value["graph"]
-    nodes = graph.get("nodes", {})
-    if isinstance(nodes, dict):
-        nodes = [{**about, "id": key} for key, about in nodes.items()]
-    return {"nodes": nodes, "links": graph["edges"]}
-
-
-def _is_obographs(value: Any) -> bool:
-    """Return whether a value is in the JSON of OBO Graphs."""
-    return isinstance(value, dict) and isinstance(value.get("graphs"), list)
-
-
-def _obographs(value: Mapping[str, Any], path: Path) -> _Graph:
-    """Return the edges and labels of all graphs."""
-    nodes = list[Any]()
-    links = list[Any]()
-    others = set[str]()
-    for graph in value["graphs"]:
-        others.update(
-            key for key in graph if key.endswith(("Axioms", "NodesSets")) and graph[key]
-        )
+def _read_obographs(document: Any, records: Records) -> None:
+    """Read the edges and labels of all graphs of an ontology."""
+    for graph in document["graphs"]:
+        for key, values in graph.items():
+            if values and key.endswith(("Axioms", "NodesSets")):
+                records.unread.add(key)
         for node in graph.get("nodes", ()):
-            nodes.append(node["id"])
+            records.add_node(node["id"], {})
             if node.get("lbl"):
                 # As statements: terms of one label are no individuals of it.
-                links.append([node["id"], LABEL_RELATIONS[0], literal(node["lbl"])])
+                records.add_label(node["id"], node["lbl"])
             if "meta" in node:
-                others.add("meta")
+                records.unread.add("meta")
         for edge in graph.get("edges", ()):
             relation = edge["pred"]
             if relation == "is_a":
                 relation = RDFS + "subClassOf"
-            links.append([edge["sub"], relation, edge["obj"]])
-    if others:
-        warn(f"{path}: these values are not read: {listed(sorted(others))}.")
-    return {"nodes": nodes, "links": links}
+            records.add_link([edge["sub"], relation, edge["obj"]])
 
 
-_FORMS: tuple[
-    tuple[Callable[[Any], bool], Callable[[Any, Path], _Graph]],
-    ...,
-] = (
-    (_is_triple, _one_triple),
-    (_is_link, lambda value, path: {"links": [value]}),
-    (_is_apoc, _apoc),
-    (_is_conceptnet, _conceptnet),
-    (_is_hextuples, _hextuples),
-    (_is_sparql, _sparql),
-    (_is_rdf_json, _rdf_json),
-    (_is_wikidata, _refuse_wikidata),
-    (_is_cytoscape, _cytoscape),
-    (_is_json_graph, _json_graph),
-    (_is_obographs, _obographs),
-    (_is_by_name, _refuse_by_name),
+LINKS = Form("", _read_links, _is_graph)
+"""Nodes and links of no program in particular."""
+PROGRAMS = (
+    Form("Neo4j", _read_neo4j, has("rels")),
+    Form("Neo4j", _read_neo4j, _is_neo4j),
+    Form("ConceptNet", _read_conceptnet, has("start", "rel", "end"), ("edges",)),
+    Form("HexTuples", _read_hextuples, _is_hextuple),
+    Form("SPARQL", _read_sparql, has("vars"), ("head",)),
+    Form("SPARQL", _read_sparql, has("head", "boolean")),
+    Form("RDF/JSON", _read_rdf_json, _is_rdf_json),
+    Form("Wikidata", _refuse_wikidata, has("id", "labels", "claims")),
+    Form("Cytoscape", _read_cytoscape, has("edges"), ("elements",)),
+    Form("OBO Graphs", _read_obographs, has("graphs")),
 )
-"""How each form is recognized, and read."""
+"""Forms of other programs."""

@@ -3,31 +3,28 @@
 import csv
 import json
 import re
-from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from knowarm.errors import UserError, warn
+from knowarm.errors import UserError
 from knowarm.knowledge.formats.columns import (
     CONFIDENCE,
     ROLES,
-    Columns,
-    Statements,
     cell_of_name,
     columns_of,
-    confidence_key,
     confidence_of,
     listed,
     name_of_cell,
 )
+from knowarm.knowledge.formats.doubts import doubt, melt, refuse_marks, refuse_names
 from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
-from knowarm.knowledge.formats.wide import is_wide, melt, names_columns
+from knowarm.knowledge.formats.records import Statements
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, RDF_TYPE, literal
+from knowarm.knowledge.graph.terms import RDF_TYPE
 
 Row = tuple[int, list[str]]
 """Number of a row's first line, and its cells."""
@@ -36,15 +33,17 @@ SEPARATORS = (",", "\t", ";", "|")
 """Separators of cells, tried in this order after that of the file's suffix."""
 _SAMPLE = 50
 """Lines by which the separator is recognized."""
+_JUDGED = 100_000
+"""Rows by which it is known whether they are triples."""
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
-_NUMBER = re.compile(r"[-+]?\d+(?:[.,]\d+)?")
-_BRACKETS = dict(zip("([{⟨（", ")]}⟩）", strict=True))
-_BRACKET = re.compile(r"(?:^|\W)([(\[{⟨（])")
-"""A bracket that opens before a word."""
-_MARK = re.compile(r"(?!_:|<[^<>]*>$)(?:[^\w/:#\"'@.$?!&%~(\[{]|_(?=.*_$))")
-"""Mark with which a head begins, and names do not."""
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
 """The first line by which Excel knows the separator."""
+
+
+_IF_UNEVEN = (
+    "Correct the line, delete it if it is no row, or name the columns in the first line, three of "
+    "them head, relation and tail, such as head,relation,tail,weight."
+)
 
 
 class Dialect(NamedTuple):
@@ -75,176 +74,51 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
         rows: its rows.
         if_wide: what to do if a row holds a thing and its properties, a sentence without its end.
     """
-    builder = GraphBuilder()
+    statements = Statements(path)
     first_row = next(rows, None)
     if first_row is None:
-        return builder.build()
-    names = first_row[1]
+        return statements.build()
+    first_line, names = first_row
     if {"_start", "_end", "_type"}.issubset(names):
         return _read_apoc(path, names, rows)
-    columns = columns_of(names, path)
+    columns = columns_of(tuple(names), path)
     has_header = columns is not None
     if_empty = "Fill it in or delete the line."
     if columns is None:
-        _refuse_header(path, first_row, if_wide)
-        if names_columns(names):
-            if_empty += f" {if_wide}."
-        columns = Columns(0, 1, 2)
+        refuse_names(f"{path}, line {first_line}", names, if_wide)
+        if_empty += f" {if_wide}."
         names = list(ROLES)
+        columns = columns_of(tuple(names), path)
         rows = chain([first_row], rows)
-    numbers = {name: number for number, name in enumerate(names)}
-    labels = dict[
-        int, int
-    ]()  # place in the triple by the column of its label, as KGTK has them
-    for role, column in enumerate(columns):
-        if f"{names[column]};label" in numbers:
-            labels[numbers[f"{names[column]};label"]] = role
-    confidence_column = confidence_key(names)
-    read = {*columns, *labels, confidence_column}
-    others = [name for number, name in enumerate(names) if name and number not in read]
-    if others:
-        warn(f"{path}: these columns are not read: {listed(others)}.")
-    words = set(map(name_of_cell, first_row[1]))
-    occurs_again = has_header
-    statements = Statements(path, builder)
-    heads = set[str]()
-    relations = Counter[str]()
-    marks = _Marks()
-    count = 0
+    labels = dict[int, int]()
+    """Place in the triple by the column of its label, as KGTK has them."""
+    for role, column in enumerate(columns.triple):
+        label = f"{names[column]};label"
+        if label in names:
+            labels[names.index(label)] = role
+    statements.unread.update({*columns.others} - set(map(names.__getitem__, labels)))
+    judged = list[Triple]()
     for number, row in rows:
-        triple = _triple(path, number, row, names, columns, if_empty)
+        where = f"{path}, line {number}"
+        _refuse_uneven(where, row, names, _IF_UNEVEN)
+        head, relation, tail = (name_of_cell(row[column]) for column in columns.triple)
+        triple = (head, relation, tail)
+        if not all(triple):
+            role = list(ROLES)[triple.index("")]
+            raise UserError(f"{where}: the {role} is empty. {if_empty}")
         confidence = None
-        if confidence_column is not None:
-            confidence = confidence_of(row[confidence_column], f"{path}, line {number}")
+        if columns.confidence is not None:
+            confidence = confidence_of(row[columns.confidence], where)
         statements.add(triple, confidence)
         for column, role in labels.items():
             if row[column]:
-                builder.add_statement(
-                    triple[role], LABEL_RELATIONS[0], literal(row[column])
-                )
-        if count > 0 and not words.isdisjoint(triple):
-            occurs_again = True
-        marks.add(triple)
-        if not has_header:
-            heads.add(triple[0])
-            relations[triple[1]] += 1
-        count += 1
-    marks.refuse(path, count)
-    if count > 1 and relations and all(map(_NUMBER.fullmatch, relations)):
-        warn(
-            f"{path}: the relations are numbers, such as {listed(islice(relations, 3))}. If the "
-            "middle column is no relation, name the columns in a first line."
-        )
-    elif not has_header and is_wide(count, len(heads), relations):
-        _doubt_relations(path, first_row, if_wide, relations, occurs_again)
-    elif not occurs_again:
-        _doubt_header(path, first_row, if_wide, count, len(heads), len(relations))
+                statements.add_label(triple[role], row[column])
+        if len(judged) < _JUDGED:
+            judged.append(triple)
+    refuse_marks(path, judged)
+    if not has_header:
+        doubt(path, first_line, judged, if_wide)
     return statements.build()
-
-
-class _Marks:
-    """Brackets and bullets around rows, which would become parts of names."""
-
-    def __init__(self) -> None:
-        self.marks = set[str]()
-        self.in_brackets = 0
-
-    def add(self, triple: Triple) -> None:
-        """Count a row."""
-        head, _, tail = triple
-        if head.isidentifier() and head[0] != "_":  # most: fast
-            self.marks.add("")
-            return
-        mark = _MARK.match(head)
-        self.marks.add(mark[0] if mark else "")
-        opening = _BRACKET.search(head)
-        if opening is not None and _spans(opening[1], head, tail):
-            self.in_brackets += 1
-
-    def refuse(self, path: Path, rows: int) -> None:
-        """Refuse a table if most of its rows have brackets, or all begin with one mark."""
-        what = ""
-        if 2 * self.in_brackets > rows:
-            what = "most rows have brackets around them"
-        mark = "".join(self.marks)
-        if rows > 1 and mark and len(self.marks) == 1:
-            what = f"all rows begin with {mark!r}"
-        if what:
-            raise UserError(
-                f"{path}: {what}, which would become part of names. Write rows of three names, "
-                "such as mug,usedFor,drinking."
-            )
-
-
-def _spans(opening: str, head: str, tail: str) -> bool:
-    """Return whether a bracket opens in the head of a row and closes in its tail."""
-    closing = _BRACKETS[opening]
-    return (
-        head.count(opening) > head.count(closing)
-        and tail.count(closing) > tail.count(opening)
-    )  # fmt: skip
-
-
-def _refuse_header(path: Path, first_row: Row, if_wide: str) -> None:
-    """Refuse a first row with no head, or that names columns of another number than three."""
-    number, cells = first_row
-    is_long = len(cells) > 2 * len(ROLES)
-    is_other = len(cells) == 2 or any(cells[len(ROLES) :])
-    if is_other and (is_long or names_columns(cells)):
-        raise UserError(
-            f"{path}, line {number}: {listed(cells)} name columns, but not which are head, "
-            f"relation and tail; name them so. {if_wide}."
-        )
-    if not cells[0]:
-        raise UserError(
-            f"{path}, line {number}: the head is empty. Fill it in. {if_wide}."
-        )
-
-
-def _doubt_header(
-    path: Path, first_row: Row, if_wide: str, rows: int, heads: int, relations: int
-) -> None:
-    """Warn of a first row that may name columns; refuse one that names those of a wide table."""
-    number, cells = first_row
-    where = f"{path}, line {number}: {listed(cells)}"
-    if rows > 1 and heads == rows and names_columns(cells):
-        raise _wide_header(where, if_wide)
-    if max(3, relations) < rows:
-        warn(
-            f"{where} was read as a triple, but no word of it occurs again. If these are names of "
-            "columns, write head,relation,tail."
-        )
-
-
-def _doubt_relations(
-    path: Path,
-    first_row: Row,
-    if_wide: str,
-    relations: Counter[str],
-    occurs_again: bool,
-) -> None:
-    """Warn of a middle column that holds no relations; refuse a first row that says as much."""
-    number, cells = first_row
-    if not occurs_again and names_columns(cells):
-        raise _wide_header(f"{path}, line {number}: {listed(cells)}", if_wide)
-    if occurs_again:
-        if_wide = (
-            "If a line describes one thing and each column one of its properties, name the columns "
-            "in a first line, such as object,use,material"
-        )
-    values = list(relations)[not occurs_again :]
-    warn(
-        f"{path}: {', '.join(values[:3])} were read as relations, but hardly one of them occurs "
-        f"again. {if_wide}."
-    )
-
-
-def _wide_header(where: str, if_wide: str) -> UserError:
-    """Return the error for a first row that names the columns of a wide table."""
-    return UserError(
-        f"{where} name columns, and none of them is the relation. If these are triples, write "
-        f"head,relation,tail above them. {if_wide}."
-    )
 
 
 def _read_apoc(path: Path, names: list[str], rows: Iterator[Row]) -> KnowledgeGraph:
@@ -252,36 +126,30 @@ def _read_apoc(path: Path, names: list[str], rows: Iterator[Row]) -> KnowledgeGr
 
     A node is named by its number and has the label "name"; its labels are its types.
     """
-    builder = GraphBuilder()
-    own = ("_id", "_labels", "_start", "_end", "_type", "name")
-    others = [name for name in names if name and name not in own]
-    if others:
-        warn(f"{path}: these columns are not read: {listed(others)}.")
+    statements = Statements(path)
+    own = {"_id", "_labels", "_start", "_end", "_type", "name"}
+    statements.unread.update(filter(None, {*names} - own))
     for number, row in rows:
-        if len(row) != len(names):
-            raise _uneven(path, number, row, names, "Export it again.")
+        where = f"{path}, line {number}"
+        _refuse_uneven(where, row, names, "Export it again.")
         cells = dict(zip(names, row, strict=True))
-        if cells["_type"]:
-            triple = (cells["_start"], cells["_type"], cells["_end"])
-            if not all(triple):
-                raise UserError(
-                    f"{path}, line {number}: the relationship {cells['_type']} has no start or no "
-                    "end. Export it again."
-                )
-            builder.add(*map(name_of_cell, triple))
-            continue
+        triple = [cells["_start"], cells["_type"], cells["_end"]]
         node = name_of_cell(cells.get("_id", ""))
-        if not node:
+        if all(triple):
+            head, relation, tail = map(name_of_cell, triple)
+            statements.add((head, relation, tail))
+        elif cells["_type"] or not node:
             raise UserError(
-                f"{path}, line {number}: is neither a node with an _id nor a relationship with a "
-                "_type. Export it again."
+                f"{where}: is neither a node with an _id nor a relationship with _start, _type and "
+                f"_end ({listed(filter(None, row))}). Export it again."
             )
-        builder.add_node(node)
-        for kind in filter(None, cells.get("_labels", "").split(":")):
-            builder.add(node, RDF_TYPE, name_of_cell(kind))
-        if cells.get("name"):
-            builder.add_statement(node, LABEL_RELATIONS[0], literal(cells["name"]))
-    return builder.build()
+        else:
+            statements.builder.add_node(node)
+            for kind in filter(None, cells.get("_labels", "").split(":")):
+                statements.add((node, RDF_TYPE, name_of_cell(kind)))
+            if cells.get("name"):
+                statements.add_label(node, cells["name"])
+    return statements.build()
 
 
 def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
@@ -300,37 +168,16 @@ def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
             writer.writerow(row)
 
 
-def _triple(
-    path: Path,
-    number: int,
-    row: list[str],
-    names: Sequence[str],
-    columns: Columns,
-    if_empty: str,
-) -> Triple:
-    """Return the names of head, relation and tail of a row."""
+def _refuse_uneven(
+    where: str, row: list[str], names: Sequence[str], remedy: str
+) -> None:
+    """Refuse a row with another number of cells than there are columns, but for blank ones."""
     if len(row) < len(names) or any(row[len(names) :]):
-        remedy = (
-            "Correct the line, delete it if it is no row, or name the columns in the first line, "
-            "three of them head, relation and tail, such as head,relation,tail,weight."
+        plural = "" if len(row) == 1 else "s"
+        raise UserError(
+            f"{where}: has {len(row)} column{plural}, but a row has {len(names)} "
+            f"({listed(names)}). {remedy}"
         )
-        raise _uneven(path, number, row, names, remedy)
-    head, relation, tail = (name_of_cell(row[column]) for column in columns)
-    for role, name in zip(ROLES, (head, relation, tail), strict=True):
-        if not name:
-            raise UserError(f"{path}, line {number}: the {role} is empty. {if_empty}")
-    return head, relation, tail
-
-
-def _uneven(
-    path: Path, number: int, row: list[str], names: Sequence[str], remedy: str
-) -> UserError:
-    """Return the error for a row with another number of cells than there are columns."""
-    plural = "" if len(row) == 1 else "s"
-    return UserError(
-        f"{path}, line {number}: has {len(row)} column{plural}, but a row has "
-        f"{len(names)} ({listed(names)}). {remedy}"
-    )
 
 
 def _dialect(path: Path, expected: str) -> Dialect:
@@ -350,36 +197,16 @@ def _dialect(path: Path, expected: str) -> Dialect:
 
 
 def _rows(path: Path, dialect: Dialect) -> Iterator[Row]:
-    """Yield rows that are not blank, their cells without blanks around them."""
-    separator = dialect.separator
-    rows = _tab_rows(path) if separator == "\t" else _csv_rows(path, separator)
-    for number, row in rows:
-        cells = list(map(str.strip, row))
-        if any(cells) and number > dialect.skipped:
-            yield number, cells
+    """Yield rows that are not blank, their cells without blanks around them.
 
-
-def _tab_rows(path: Path) -> Iterator[Row]:
-    """Split at tabs; a cell is quoted if it begins and ends with quotes."""
-    for number, line in text_lines(path):
-        cells = line.split("\t")
-        if '"' in line:
-            cells = list(map(_unquoted, cells))
-        yield number, cells
-
-
-def _unquoted(cell: str) -> str:
-    """Return the content of a cell that may be quoted."""
-    match = _QUOTED.fullmatch(cell)
-    if match is None:
-        return cell
-    return match[1].replace('""', '"')
-
-
-def _csv_rows(path: Path, separator: str) -> Iterator[Row]:
-    """Split by the rules of CSV."""
+    Between tabs, a cell is quoted if it begins and ends with quotes; else by the rules of CSV.
+    """
+    is_tab = dialect.separator == "\t"
+    options: Any = {"strict": True, "skipinitialspace": True}
+    if is_tab:
+        options = {"quoting": csv.QUOTE_NONE}
     lines = (line + "\n" for _, line in text_lines(path))
-    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
+    reader = csv.reader(lines, delimiter=dialect.separator, **options)
     start = 1
     while True:
         try:
@@ -391,8 +218,20 @@ def _csv_rows(path: Path, separator: str) -> Iterator[Row]:
                 f"{path}, line {start}: not well-formed CSV: {error}. "
                 f'Quote cells that contain commas or quotes, doubling each quote: "a ""b"" c".'
             ) from error
-        yield start, row
+        if is_tab:
+            row = list(map(_unquoted, row))
+        cells = list(map(str.strip, row))
+        if any(cells) and start > dialect.skipped:
+            yield start, cells
         start = reader.line_num + 1
+
+
+def _unquoted(cell: str) -> str:
+    """Return the content of a cell that may be quoted."""
+    match = _QUOTED.fullmatch(cell)
+    if match is None:
+        return cell
+    return match[1].replace('""', '"')
 
 
 def read_conceptnet(

@@ -7,9 +7,8 @@ or a number before it, arrows between its cells, or the bars of a Markdown table
 import ast
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
@@ -39,8 +38,6 @@ _BETWEEN = re.compile(r"[\s,;.\[\](){}]*")
 _ROLE = re.compile(r"(\w+)\s*[:=]\s*(.+)")
 _EMPHASIS = re.compile(r"(\*\*|\*|`|\"|')(.+)\1|“(.+)”|‘(.+)’")
 _PAIRS = {"(": ")", "[": "]", "<": ">", "{": "}", "⟨": "⟩"}
-_SAMPLE = 10_000
-"""Lines by which it is known how triples are written."""
 _SEPARATORS = ("\t", "|", ";", ",")
 _TEXTS = ("", "text", "txt", "plaintext", "plain", "csv", "tsv", "markdown", "md")
 """Languages of code blocks that hold triples of names."""
@@ -51,16 +48,16 @@ def looks_written(beginning: str) -> bool:
     lines = list(filter(str.strip, beginning.splitlines()))
     if any(map(_FENCE.match, lines)):
         return True
-    if lines and _named_columns(Path(), lines[0]):
+    if lines and _named_columns(lines[0]):
         lines = lines[1:]
     triples = 0
     rows = 0
     has_rule = any(map(_is_rule, lines))
     for line in lines:
-        if _triples_of_line(line, False, has_rule):
+        if _triples_of_line(line, has_rule):
             triples += 1
         elif not _is_rule(line) and not _is_cut(line):
-            rows += any(line.count(separator) >= 2 for separator in _SEPARATORS)
+            rows += max(map(line.count, _SEPARATORS)) >= 2
     return triples > rows
 
 
@@ -75,87 +72,82 @@ def read_written(path: Path) -> KnowledgeGraph:
 
 def _written_rows(path: Path) -> Iterator[Row]:
     """Yield the cells of the lines that are triples."""
-    beginning = list(map(itemgetter(1), islice(text_lines(path), _SAMPLE)))
-    has_rule = any(map(_is_rule, beginning))
-    has_brackets = any(map(_has_brackets, beginning))
-    prose = list[tuple[int, str]]()
-    waiting = list[Row]()  # Rows that are not known to be no names of columns
+    lines = list(text_lines(path))
+    following = list(map(itemgetter(1), lines))
+    has_rule = any(map(_is_rule, following))
+    has_brackets = any(map(_has_brackets, following))
+    prose = list[str]()
     header = list[str]()
     count = 0
     is_block = False
-    for number, line in text_lines(path):
+    for (number, line), below in zip(lines, [*following[1:], ""], strict=True):
+        where = f"{path}, line {number}"
         fence = _FENCE.match(line)
         if fence is not None:
             is_block = not is_block
-            _refuse_language(path, number, fence[1] if is_block else "")
+            if is_block and fence[1].lower() not in _TEXTS:
+                raise UserError(
+                    f"{where}: a code block in {fence[1]} begins here. Save what is in the block "
+                    "as a file of its own."
+                )
             continue
-        if _is_rule(line):
-            names_columns = waiting and ("|" in line or count == 1)
-            if names_columns and header:
-                _refuse_other_header(path, header, waiting.pop())
-            elif names_columns:
-                header = _header(path, waiting[0])
+        if _is_rule(line) or _WRAPPER.fullmatch(line) or not line.strip():
             continue
-        yield from waiting
-        triples = _triples_of_line(line, is_block, has_rule, has_brackets)
+        triples = _triples_of_line(line, has_rule, has_brackets, is_block)
         if not triples and not count:
-            triples = _named_columns(path, line)
-        waiting = [(number, cells) for cells in triples]
-        count += len(triples)
-        if _is_cut(line) and not triples:
+            triples = _named_columns(line)
+        if not triples and _is_cut(line):
             raise UserError(
-                f"{path}, line {number}: a bracket is not closed: {line.strip()[:60]}. Correct it."
+                f"{where}: a bracket is not closed: {line.strip()[:60]}. Correct it."
             )
-        if not triples and line.strip() and not _WRAPPER.fullmatch(line):
-            prose.append((number, line.strip()))
-    yield from waiting
+        if not triples:
+            prose.append(f"line {number}: {line.strip()[:60]}")
+        if triples and _is_rule(below) and ("|" in below or not count):
+            is_first = not header
+            header = _header(where, triples[0], header)
+            if not is_first:
+                continue
+        for cells in triples:
+            count += 1
+            yield number, cells
     if prose and count:
-        number, text = prose[0]
         plural = "" if len(prose) == 1 else "s"
         warn(
-            f"{path}: {len(prose)} line{plural} without a triple left out, such as line {number}: "
-            f"{text[:60]}"
+            f"{path}: {len(prose)} line{plural} without a triple left out, such as {prose[0]}"
         )
 
 
-def _refuse_language(path: Path, number: int, language: str) -> None:
-    """Refuse a code block in another language than lines of triples."""
-    if language.lower() not in _TEXTS:
+def _header(where: str, names: list[str], first: list[str]) -> list[str]:
+    """Return the names above the line of a Markdown table, which name columns as the first do."""
+    if first and names != first:
         raise UserError(
-            f"{path}, line {number}: a code block in {language} begins here. Save what is in the "
-            "block as a file of its own."
+            f"{where}: another table begins, with the columns {', '.join(names)}. "
+            "Save it as a file of its own."
         )
-
-
-def _header(path: Path, row: Row) -> list[str]:
-    """Return the names of the columns above the line of a Markdown table."""
-    number, names = row
-    if columns_of(names, path) is None:
+    if columns_of(tuple(names), Path(where)) is None:
         raise UserError(
-            f"{path}, line {number}: {', '.join(names)} name columns, but not which are head, "
+            f"{where}: {', '.join(names)} name columns, but not which are head, "
             f"relation and tail. Name them {', '.join(ROLES)}, and write a row per fact."
         )
     return names
 
 
-def _refuse_other_header(path: Path, header: list[str], row: Row) -> None:
-    """Refuse a further table with other columns."""
-    number, names = row
-    if names != header:
-        raise UserError(
-            f"{path}, line {number}: another table begins, with the columns {', '.join(names)}. "
-            "Save it as a file of its own."
-        )
-
-
-def _named_columns(path: Path, line: str) -> list[list[str]]:
+def _named_columns(line: str) -> list[list[str]]:
     """Return the cells of a line that names columns without being set off."""
     for separator in _SEPARATORS:
         cells = _split(line, separator)
-        with suppress(UserError):
-            if len(cells) > 2 and columns_of(cells, path) is not None:
-                return [cells]
+        if len(cells) > 2 and _columns(cells):
+            return [cells]
     return []
+
+
+def _columns(names: Iterable[object]) -> tuple[int, ...]:
+    """Return the columns of head, relation and tail that names tell, () without."""
+    with suppress(UserError):
+        columns = columns_of(tuple(map(str, names)), Path())
+        if columns is not None:
+            return columns.triple
+    return ()
 
 
 def _is_cut(line: str) -> bool:
@@ -166,7 +158,7 @@ def _is_cut(line: str) -> bool:
 
 def _has_brackets(line: str) -> bool:
     """Return whether a line has a triple that is set off, also without its bullet."""
-    return bool(_triples_of_line(line, False, False, has_brackets=True))
+    return bool(_triples_of_line(line, has_brackets=True))
 
 
 def _is_rule(line: str) -> bool:
@@ -174,34 +166,34 @@ def _is_rule(line: str) -> bool:
 
 
 def _triples_of_line(
-    line: str, is_block: bool, has_rule: bool, has_brackets: bool = False
+    line: str,
+    has_rule: bool = False,
+    has_brackets: bool = False,
+    is_block: bool = False,
 ) -> list[list[str]]:
     """Return the cells of the triples in a line, none if it is not set off.
 
     Args:
         line: the line.
-        is_block: it lies in a block of code, which sets it off.
         has_rule: the file has a Markdown table, whose rows need no bar at their ends.
         has_brackets: its triples have brackets, so that items of lists without are prose.
+        is_block: it lies in a block of code, which sets it off.
     """
     if _is_rule(line) or _WRAPPER.fullmatch(line):
         return []
-    bullet = _BULLET.match(line)
-    text = line[bullet.end() if bullet else 0 :].strip()
+    text = _BULLET.sub("", line, count=1).strip()
     is_item = text != line.strip() and not has_brackets
     text = _without_emphasis(text)
     if text.startswith("|") and text.endswith("|") and len(text) > 1:
-        return [_bar_cells(text[1:-1])]
+        return [_split(text[1:-1], "|")]
     triples = list[list[str]]()
     for group in _groups(text):
         triples += _triples_of_group(group)
     if triples:
         return triples
     rows = [_split(text, separator) for separator in _SEPARATORS]
-    is_plain_row = not _SPACED_ARROW.search(text) and 3 in map(len, rows)
-    if _ARROW.search(text) and not is_plain_row:
-        cells = _cells_of_arrows(text)
-        return [cells] if cells else []
+    if _ARROW.search(text) and (_SPACED_ARROW.search(text) or 3 not in map(len, rows)):
+        return list(filter(None, [_cells_of_arrows(text)]))
     for separator, cells in zip(_SEPARATORS, rows, strict=True):
         if len(cells) < 3:
             continue
@@ -252,9 +244,9 @@ def _triples_of_group(group: str) -> list[list[str]]:
         if isinstance(values, dict):
             return list(filter(None, [_values_of_roles(values)]))
         if isinstance(values, tuple | list):
-            if all(isinstance(value, tuple | list) for value in values):
-                return [list(map(str, value)) for value in values]
-            return [list(map(str, values))]
+            if not all(isinstance(value, tuple | list) for value in values):
+                values = [values]
+            return [list(map(str, value)) for value in values]
     inside = group[1:-1].strip()
     if _ARROW.search(inside):
         return list(filter(None, [_cells_of_arrows(inside)]))
@@ -268,20 +260,16 @@ def _triples_of_group(group: str) -> list[list[str]]:
 def _cells_of_arrows(text: str) -> list[str]:
     """Return the cells between arrows: of "mug -> usedFor -> drinking", "(mug)-[:IN]->(box)"."""
     cells = _ARROW.split(text)
-    if len(cells) == 2:
-        edge = _EDGE.fullmatch(cells[0])
-        if edge is None:
-            return []
-        head, relation = filter(None, edge.groups())
-        cells = [head, relation, cells[1]]
+    edge = _EDGE.fullmatch(cells[0])
+    if len(cells) == 2 and edge is not None:
+        cells = [*filter(None, edge.groups()), cells[1]]
     if len(cells) != 3 or "{" in text:
         return []
     plain = []
-    for cell in cells:
-        cell = cell.strip()
+    for cell in map(str.strip, cells):
         if _closing(cell) == len(cell) - 1:
-            cell = cell[1:-1]
-        plain.append(_without_emphasis(cell.strip()))
+            cell = cell[1:-1].strip()
+        plain.append(_without_emphasis(cell))
     return plain
 
 
@@ -293,17 +281,13 @@ def _split(text: str, separator: str) -> list[str]:
     return []
 
 
-def _bar_cells(text: str) -> list[str]:
-    return [_without_emphasis(cell.strip()) for cell in text.split("|")]
-
-
 def _without_emphasis(text: str) -> str:
     """Return a text without the quotes or marks of Markdown around the whole of it."""
     match = _EMPHASIS.fullmatch(text)
     if match is None:
         return text
-    inside = match[2] or match[3] or match[4]
-    if match[1] is not None and match[1] in inside:
+    inside = match[match.lastindex or 0]
+    if match[1] and match[1] in inside:
         return text
     return _without_emphasis(inside)
 
@@ -311,23 +295,17 @@ def _without_emphasis(text: str) -> str:
 def _without_roles(cells: list[str]) -> list[str]:
     """Return the values of cells such as "Subject: mug", in order; none if they are no such."""
     values = dict[str, str]()
-    for cell in cells:
-        match = _ROLE.fullmatch(cell)
+    for match in map(_ROLE.fullmatch, cells):
         if match is None:
             return []
         values[_without_emphasis(match[1])] = _without_emphasis(match[2])
     return _values_of_roles(values)
 
 
-def _values_of_roles(values: dict[str, str]) -> list[str]:
+def _values_of_roles(values: Mapping[str, object]) -> list[str]:
     """Return the values of head, relation and tail in order; none if the keys name no such."""
-    names = list(map(str, values))
-    with suppress(UserError):
-        columns = columns_of(names, Path())
-        if columns is not None:
-            texts = list(map(str, values.values()))
-            return list(map(texts.__getitem__, columns))
-    return []
+    texts = list(map(str, values.values()))
+    return list(map(texts.__getitem__, _columns(values)))
 
 
 def _without_full_stop(cells: list[str], is_item: bool) -> list[str]:
