@@ -126,7 +126,7 @@ def test_a_graph_of_others_is_asked_as_it_lies(tmp_path, capsys):
     assert {each.split("/")[0] for each in answers} == {"wine_glass", "mug"}
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(str(home))[-1][:40] for line in lines] == [
-        ": left out are values that are not read: Weight.",
+        ": left out are values that are not read: Weight."[:40],
         "knowarm: warning: 'lamp' names 2 entitie",
     ]
     assert main(["ask", RUN, "usedFor drinking", "--graph", str(home)]) == 2

@@ -35,15 +35,15 @@ def test_confidence_is_read(tmp_path, text, confidence):
 @pytest.mark.parametrize(
     ("text", "expected", "message"),
     [
-        (TRIPLE + " {| :source :web |} .", {MUG}, "what is said about 1 triples"),
-        (TRIPLE + " {| :weight 7 |} .", {MUG}, "what is said about 1 triples"),
-        (TRIPLE + " {| :confidence :high |} .", {MUG}, "what is said about 1 triples"),
+        (TRIPLE + " {| :source :web |} .", {MUG}, "1 statements about triples"),
+        (TRIPLE + " {| :weight 7 |} .", {MUG}, "1 statements about triples"),
+        (TRIPLE + " {| :confidence :high |} .", {MUG}, "1 statements about triples"),
         (f":pan :hasColor :red . << {TRIPLE} >> :confidence .9 .", {"pan hasColor red"},
-         "1 triples are quoted"),
+         "1 triples that are quoted"),
         (f":pan :hasColor :red . << {TRIPLE} >> :confidence 1 .", {"pan hasColor red"},
-         "1 triples are quoted"),
+         "1 triples that are quoted"),
         (f":bob :says <<( {TRIPLE} )>> ; :age 5 .", {"bob age integer>"},
-         "what is said about 1 triples"),
+         "1 statements about triples"),
     ],
 )  # fmt: skip
 def test_what_else_is_said_is_left_out(tmp_path, text, expected, message):

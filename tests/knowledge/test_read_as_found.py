@@ -111,7 +111,7 @@ def test_what_people_have_is_read_right_and_without_a_warning(tmp_path, name, co
         ("a.json", '[{"s": "mug", "p": "usedFor", "o": "drinking", "weight": 2}]', {MUG}, "weight"),
         ("a.ttl", TURTLE + ":mug :recipe <http://e.org/hot chocolate> .", {MUG}, "line 3: Invalid"),
         ("a.ttl", TURTLE + "foaf:x :y :z .", {MUG}, "1 malformed .* line 3: The prefix f"),
-        ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, r"said about 1 triples \(RDF 1.2\)"),
+        ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, r"1 statements about triples \(RDF 1.2\)"),
         (
             "a.nt",
             "<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n<urn:a> <urn:b>\n",

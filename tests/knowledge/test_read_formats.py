@@ -198,7 +198,7 @@ def test_triples_about_triples_are_refused(tmp_path):
     path = tmp_path / "a.ttl"
     path.write_text("<< <a:b> <c:d> <e:f> >> <a:b> <c:d> .\n")
     with (
-        pytest.warns(DataWarning, match=r"what is said about 1 triples"),
+        pytest.warns(DataWarning, match=r"1 statements about triples"),
         pytest.raises(UserError, match="holds no triples"),
     ):
         read_graph(path)

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable
 from functools import cache, partial
-from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from pyoxigraph import RdfFormat
 from knowarm.errors import UserError, unknown_name, warn
 from knowarm.knowledge.formats.annotations import without_administration
 from knowarm.knowledge.formats.documents import read_json_graph, read_with_networkx
-from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
+from knowarm.knowledge.formats.files import beginning_of, suffix_of
 from knowarm.knowledge.formats.imports import with_imports
 from knowarm.knowledge.formats.others import refuse_others
 from knowarm.knowledge.formats.rdf import read_owl, read_rdf, write_rdf
@@ -21,7 +20,7 @@ from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_
 from knowarm.knowledge.formats.written import looks_written, read_written
 from knowarm.knowledge.graph.closure import closed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.reading import reading, replacing
+from knowarm.reading import replacing
 
 Reader = Callable[[Path], KnowledgeGraph]
 Writer = Callable[[KnowledgeGraph, Path], None]
@@ -32,29 +31,25 @@ class Format(NamedTuple):
 
     read: Reader
     suffixes: tuple[str, ...] = ()  # Each may be followed by one of `COMPRESSED`
-    begins: str = ""  # Regular expression of how the content begins, behind comments
-    looks: Callable[[str], bool] | None = (
-        None  # Or whether the first lines look like it
-    )
-
-    def recognizes(self, content: str) -> bool:
-        """Return whether a file begins like one of this format."""
-        if self.looks is not None:
-            return self.looks(content)
-        return _begins(self.begins, content)
+    recognizes: Callable[[str], object] = lambda content: False
+    """Whether content without comments before it is of this format."""
 
 
-def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "") -> Format:
-    return Format(partial(read_rdf, syntax=syntax), suffixes, begins)
+def _begins(pattern: str) -> Callable[[str], object]:
+    return re.compile(pattern, re.DOTALL).match
+
+
+def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "(?!)") -> Format:
+    return Format(partial(read_rdf, syntax=syntax), suffixes, _begins(begins))
 
 
 def _owl(syntax: str, begins: str) -> Format:
-    return Format(partial(read_owl, syntax=syntax), (f".{syntax}",), begins)
+    return Format(partial(read_owl, syntax=syntax), (f".{syntax}",), _begins(begins))
 
 
-def _network(kind: str) -> Format:
-    begins = rf"{_PROLOG}<{kind}\b"
-    return Format(partial(read_with_networkx, kind=kind), (f".{kind}",), begins)
+def _network(kind: str, begins: str) -> Format:
+    read = partial(read_with_networkx, kind=kind)
+    return Format(read, (f".{kind}",), _begins(begins))
 
 
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
@@ -73,12 +68,10 @@ FORMATS: dict[str, Format] = {
         ".xml",
         begins=_PROLOG + r"<(\w+:)?RDF\b",
     ),
-    "graphml": _network("graphml"),
-    "gexf": _network("gexf"),
-    "gml": Format(
-        partial(read_with_networkx, kind="gml"),
-        (".gml",),
-        r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\[",
+    "graphml": _network("graphml", rf"{_PROLOG}<graphml\b"),
+    "gexf": _network("gexf", rf"{_PROLOG}<gexf\b"),
+    "gml": _network(
+        "gml", r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\["
     ),
     "ofn": _owl("ofn", r"(Prefix|Ontology)\("),
     "omn": _owl("omn", "(Prefix|Ontology):"),
@@ -86,7 +79,9 @@ FORMATS: dict[str, Format] = {
     "obo": _owl("obo", "format-version:"),
     "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=_JSON_LD),
     "json": Format(
-        read_json_graph, (".json", ".jsonl", ".ndjson", ".hext", ".srj", ".rj"), _JSON
+        read_json_graph,
+        (".json", ".jsonl", ".ndjson", ".hext", ".srj", ".rj"),
+        _begins(_JSON),
     ),
     "turtle": _rdf(
         RdfFormat.TURTLE,
@@ -102,8 +97,8 @@ FORMATS: dict[str, Format] = {
     "n3": _rdf(RdfFormat.N3, ".n3"),
     "csv": Format(partial(read_table, separator=","), (".csv",)),
     "tsv": Format(partial(read_table, separator="\t"), (".tsv", ".txt")),
-    "conceptnet": Format(read_conceptnet, begins=r"/a/[^\t]*\t/r/"),
-    "written": Format(read_written, (".md", ".markdown"), looks=looks_written),
+    "conceptnet": Format(read_conceptnet, recognizes=_begins(r"/a/[^\t]*\t/r/")),
+    "written": Format(read_written, (".md", ".markdown"), looks_written),
     "folder": Format(lambda folder: read_parts(folder)[0]),
 }
 """The formats by name. Content is tried in this order."""
@@ -120,9 +115,7 @@ WRITERS: dict[str, Writer] = {
 
 _TEXT_RDF = ("turtle", "ntriples", "nquads", "trig", "n3")
 """Formats that the suffix tells apart, for their files may begin alike."""
-_BEGINNING = 1 << 16
-"""Bytes by which content is recognized."""
-_WEB_PAGE = "(?i:<!DOCTYPE html|<html)"
+_WEB_PAGE = re.compile("<!DOCTYPE html|<html", re.IGNORECASE)
 """How a page begins that was downloaded in place of a graph."""
 
 _DATA = Path(__file__).parent.parent / "data"
@@ -229,15 +222,13 @@ def _format_of(path: Path) -> str:
     """Return the format of a file by its content, and where that is open by its suffix."""
     if path.is_dir():
         return "folder"
-    suffix = path.suffix.lower()
-    if suffix in COMPRESSED:
-        suffix = Path(path.stem).suffix.lower()
-    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
-        beginning = file.read(_BEGINNING).decode(errors="replace")
-    content = re.sub(r"\A(\s|#.*\n)*", "", beginning)
-    with_suffix = (name for name in FORMATS if suffix in FORMATS[name].suffixes)
-    by_suffix = next(with_suffix, None)
+    suffix = suffix_of(path)
+    content = re.sub(r"\A(\s|#.*\n)*", "", beginning_of(path))
     refuse_others(path, suffix, content)
+    suffixes = dict[str, str]()
+    for name, known in FORMATS.items():
+        suffixes.update(dict.fromkeys(known.suffixes, name))
+    by_suffix = suffixes.get(suffix)
     tried = list(FORMATS)
     if suffix in (".csv", ".tsv"):
         # The first cell may look like any other format.
@@ -248,18 +239,13 @@ def _format_of(path: Path) -> str:
     by_content = next(alike, None)
     if by_suffix in _TEXT_RDF and by_content in _TEXT_RDF:
         return by_suffix
-    if by_content is None and _begins(_WEB_PAGE, content):
+    if by_content is None and _WEB_PAGE.match(content):
         raise UserError(f"{path}: this is an HTML page. Download the file itself.")
     recognized = by_content or by_suffix
     if recognized is None:
-        suffixes = set[str]().union(*map(attrgetter("suffixes"), FORMATS.values()))
         raise UserError(
             f"{path}: the suffix {suffix!r} and the content belong to no graph format. Known "
             f"suffixes: {', '.join(sorted(suffixes))}. Or give the format: "
             f"{', '.join(FORMATS)}."
         )
     return recognized
-
-
-def _begins(pattern: str, text: str) -> bool:
-    return pattern != "" and re.match(pattern, text, re.DOTALL) is not None

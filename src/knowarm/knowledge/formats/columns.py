@@ -23,8 +23,6 @@ PAIRS = (
 )  # fmt: skip
 """Names of head and tail that stand beside each other, the surest first: a source beside a subject
 is a reference."""
-_SURE = 4
-"""Of the first pairs the names may be mixed, and stand beside "value"."""
 ROLES = {
     "head": tuple(dict.fromkeys(map(itemgetter(0), PAIRS))),
     "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
@@ -33,7 +31,9 @@ ROLES = {
     "tail": (*dict.fromkeys(map(itemgetter(1), PAIRS)), "value"),
 }  # fmt: skip
 """Names of the three columns, the surest first."""
-
+_SURE = (("head", "subject", "subj", "sub"), ("tail", "object", "obj", "value"))
+"""Names of heads and tails that may be mixed."""
+_BESIDE = {*PAIRS, *product(*_SURE)}
 
 _ADDITION = re.compile(r"_(entity|name|type|node|concept|term|word|id)$")
 """What may follow a name of a column."""
@@ -70,7 +70,7 @@ def columns_of(names: tuple[str, ...], where: Path) -> Columns | None:
     tails = list(filter(keys.__contains__, ROLES["tail"]))
     if not heads or not tails:
         return None
-    pairs = list(filter(_is_pair, product(heads, tails)))
+    pairs = list(filter(_BESIDE.__contains__, product(heads, tails)))
     if not pairs:
         raise UserError(
             f"{where}: of {listed(names)}, {heads[0]} names a head and {tails[0]} a tail, but not "
@@ -94,14 +94,6 @@ def columns_of(names: tuple[str, ...], where: Path) -> Columns | None:
     read = (head, relation, tail, confidence)
     others = [name for number, name in enumerate(names) if number not in read]
     return Columns((head, relation, tail), confidence, tuple(filter(None, others)))
-
-
-def _is_pair(pair: tuple[str, str]) -> bool:
-    """Return whether names of a head and a tail stand beside each other."""
-    head, tail = pair
-    sure_heads, sure_tails = zip(*PAIRS[:_SURE], strict=True)
-    is_sure = head in sure_heads and tail in (*sure_tails, "value")
-    return is_sure or pair in PAIRS
 
 
 def _column(keys: list[str], names: Sequence[str]) -> int | None:

@@ -29,21 +29,21 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     document has one of the forms of scenes and other programs, or holds one object that has.
     """
     document = _json_value(path)
-    with reading(path, "Correct the file, or export it again."):
-        form = _form_of(document)
-        if form is None and isinstance(document, dict):
-            inside = {key: part for key, part in document.items() if _form_of(part)}
-            if len(inside) > 1:
-                raise UserError(
-                    f"{path} holds {len(inside)} graphs: {listed(inside)}. Save one of them as a "
-                    "file."
-                )
-            for part in inside.values():
-                document = part
-                form = _form_of(part)
-        if form is None:
-            _refuse_no_graph(document, path)
-            form = LINKS
+    form = _form_of(document)
+    if form is None and isinstance(document, dict):
+        inside = {key: part for key, part in document.items() if _form_of(part)}
+        if len(inside) > 1:
+            raise UserError(
+                f"{path} holds {len(inside)} graphs: {listed(inside)}. Save one of them as a file."
+            )
+        for part in inside.values():
+            document = part
+            form = _form_of(part)
+    if form is None:
+        _refuse_no_graph(document, path)
+        form = LINKS
+    remedy = f"It was read as {form.name}. Correct the file, or export it again."
+    with reading(path, remedy):
         records = form.collects(path, form.name)
         form.read(document, records)
         return records.build()

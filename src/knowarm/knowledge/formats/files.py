@@ -25,6 +25,10 @@ MAX_LINE = 1 << 20
 """Longest line in bytes; a file with a longer one is not line-based."""
 
 
+_BEGINNING = 1 << 16
+"""Bytes by which content is recognized."""
+
+
 def open_compressed(path: Path) -> IO[bytes]:
     """Open a file for reading bytes, decompressing .gz, .bz2, .xz and .zip (with one member)."""
     suffix = path.suffix.lower()
@@ -52,6 +56,20 @@ def open_bytes(path: Path) -> IO[bytes]:
     if mark != BOM_UTF8:
         file.seek(0)
     return file
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix of a file in lower case, also of a compressed one."""
+    suffix = path.suffix.lower()
+    if suffix in COMPRESSED:
+        return Path(path.stem).suffix.lower()
+    return suffix
+
+
+def beginning_of(path: Path) -> str:
+    """Return the text by which content is recognized."""
+    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
+        return file.read(_BEGINNING).decode(errors="replace")
 
 
 def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -95,8 +113,13 @@ def decode(line: bytes, path: Path, number: int) -> str:
             f"Convert the file: {to_utf8(path)}"
         ) from error
     if "\0" in text:
-        raise UserError(
-            f"{path}, line {number}: contains a zero byte, so this is not a text file. "
-            f"Check the path and the format."
-        )
+        raise zero_byte(path, number)
     return text
+
+
+def zero_byte(path: Path, line: int) -> UserError:
+    """Return the error for a line with a zero byte."""
+    return UserError(
+        f"{path}, line {line}: contains a zero byte, so this is not a text file. "
+        f"Check the path and the format."
+    )

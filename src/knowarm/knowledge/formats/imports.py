@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 
 from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
+from knowarm.knowledge.formats.files import beginning_of, suffix_of
 from knowarm.knowledge.graph.builder import merged
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import RDF, RDF_TYPE, RDFS, local_name
@@ -25,19 +25,8 @@ _KNOWN = {_OWL, RDF.rstrip("#"), RDFS.rstrip("#")}
 _CATALOG = "catalog-v001.xml"
 """File in which Protégé notes where imports lie."""
 _SUFFIXES = (
-    ".owl",
-    ".ttl",
-    ".rdf",
-    ".xml",
-    ".nt",
-    ".n3",
-    ".ofn",
-    ".omn",
-    ".owx",
-    ".jsonld",
-    ".obo",
-)
-_BEGINNING = 1 << 16
+    ".owl", ".ttl", ".rdf", ".xml", ".nt", ".n3", ".ofn", ".omn", ".owx", ".jsonld", ".obo",
+)  # fmt: skip
 
 _Reader = Callable[[Path], KnowledgeGraph]
 
@@ -54,7 +43,7 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
     """
     files = {path.resolve()}
     declared = _KNOWN | _ontologies(graph)
-    waiting = [(name, path) for name in _imports(graph)]
+    waiting = [(name, path) for name in _imports(graph).values()]
     missing = dict[str, None]()
     while waiting:
         name, importing = waiting.pop(0)
@@ -68,7 +57,7 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
             files.add(file.resolve())
             imported = read(file)
             declared |= _ontologies(imported)
-            waiting += [(other, file) for other in _imports(imported)]
+            waiting += [(other, file) for other in _imports(imported).values()]
             graph = merged(_without_import(graph, name), imported)
     if missing:
         graph = graph.lacking(tuple(missing))
@@ -79,39 +68,27 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
     return graph
 
 
-def _imports(graph: KnowledgeGraph) -> list[str]:
-    """Return the names of what a graph imports."""
+def _imports(graph: KnowledgeGraph) -> dict[int, str]:
+    """Return the names of what a graph imports, by the row that says so."""
+    names = dict[int, str]()
     relation = graph.relation_names.find(_IMPORTS)
-    if relation is None:
-        return []
-    tails = graph.tails[graph.relations == relation]
-    names = dict[str, None]()
-    for name in graph.names.at(tails):
-        names[local_name(name) if name.startswith('"') else name] = None
-    return list(names)
+    for row in np.flatnonzero(graph.relations == relation):
+        name = graph.names[graph.tails[row]]
+        names[row] = local_name(name) if name.startswith('"') else name
+    return names
 
 
 def _without_import(graph: KnowledgeGraph, name: str) -> KnowledgeGraph:
     """Return a graph that holds what it imports, and so does not state the import."""
-    is_other = graph.relations != graph.relation_names.find(_IMPORTS)
-    tails = list(graph.names.find_literals(name))
-    entity = graph.names.find(name)
-    if entity is not None:
-        tails.append(entity)
-    is_other |= ~np.isin(graph.tails, tails)
-    return graph.rows(np.flatnonzero(is_other), nodes=graph.nodes)
+    rows = [row for row, other in _imports(graph).items() if other == name]
+    return graph.rows(np.delete(np.arange(len(graph)), rows), nodes=graph.nodes)
 
 
 def _ontologies(graph: KnowledgeGraph) -> set[str]:
     """Return the plain names of the ontologies that a graph declares itself to be."""
-    kind = graph.names.find(_ONTOLOGY)
-    relation = graph.relation_names.find(RDF_TYPE)
-    names = set[str]()
-    if kind is not None and relation is not None:
-        for row in graph.in_rows(kind):
-            if graph.relations[row] == relation:
-                names.add(_plain(graph.names[graph.heads[row]]))
-    return names
+    is_type = graph.relations == graph.relation_names.find(RDF_TYPE)
+    is_declared = is_type & (graph.tails == graph.names.find(_ONTOLOGY))
+    return set(map(_plain, graph.names.at(graph.heads[is_declared])))
 
 
 def _plain(name: str) -> str:
@@ -136,12 +113,7 @@ def _in_catalog(name: str, folder: Path) -> Iterator[Path]:
     if not catalog.is_file():
         return
     with reading(catalog, "Correct or remove it."):
-        try:
-            root = ElementTree.fromstring(catalog.read_bytes())
-        except ElementTree.ParseError as error:
-            raise UserError(
-                f"{catalog}: not well-formed XML ({error}). Correct or remove it."
-            ) from error
+        root = ElementTree.fromstring(catalog.read_bytes())
     for entry in root.iter():
         target = unquote(entry.get("uri", ""))
         is_it = _plain(entry.get("name", "")) == _plain(name)
@@ -152,34 +124,24 @@ def _in_catalog(name: str, folder: Path) -> Iterator[Path]:
 def _by_name(name: str, folder: Path) -> Iterator[Path]:
     """Yield the files of a folder with the name of an ontology."""
     address = urlsplit(_plain(name))
-    if address.scheme == "file":
-        file = Path(unquote(address.path))
-        if file.is_relative_to(folder):
-            yield file
-    last = unquote(address.path).rpartition("/")[2]
-    if last:
-        yield folder / last
-        for suffix in _SUFFIXES:
-            yield folder / (last + suffix)
+    file = Path(unquote(address.path))
+    if address.scheme == "file" and file.is_relative_to(folder):
+        yield file
+    if file.name:
+        for suffix in ("", *_SUFFIXES):
+            yield folder / (file.name + suffix)
 
 
 def _declares(file: Path, name: str, read: _Reader) -> bool:
     """Return whether a file is an ontology of a name, by its base or its statements."""
-    suffixes = list(map(str.lower, file.suffixes[-2:]))
-    if suffixes and suffixes[-1] in COMPRESSED:
-        suffixes.pop()
-    if not file.is_file() or not suffixes or suffixes[-1] not in _SUFFIXES:
+    if not file.is_file() or suffix_of(file) not in _SUFFIXES:
         return False
-    with suppress(UserError, OSError, EOFError):
-        with reading(file, "Copy it again."), open_bytes(file) as opened:
-            beginning = opened.read(_BEGINNING).decode(errors="replace")
-        iri = re.escape(_plain(name)) + "[#/]?"
-        if re.search(
-            rf"""xml:base\s*=\s*["']{iri}["']|\bbase\s+<{iri}>""", beginning, re.I
-        ):
+    iri = re.escape(_plain(name)) + "[#/]?"
+    base = rf"""xml:base\s*=\s*["']{iri}["']|\bbase\s+<{iri}>"""
+    with suppress(UserError), warnings.catch_warnings(action="ignore"):
+        beginning = beginning_of(file)
+        if re.search(base, beginning, re.IGNORECASE):
             return True
         if re.search(iri, beginning):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                return _plain(name) in _ontologies(read(file))
+            return _plain(name) in _ontologies(read(file))
     return False

@@ -243,7 +243,7 @@ def _read_obographs(document: Any, records: Records) -> None:
             records.add_link([edge["sub"], relation, edge["obj"]])
 
 
-LINKS = Form("", _read_links, _is_graph)
+LINKS = Form("a graph", _read_links, _is_graph)
 """Nodes and links of no program in particular."""
 PROGRAMS = (
     Form("Neo4j", _read_neo4j, has("rels")),

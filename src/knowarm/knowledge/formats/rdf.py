@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 from urllib.parse import urljoin, urlsplit
@@ -32,8 +32,13 @@ from pyoxigraph import (
 
 from knowarm.errors import UserError, packages_of, warn
 from knowarm.fence import ParserError, fenced
-from knowarm.knowledge.formats.files import open_bytes, open_compressed, to_utf8
-from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.formats.files import (
+    open_bytes,
+    open_compressed,
+    to_utf8,
+    zero_byte,
+)
+from knowarm.knowledge.formats.records import Statements
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
     NAMESPACE,
@@ -89,6 +94,9 @@ CONFIDENCES = frozenset(
 """Relations that state the probability of a triple, from 0 to 1, in any spelling, "has" before it
 or not."""
 _REIFIES = RDF + "reifies"
+_ABOUT = "statements about triples (RDF 1.2)"
+Names = tuple[str, str, str]
+"""Head, relation and tail as a file names them."""
 
 OWL_SYNTAXES = {
     "ofn": "OWL functional syntax",
@@ -112,19 +120,16 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
         if syntax == RdfFormat.JSON_LD:
             with open_bytes(path) as file, suppress(ParserError):
                 fenced(_JSON_LD_PARSER, file.read())
+        opened = partial(open_bytes, path)
+        if syntax == RdfFormat.RDF_XML:
+            with suppress(SyntaxError):
+                return _read(opened, path, syntax)
+            opened = partial(_plain_xml, path, syntax.name)
         try:
-            try:
-                return _read(partial(open_bytes, path), path, syntax)
-            except SyntaxError:
-                if syntax != RdfFormat.RDF_XML:
-                    raise
-            return _read(partial(_plain_xml, path), path, syntax)
-        except xml.sax.SAXParseException as error:
-            raise _malformed(
-                path, syntax, error.getLineNumber(), error.getMessage()
-            ) from error
+            return _read(opened, path, syntax)
         except SyntaxError as error:
-            raise _malformed(path, syntax, error.lineno, _reason(error)) from error
+            reason = _reason(error)
+            raise _malformed(path, syntax.name, error.lineno, reason) from error
 
 
 def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
@@ -132,47 +137,37 @@ def read_owl(path: Path, syntax: Any) -> KnowledgeGraph:
 
     py-horned-owl translates it to RDF, by the mapping of the OWL 2 standard.
     """
+    name = OWL_SYNTAXES[syntax]
     with packages_of("owl", f"{path} is no RDF and"):
         import pyhornedowl  # noqa: F401
     with reading(path, "Correct the file."):
-        # py-horned-owl reads XML that is cut off for ever.
-        opened = _plain_xml if syntax == "owx" else open_bytes
-        try:
-            with opened(path) as file:
-                text = file.read().decode()
-        except xml.sax.SAXParseException as error:
-            raise UserError(
-                f"{path}, line {error.getLineNumber()}: not well-formed {OWL_SYNTAXES[syntax]}: "
-                f"{error.getMessage()}. Correct, copy or compress it again."
-            ) from error
+        opened = partial(open_bytes, path)
+        if syntax == "owx":  # py-horned-owl reads XML that is cut off for ever.
+            opened = partial(_plain_xml, path, name)
+        with opened() as file:
+            text = file.read().decode()
         try:
             as_rdf = _owl_as_rdf(text, syntax)
         except ParserError as error:
             line = re.search(r"line_col: Pos\(\((\d+)", str(error))
-            where = str(path)
-            if line is not None:
-                where += f", line {line[1]}"
-            raise UserError(
-                f"{where}: not well-formed {OWL_SYNTAXES[syntax]}. Correct it."
-            ) from error
+            number = int(line[1]) if line else None
+            raise _malformed(path, name, number, "it cannot be parsed") from error
         return _read(partial(io.BytesIO, as_rdf), path, RdfFormat.RDF_XML)
 
 
 def _owl_as_rdf(text: str, syntax: str) -> bytes:
-    """Translate an ontology to RDF/XML; OBO without references, if it cannot be read with them."""
+    """Translate an ontology to RDF/XML.
+
+    OBO is translated without references to other databases if it cannot be read with them: many
+    write them as no parser expects.
+    """
     parser = _OWL_PARSER.format(syntax=syntax)
     try:
         return fenced(parser, text.encode())
     except ParserError:
-        plain = _without_references(text)
-        if syntax != "obo" or plain == text:
+        if syntax != "obo":
             raise
-        return fenced(parser, plain.encode())
-
-
-def _without_references(text: str) -> str:
-    """Return OBO without references to other databases, which many write as no parser expects."""
-    return re.sub(r"^xref:.*$", "", text, flags=re.MULTILINE)
+    return fenced(parser, re.sub(r"^xref:.*$", "", text, flags=re.MULTILINE).encode())
 
 
 def _read(
@@ -190,50 +185,44 @@ def _read(
     Raises:
         SyntaxError: more than single statements are malformed.
     """
-    builder = GraphBuilder()
+    statements = Statements(path)
+    builder = statements.builder
     errors = list(bad_iris)
-    about = reified or _Reified()
+    about = _Reified(statements, reified.triples if reified else {})
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
+    prefixes = dict[str, str]()
     with opened() as file:
         quads = parse(file, format=syntax, base_iri=base, lenient=bool(bad_iris))
-        sound = _sound(quads, syntax, errors)
-        first = list(islice(sound, 1))
-        # The parser of RDF/XML forgets the prefixes at the end of their element.
-        prefixes = quads.prefixes
-        for quad in chain(first, sound):
-            head = quad.subject
-            tail = quad.object
-            relation = quad.predicate.value
+        for number, quad in enumerate(_sound(quads, syntax, errors)):
+            if number == 0:
+                # The parser of RDF/XML forgets them at the end of their element.
+                prefixes = quads.prefixes
             if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
                 raise UserError(
                     f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
                 )
-            if bad_iris and not all(map(_is_sound, (head, quad.predicate, tail))):
+            if bad_iris and not all(map(_is_sound, quad.triple)):
                 no_iri += 1
-            elif (
-                type(head) is NamedNode
-                and type(tail) is NamedNode
-                and not about.triples
-            ):  # most: fast
-                builder.add(head.value, relation, tail.value)
-            elif not about.takes(quad):
-                builder.add_statement(_name(head), relation, _name(tail))
+                continue
+            head = _name(quad.subject)
+            relation = quad.predicate.value
+            if not about.takes(head, relation, quad.object):
+                builder.add_statement(head, relation, _name(quad.object))
         builder.prefixes = _absolute(prefixes | quads.prefixes)
     if not bad_iris and any("IRI" in _reason(error) for error in errors):
         return _read(opened, path, syntax, errors)
     if reified is None and not about.triples.keys().isdisjoint(builder.entities):
-        return _read(opened, path, syntax, bad_iris, _Reified(about.triples))
+        return _read(opened, path, syntax, bad_iris, about)
     malformed = len(errors) - len(bad_iris)
     if malformed + no_iri > len(builder.ids) // 30 + bool(builder.ids):
         raise errors[0]
     if errors:
         lines = ", ".join(str(error.lineno) for error in errors[:10])
-        warn(
-            f"{path}: {no_iri} triples with a malformed IRI and {malformed} malformed statements "
-            f"are left out, in line {lines}: {_reason(errors[0])}."
-        )
-    builder.confidence = about.confidence
+        statements.left_out[
+            f"triples with a malformed IRI and {malformed} malformed statements, in line {lines}: "
+            f"{_reason(errors[0])}"
+        ] = no_iri
     unnamed: dict[str, str] = defaultdict(blank_names(set(builder.entities)).__next__)
 
     def graph_name(name: str) -> str:
@@ -242,72 +231,53 @@ def _read(
         return name_of_iri(name)
 
     graph = builder.build(new_name=graph_name)
-    quoted = set[tuple[str, str, str]]()
-    for names in chain.from_iterable(about.triples.values()):
-        triple = (graph_name(names[0]), graph_name(names[1]), graph_name(names[2]))
-        if triple not in graph:
-            quoted.add(triple)
-    if about.left_out:
-        warn(
-            f"{path}: what is said about {about.left_out} triples (RDF 1.2) is left out."
-        )
-    if quoted:
-        warn(
-            f"{path}: {len(quoted)} triples are quoted (RDF 1.2) and not stated, and are left out."
-        )
+    for names in set(chain.from_iterable(about.triples.values())):
+        head, relation, tail = map(graph_name, names)
+        if (head, relation, tail) not in graph:
+            statements.left_out["triples that are quoted (RDF 1.2) and not stated"] += 1
+    statements.warn_of_left_out()
     graph.confidence = graph.own_confidence()
     return graph
 
 
 class _Reified:
-    """What is said about triples (RDF 1.2).
-
-    Attributes:
-        triples: the triples that a term stands for, by the term.
-        confidence: the probability of triples.
-        left_out: how many statements about triples say something else.
-    """
+    """What is said about triples (RDF 1.2)."""
 
     def __init__(
-        self, triples: Mapping[str, list[tuple[str, str, str]]] | None = None
+        self, statements: Statements, triples: Mapping[str, set[Names]]
     ) -> None:
-        self.triples = defaultdict[str, list[tuple[str, str, str]]](list, triples or {})
-        self.confidence: dict[tuple[str, str, str], float] = {}
-        self.left_out = 0
+        self.statements = statements
+        self.triples = defaultdict[str, set[Names]](set, triples)
+        """The triples that a term stands for, by the term."""
 
-    def takes(self, quad: Quad) -> bool:
+    def takes(self, head: str, relation: str, tail: Term | Triple) -> bool:
         """Take a statement about a triple; return False of others."""
-        tail = quad.object
         if isinstance(tail, Triple):
-            self._stand_for(quad, tail)
+            if relation == _REIFIES and not isinstance(tail.object, Triple):
+                subject = _name(tail.subject)
+                names = (subject, tail.predicate.value, _name(tail.object))
+                self.triples[head].add(names)
+            else:
+                self.statements.left_out[_ABOUT] += 1
             return True
-        about = self.triples.get(_name(quad.subject))
-        if about is None:
+        if head not in self.triples:
             return False
-        confidence = _confidence(quad)
-        self.left_out += confidence is None
-        for triple in about:
-            if confidence is not None:
-                self.confidence[triple] = max(
-                    confidence, self.confidence.get(triple, 0.0)
-                )
+        confidence = _confidence(relation, tail)
+        if confidence is None:
+            self.statements.left_out[_ABOUT] += 1
+        else:
+            for triple in self.triples[head]:
+                self.statements.make_certain(triple, confidence)
         return True
 
-    def _stand_for(self, quad: Quad, triple: Triple) -> None:
-        if quad.predicate.value != _REIFIES or isinstance(triple.object, Triple):
-            self.left_out += 1
-            return
-        names = (_name(triple.subject), triple.predicate.value, _name(triple.object))
-        self.triples[_name(quad.subject)].append(names)
 
-
-def _confidence(quad: Quad) -> float | None:
+def _confidence(relation: str, tail: Term) -> float | None:
     """Return the probability that a statement about a triple gives it; None of others."""
-    word = name_key(local_name(quad.predicate.value))
+    word = name_key(local_name(relation))
     is_confidence = word in CONFIDENCES or word.removeprefix("has") in CONFIDENCES
-    if is_confidence and isinstance(quad.object, Literal):
+    if is_confidence and isinstance(tail, Literal):
         with suppress(ValueError):
-            number = float(quad.object.value)
+            number = float(tail.value)
             if 0 <= number <= 1:
                 return number
     return None
@@ -349,7 +319,7 @@ def _name(term: Term | Triple) -> str:
     return term.value if isinstance(term, NamedNode) else str(term)
 
 
-def _plain_xml(path: Path) -> IO[bytes]:
+def _plain_xml(path: Path, syntax: str) -> IO[bytes]:
     """Return an XML file in UTF-8 without what the parser of RDF/XML knows in part.
 
     These are entities, and relative IRIs of bases and namespaces.
@@ -359,8 +329,12 @@ def _plain_xml(path: Path) -> IO[bytes]:
     parser.setFeature(feature_external_ges, True)  # else they would be left out
     parser.setEntityResolver(_NoOtherDocuments(path))
     parser.setContentHandler(_Absolute(plain, path.absolute().as_uri()))
-    with open_compressed(path) as file:
-        parser.parse(file)
+    try:
+        with open_compressed(path) as file:
+            parser.parse(file)
+    except xml.sax.SAXParseException as error:
+        line = error.getLineNumber()
+        raise _malformed(path, syntax, line, error.getMessage()) from error
     plain.seek(0)
     return plain
 
@@ -433,14 +407,9 @@ def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
 def _refuse_binary(path: Path) -> None:
     """Refuse a file with a zero byte."""
     with open_bytes(path) as file:
-        start = file.read(1 << 16)
-    zero = start.find(b"\0")
-    if zero >= 0:
-        line = 1 + start.count(b"\n", 0, zero)
-        raise UserError(
-            f"{path}, line {line}: contains a zero byte, so this is "
-            f"not a text file. Check the path and the format."
-        )
+        before, zero, _ = file.read(1 << 16).partition(b"\0")
+    if zero:
+        raise zero_byte(path, 1 + before.count(b"\n"))
 
 
 def _reason(error: SyntaxError) -> str:
@@ -448,10 +417,8 @@ def _reason(error: SyntaxError) -> str:
     return re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
 
 
-def _malformed(
-    path: Path, syntax: RdfFormat, line: int | None, reason: str
-) -> UserError:
-    """Return the error for a file that the parser refuses."""
+def _malformed(path: Path, syntax: str, line: int | None, reason: str) -> UserError:
+    """Return the error for a file that a parser refuses."""
     if "Invalid UTF-8" in reason:
         return UserError(
             f"{path}, line {line}: not UTF-8 ({reason}). "
@@ -464,6 +431,6 @@ def _malformed(
         )
     where = f"{path}, line {line}" if line else str(path)
     return UserError(
-        f"{where}: not well-formed {syntax.name}: {reason}. "
+        f"{where}: not well-formed {syntax}: {reason}. "
         f"Correct the file, or give the right format."
     )

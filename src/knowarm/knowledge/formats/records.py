@@ -44,21 +44,29 @@ class Statements:
             return
         self.builder.add_statement(*triple)
         if confidence is not None:
-            known = self.builder.confidence.get(triple, 0.0)
-            self.builder.confidence[triple] = max(known, confidence)
+            self.make_certain(triple, confidence)
+
+    def make_certain(self, triple: Triple, confidence: float) -> None:
+        """Note the confidence of a triple, or keep a larger one."""
+        known = self.builder.confidence.get(triple, 0.0)
+        self.builder.confidence[triple] = max(known, confidence)
 
     def add_label(self, name: str, label: str) -> None:
         """Add the label of an entity or relation."""
         self.builder.add_statement(name, LABEL_RELATIONS[0], literal(label))
 
-    def build(self) -> KnowledgeGraph:
-        """Return the graph; say what is not in it."""
+    def warn_of_left_out(self) -> None:
+        """Say what is not in the graph."""
         left_out = [f"{count} {what}" for what, count in self.left_out.items()]
         if self.unread:
             names = listed(sorted(self.unread))
             left_out.append(f"values that are not read: {names}")
         if left_out:
             warn(f"{self.where}: left out are {'; '.join(left_out)}.")
+
+    def build(self) -> KnowledgeGraph:
+        """Return the graph; say what is not in it."""
+        self.warn_of_left_out()
         return self.builder.build()
 
 

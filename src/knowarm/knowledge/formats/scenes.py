@@ -187,10 +187,10 @@ def _spark_class(node: Mapping[str, Any], document: Any) -> str:
     metadata = document.get("metadata") or {}
     space = f"_l{node['layer']}p{node.get('partition', 0)}"
     labels = dict(metadata.get("labelspaces", {}).get(space, {}))
-    label = attributes.get("semantic_label")
-    for key in (label, str(label)):
-        if key in labels:
-            return str(labels[key])
+    named = {str(number): label for number, label in labels.items()}
+    number = str(attributes.get("semantic_label"))
+    if number in named:
+        return str(named[number])
     name = str(attributes.get("name") or "")
     if _NODE_SYMBOL.fullmatch(name):
         return _LAYERS.get(node["layer"], "")

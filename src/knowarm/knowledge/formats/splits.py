@@ -1,6 +1,7 @@
 """Folders of triples split into train, valid and test: OpenKE's files of ids, or text files."""
 
 import re
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -13,14 +14,10 @@ from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
 
 PARTS = ("train", "valid", "test")
-_NUMBER = re.compile("[0-9]{1,9}")
+_NAME = re.compile(r"(.+)[\t ]\s*([0-9]{1,9})\s*")
+_TRIPLE = re.compile(r"[\s,]*" + r"[\s,]+".join(["([0-9]{1,9})"] * 3) + r"[\s,]*")
 Parts = dict[str, Ids]
 """Ids of head, relation and tail of the triples of each part, (n, 3) int64."""
-
-
-def is_split(folder: Path) -> bool:
-    """Return whether a folder holds a split."""
-    return _is_openke(folder) or (folder / "train.txt").is_file()
 
 
 def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
@@ -30,9 +27,10 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     `valid2id.txt` and `test2id.txt` hold `head tail relation`; the first line of each is the number
     of the others. Text: `train.txt`, `valid.txt` and `test.txt` are tables of names.
     """
-    if _is_openke(folder):
+    files = {file.name for file in folder.iterdir()}
+    if {"entity2id.txt", "relation2id.txt", "train2id.txt"} <= files:
         return _read_openke(folder)
-    if not is_split(folder):
+    if "train.txt" not in files:
         raise UserError(
             f"{folder} is no folder of triples: it must hold train.txt (and may hold valid.txt and "
             "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
@@ -57,74 +55,66 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     return whole, parts
 
 
-def _is_openke(folder: Path) -> bool:
-    names = ("entity2id.txt", "relation2id.txt", "train2id.txt")
-    return all((folder / name).is_file() for name in names)
-
-
 def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     names, entities = _read_names(folder / "entity2id.txt")
     relation_names, relations = _read_names(folder / "relation2id.txt")
     parts = Parts()
     for part in PARTS:
         path = folder / f"{part}2id.txt"
-        head, tail, relation = _read_triples(path, len(entities), len(relations)).T
-        ids = [entities[head], relations[relation], entities[tail]]
-        parts[part] = np.stack(ids, axis=1)
-    triples = np.concatenate(list(parts.values()))
+        triples = list[list[int]]()
+        for where, cells in _rows(path, _TRIPLE, "three ids `head tail relation`"):
+            head, tail, relation = map(int, cells)
+            if max(head, tail) >= len(entities) or relation >= len(relations):
+                raise UserError(
+                    f"{where}: '{head} {tail} {relation}' holds an id that is not among the "
+                    f"{len(entities)} entities and {len(relations)} relations. OpenKE's order is "
+                    "`head tail relation`."
+                )
+            triples.append([entities[head], relations[relation], entities[tail]])
+        parts[part] = np.array(triples, np.int64).reshape(-1, 3)
     nodes = np.arange(len(names), dtype=np.int32)
-    return KnowledgeGraph(names, relation_names, triples, nodes=nodes), parts
+    whole = np.concatenate(list(parts.values()))
+    return KnowledgeGraph(names, relation_names, whole, nodes=nodes), parts
 
 
-def _read_names(path: Path) -> tuple[Names, Ids]:
-    """Return the names sorted, and the new id of each id of the file, (n,) int64."""
-    by_id: dict[int, str] = {}
-    lines = _counted_lines(path)
-    for number, line in lines:
-        name, _, text = line.rpartition("\t" if "\t" in line else " ")
-        if not name or not _NUMBER.fullmatch(text.strip()):
-            raise UserError(
-                f"{path}, line {number}: expected `name<tab>id`, got {line!r}. Correct the line."
-            )
-        by_id[int(text)] = name
-    count = len(lines)
+def _read_names(path: Path) -> tuple[Names, list[int]]:
+    """Return the names sorted, and the new id of each id of the file."""
+    by_id = dict[int, str]()
+    count = 0
+    for _, (name, number) in _rows(path, _NAME, "`name<tab>id`"):
+        by_id[int(number)] = name
+        count += 1
     if sorted(by_id) != list(range(count)) or len(set(by_id.values())) < count:
         raise UserError(
             f"{path}: holds {count} lines, but not as many different names with the ids 0 to "
             f"{count - 1}. Give every name one id, and every id one name."
         )
     order = sorted(by_id, key=by_id.__getitem__)
-    return Names(sorted(by_id.values())), np.argsort(order)
+    return Names(sorted(by_id.values())), np.argsort(order).tolist()
 
 
-def _read_triples(path: Path, entities: int, relations: int) -> Ids:
-    """Return (n, 3) int64: head, tail, relation, in OpenKE's order."""
-    rows: list[list[int]] = []
-    for number, line in _counted_lines(path) if path.exists() else ():
-        cells = line.replace(",", " ").split()
-        if len(cells) != 3 or not all(map(_NUMBER.fullmatch, cells)):
-            raise UserError(
-                f"{path}, line {number}: expected three ids `head tail relation`, got {line!r}. "
-                f"Correct the line."
-            )
-        head, tail, relation = map(int, cells)
-        rows.append([head, tail, relation])
-        if max(head, tail) >= entities or relation >= relations:
-            raise UserError(
-                f"{path}, line {number}: {line!r} holds an id that is not among the {entities} "
-                f"entities and {relations} relations. OpenKE's order is `head tail relation`."
-            )
-    return np.array(rows, np.int64).reshape(-1, 3)
+def _rows(
+    path: Path, pattern: re.Pattern[str], expected: str
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield where each line after the first is, and its cells; the first is the number of lines.
 
-
-def _counted_lines(path: Path) -> list[tuple[int, str]]:
-    """Return the numbered lines after the first one, which is their count, without blank ones."""
-    lines = [(number, line) for number, line in text_lines(path) if line.strip()]
+    There are none if there is no file.
+    """
+    lines = list[tuple[int, str]]()
+    if path.exists():
+        lines = [(number, line) for number, line in text_lines(path) if line.strip()]
     first = lines[0][1].strip() if lines else "0"
     rest = lines[1:]
-    if not _NUMBER.fullmatch(first) or int(first) != len(rest):
+    if not first.isdecimal() or int(first) != len(rest):
         raise UserError(
             f"{path}, line 1: the first line must be the number of lines that follow, "
             f"{len(rest)}, got {first!r}. Correct the count or the lines."
         )
-    return rest
+    for number, line in rest:
+        where = f"{path}, line {number}"
+        match = pattern.fullmatch(line)
+        if match is None:
+            raise UserError(
+                f"{where}: expected {expected}, got {line!r}. Correct the line."
+            )
+        yield where, match.groups()

@@ -132,7 +132,7 @@ def _read_apoc(path: Path, names: list[str], rows: Iterator[Row]) -> KnowledgeGr
     for number, row in rows:
         where = f"{path}, line {number}"
         _refuse_uneven(where, row, names, "Export it again.")
-        cells = dict(zip(names, row, strict=True))
+        cells = dict(zip(names, row, strict=False))
         triple = [cells["_start"], cells["_type"], cells["_end"]]
         node = name_of_cell(cells.get("_id", ""))
         if all(triple):

@@ -26,8 +26,10 @@ _BULLET = re.compile(
 """What stands before an item: a bullet, a number or a letter, a box, "Triple 1:"."""
 _ARROW = re.compile(r"\s*(?:[-=]+>|[→⟶⇒])\s*")
 _SPACED_ARROW = re.compile(r"\s(?:[-=]+>|[→⟶⇒])|(?:[-=]+>|[→⟶⇒])\s")
-_EDGE = re.compile(r"(.+?)\s*-+\s*\[\s*:?(.+?)\s*\]|(.+?)\s*--+\s*([^\s-].*)")
-"""Head and relation before the arrow: of "mug -[usedFor]-> drinking" and "mug --usedFor-> ..."."""
+_EDGE = re.compile(
+    r"\s*(?:-+\s*\[\s*:?(.+?)\s*\]|--+\s*([^\s>-].*?))\s*(?:[-=]+>|[→⟶⇒])"
+)
+"""Relation in an arrow: of "mug -[usedFor]-> drinking" and "mug --usedFor-> ..."."""
 _RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
 """Line below the names of the columns of a Markdown table."""
 _FENCE = re.compile(r"\s*(?:```|~~~)\s*([\w+-]*)")
@@ -80,7 +82,7 @@ def _written_rows(path: Path) -> Iterator[Row]:
     header = list[str]()
     count = 0
     is_block = False
-    for (number, line), below in zip(lines, [*following[1:], ""], strict=True):
+    for (number, line), below in zip(lines, [*following[1:], ""], strict=False):
         where = f"{path}, line {number}"
         fence = _FENCE.match(line)
         if fence is not None:
@@ -259,10 +261,7 @@ def _triples_of_group(group: str) -> list[list[str]]:
 
 def _cells_of_arrows(text: str) -> list[str]:
     """Return the cells between arrows: of "mug -> usedFor -> drinking", "(mug)-[:IN]->(box)"."""
-    cells = _ARROW.split(text)
-    edge = _EDGE.fullmatch(cells[0])
-    if len(cells) == 2 and edge is not None:
-        cells = [*filter(None, edge.groups()), cells[1]]
+    cells = _ARROW.split(_EDGE.sub(r" -> \1\2 -> ", text))
     if len(cells) != 3 or "{" in text:
         return []
     plain = []
