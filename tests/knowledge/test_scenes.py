@@ -260,7 +260,7 @@ def test_concept_graphs_are_asked_over_two_files(tmp_path, capsys):
         ),
         (
             home(nodes=[{"id": 1, "class_name": "mug"}, {"id": 2}]),
-            "is damaged or of another format",
+            "{'id': 2}.* is no link",
         ),
         (
             {"init_graph": home(), "final_graph": home()},

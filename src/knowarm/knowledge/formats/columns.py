@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import lru_cache
 from itertools import chain, product
 from operator import itemgetter
-from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
@@ -53,13 +52,13 @@ class Columns(NamedTuple):
 
     triple: tuple[int, int, int]
     """Those of head, relation and tail."""
-    confidence: int | None
-    others: tuple[str, ...]
+    confidence: int | None = None
+    others: tuple[str, ...] = ()
     """Names of columns that are not read."""
 
 
 @lru_cache
-def columns_of(names: tuple[str, ...], where: Path) -> Columns | None:
+def columns_of(names: tuple[str, ...], where: str) -> Columns | None:
     """Return the columns that names tell; None if they name neither head nor tail.
 
     Raises:
@@ -131,16 +130,32 @@ def name_of_cell(cell: str) -> str:
     return unicodedata.normalize("NFC", " ".join(cell.split()))
 
 
-def confidence_of(value: object, where: str) -> float:
-    """Return the probability that a cell states; an empty one states that the triple is certain."""
-    with suppress(ValueError):
-        confidence = float(str(value).strip().replace(",", ".") or 1)
-        if 0 <= confidence <= 1:
-            return confidence
+def confidence_of(
+    columns: Columns, cells: Sequence[object], where: str
+) -> float | None:
+    """Return the probability that cells state, None of tables without a column of it.
+
+    An empty cell states that the triple is certain.
+    """
+    if columns.confidence is None:
+        return None
+    value = cells[columns.confidence]
+    confidence = probability(str(value).strip().replace(",", ".") or "1")
+    if confidence is not None:
+        return confidence
     raise UserError(
         f"{where}: the confidence is {value!r}; it must be a number from 0 to 1, such as 0.9. "
         "Divide percentages by 100, or rename a column that holds something else, such as weight."
     )
+
+
+def probability(text: str) -> float | None:
+    """Return the number from 0 to 1 that a text holds, None of another text."""
+    with suppress(ValueError):
+        number = float(text)
+        if 0 <= number <= 1:
+            return number
+    return None
 
 
 def listed(names: Iterable[str]) -> str:

@@ -90,7 +90,7 @@ def _refuse_no_graph(document: Any, path: Path) -> None:
         return
     if isinstance(document, dict):
         if not {dict, list}.intersection(map(type, document.values())):
-            if columns_of(tuple(document), path) is not None:
+            if columns_of(tuple(document), str(path)) is not None:
                 return
         elif len(document) > 1:
             _refuse_by_name(document, path)

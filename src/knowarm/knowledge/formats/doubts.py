@@ -72,12 +72,11 @@ def _spans(pair: str, head: str, tail: str) -> bool:
     return opening > closing and closed_in_tail > opened_in_tail
 
 
-def doubt(path: Path, number: int, rows: list[Triple], if_wide: str) -> None:
+def doubt(where: str, rows: list[Triple], if_wide: str) -> None:
     """Warn of rows that are hardly triples; refuse them if the first names columns.
 
     Args:
-        path: the file.
-        number: the line of the first row.
+        where: the line of the first row.
         rows: the first rows of a table, of which none is known to name columns.
         if_wide: what to do if a row holds a thing and its properties.
     """
@@ -87,24 +86,19 @@ def doubt(path: Path, number: int, rows: list[Triple], if_wide: str) -> None:
     occurs_again = not all(map(set(first).isdisjoint, rows[1:]))
     is_wide = _is_wide(len(rows), len(heads), relations)
     is_header = not occurs_again and _names_columns(first)
-    where = f"{path}, line {number}"
-    if len(rows) > 1 and all(map(_NUMBER.fullmatch, relations)):
-        warn(
-            f"{path}: the relations are numbers, such as {listed(list(relations)[:3])}. If the "
-            "middle column is no relation, name the columns in a first line."
-        )
-    elif is_header and (is_wide or 1 < len(rows) == len(heads)):
+    are_numbers = len(rows) > 1 and all(map(_NUMBER.fullmatch, relations))
+    if is_header and not are_numbers and (is_wide or 1 < len(rows) == len(heads)):
         raise _wide_header(where, first, if_wide)
-    elif is_wide:
-        if occurs_again:
+    if is_wide or are_numbers:
+        if occurs_again or are_numbers:
             if_wide = (
-                "If a line describes one thing and each column one of its properties, name the "
-                "columns in a first line, such as object,use,material"
+                "If the middle column is no relation, name the columns in a first line, such as "
+                "object,use,material"
             )
         values = list(relations)[not occurs_again :]
         warn(
-            f"{path}: {', '.join(values[:3])} were read as relations, but hardly one of them "
-            f"occurs again. {if_wide}."
+            f"{where}: {', '.join(values[:3])} were read as relations, but hardly one of them "
+            f"occurs again, or they are numbers. {if_wide}."
         )
     elif not occurs_again and max(3, len(relations)) < len(rows):
         warn(

@@ -174,15 +174,15 @@ def _read_sparql(document: Any, records: Records) -> None:
     """Read the rows of an answer whose variables are named as head, relation and tail."""
     variables = document["head"].get("vars", [])
     try:
-        columns = columns_of(tuple(variables), records.path)
+        columns = columns_of(tuple(variables), records.where)
     except UserError:
         columns = None
     if columns is None or len(variables) != 3:
         names = ", ".join(map("?{}".format, variables)) or "none"
         raise UserError(
-            f"{records.path}: holds the answers of a SPARQL query, with the variables {names}. Ask "
-            "for triples: SELECT ?s ?p ?o WHERE { ?s ?p ?o }, or CONSTRUCT, and save its answer as "
-            "Turtle."
+            f"{records.where}: holds the answers of a SPARQL query, with the variables {names}. "
+            "Ask for triples: SELECT ?s ?p ?o WHERE { ?s ?p ?o }, or CONSTRUCT, and save its "
+            "answer as Turtle."
         )
     for row in document["results"]["bindings"]:
         records.add_link({name: _term(row.get(name)) for name in variables})
@@ -217,7 +217,7 @@ def _read_rdf_json(document: Any, records: Records) -> None:
 
 def _refuse_wikidata(document: Any, records: Records) -> None:
     raise UserError(
-        f"{records.path}: holds entities of Wikidata as JSON. Download them as Turtle: "
+        f"{records.where}: holds entities of Wikidata as JSON. Download them as Turtle: "
         "https://www.wikidata.org/wiki/Special:EntityData/Q81707.ttl, or ask "
         "https://query.wikidata.org for triples with CONSTRUCT."
     )
@@ -226,16 +226,14 @@ def _refuse_wikidata(document: Any, records: Records) -> None:
 def _read_obographs(document: Any, records: Records) -> None:
     """Read the edges and labels of all graphs of an ontology."""
     for graph in document["graphs"]:
-        for key, values in graph.items():
-            if values and key.endswith(("Axioms", "NodesSets")):
-                records.unread.add(key)
+        others = graph.keys() - {"id", "lbl", "meta", "nodes", "edges"}
+        records.unread.update(filter(graph.get, others))
         for node in graph.get("nodes", ()):
             records.add_node(node["id"], {})
             if node.get("lbl"):
                 # As statements: terms of one label are no individuals of it.
                 records.add_label(node["id"], node["lbl"])
-            if "meta" in node:
-                records.unread.add("meta")
+            records.unread.update({"meta"} & node.keys())
         for edge in graph.get("edges", ()):
             relation = edge["pred"]
             if relation == "is_a":

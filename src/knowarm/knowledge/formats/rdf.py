@@ -32,6 +32,7 @@ from pyoxigraph import (
 
 from knowarm.errors import UserError, packages_of, warn
 from knowarm.fence import ParserError, fenced
+from knowarm.knowledge.formats.columns import probability
 from knowarm.knowledge.formats.files import (
     open_bytes,
     open_compressed,
@@ -209,7 +210,10 @@ def _read(
             relation = quad.predicate.value
             if not about.takes(head, relation, quad.object):
                 builder.add_statement(head, relation, _name(quad.object))
-        builder.prefixes = _absolute(prefixes | quads.prefixes)
+        prefixes |= quads.prefixes
+    for prefix, iri in prefixes.items():
+        if _is_absolute(iri):
+            builder.prefixes[prefix] = iri
     if not bad_iris and any("IRI" in _reason(error) for error in errors):
         return _read(opened, path, syntax, errors)
     if reified is None and not about.triples.keys().isdisjoint(builder.entities):
@@ -267,20 +271,16 @@ class _Reified:
             self.statements.left_out[_ABOUT] += 1
         else:
             for triple in self.triples[head]:
-                self.statements.make_certain(triple, confidence)
+                self.statements.note_confidence(triple, confidence)
         return True
 
 
 def _confidence(relation: str, tail: Term) -> float | None:
     """Return the probability that a statement about a triple gives it; None of others."""
-    word = name_key(local_name(relation))
-    is_confidence = word in CONFIDENCES or word.removeprefix("has") in CONFIDENCES
-    if is_confidence and isinstance(tail, Literal):
-        with suppress(ValueError):
-            number = float(tail.value)
-            if 0 <= number <= 1:
-                return number
-    return None
+    word = name_key(local_name(relation)).removeprefix("has")
+    if word not in CONFIDENCES or not isinstance(tail, Literal):
+        return None
+    return probability(tail.value)
 
 
 def _sound(
@@ -299,19 +299,15 @@ def _sound(
             errors.append(error)
 
 
-def _absolute(prefixes: Mapping[str, str]) -> dict[str, str]:
-    """Return the prefixes that stand for the beginning of an absolute IRI."""
-    absolute = dict[str, str]()
-    for prefix, iri in prefixes.items():
-        with suppress(ValueError):
-            absolute[prefix] = NamedNode(iri).value
-    return absolute
-
-
 def _is_sound(term: Term | Triple) -> bool:
     """Return whether a term is no malformed IRI."""
+    return not isinstance(term, NamedNode) or _is_absolute(term.value)
+
+
+def _is_absolute(iri: str) -> bool:
+    """Return whether an IRI is well-formed and absolute."""
     with suppress(ValueError):
-        return not isinstance(term, NamedNode) or bool(NamedNode(term.value))
+        return bool(NamedNode(iri))
     return False
 
 

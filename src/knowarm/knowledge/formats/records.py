@@ -29,7 +29,6 @@ class Statements:
     """
 
     def __init__(self, path: Path, form: str = "") -> None:
-        self.path = path
         self.where = str(path)
         if form:
             self.where += f" (read as {form})"
@@ -44,9 +43,9 @@ class Statements:
             return
         self.builder.add_statement(*triple)
         if confidence is not None:
-            self.make_certain(triple, confidence)
+            self.note_confidence(triple, confidence)
 
-    def make_certain(self, triple: Triple, confidence: float) -> None:
+    def note_confidence(self, triple: Triple, confidence: float) -> None:
         """Note the confidence of a triple, or keep a larger one."""
         known = self.builder.confidence.get(triple, 0.0)
         self.builder.confidence[triple] = max(known, confidence)
@@ -85,7 +84,7 @@ class Records(Statements):
         """Add an entity with its label, by its identifier or number."""
         if not isinstance(key, str | int | float):
             raise UserError(
-                f"{self.path}: a node is named by text or a number, not {key!r:.80}."
+                f"{self.where}: a node is named by text or a number, not {key!r:.80}."
             )
         name = name_of_cell(str(key))
         self.names[key] = name
@@ -101,13 +100,11 @@ class Records(Statements):
             values = dict(zip(ROLES, values, strict=False))
         columns = None
         if isinstance(values, dict):
-            columns = columns_of(tuple(values), self.path)
+            columns = columns_of(tuple(values), self.where)
         if columns is None:
             raise self._no_link(values)
         cells = list(values.values())
-        confidence = None
-        if columns.confidence is not None:
-            confidence = confidence_of(cells[columns.confidence], str(self.path))
+        confidence = confidence_of(columns, cells, self.where)
         self.unread.update({*columns.others} - self.silent)
         self.relate(list(map(cells.__getitem__, columns.triple)), confidence)
 
@@ -120,7 +117,7 @@ class Records(Statements):
 
     def _no_link(self, values: Any) -> UserError:
         return UserError(
-            f"{self.path}: {str(values)[:80]!r} is no link with the names of a head, a relation "
+            f"{self.where}: {str(values)[:80]!r} is no link with the names of a head, a relation "
             "and a tail. Name them so, or write lists of three."
         )
 
@@ -144,7 +141,7 @@ class Records(Statements):
                     self.builder.add(name, RDF_TYPE, label)
         if shared:
             warn(
-                f"{self.path}: several nodes have one label, so they count as individuals of a "
+                f"{self.where}: several nodes have one label, so they count as individuals of a "
                 f"class of this name: {listed(sorted(shared)[:8])}."
             )
         return super().build()

@@ -150,13 +150,6 @@ def _position(record: Mapping[str, Any]) -> list[float]:
     return []
 
 
-def _read_virtualhome(document: Any, scene: Scene) -> None:
-    for node in records_of(document, "nodes"):
-        scene.add_thing(node["id"], node["class_name"], node)
-    for edge in records_of(document, *_EDGES):
-        scene.add_link(edge)
-
-
 def _read_spark_dsg(document: Any, scene: Scene) -> None:
     """Read layers of nodes; what is in a place without a name is in what holds the place."""
     layers = {}
@@ -197,13 +190,13 @@ def _spark_class(node: Mapping[str, Any], document: Any) -> str:
     return name
 
 
-def _read_concept_graphs(document: Any, scene: Scene) -> None:
-    """Read objects, relations or both; relations tell what their objects are."""
-    objects = records_of(document, "objects")
+def _read_things(document: Any, scene: Scene) -> None:
+    """Read things, relations or both; relations may tell what their things are."""
+    things = records_of(document, "nodes", "objects")
     relations = records_of(document, *_EDGES)
-    if not objects and not relations:
-        objects = records_of(document)
-    for number, record in enumerate(objects):
+    if not things and not relations:
+        things = records_of(document)
+    for number, record in enumerate(things):
         tag = next(filter(record.__contains__, _TAGS), None)
         if tag is None:
             relations.append(record)
@@ -228,16 +221,16 @@ def _ends(relation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return ends
 
 
-def _concept_graphs(key: str, *under: str) -> Form:
-    return Form("ConceptGraphs", _read_concept_graphs, has(key), under, Scene)
+def _things(name: str, key: str, *under: str) -> Form:
+    return Form(name, _read_things, has(key), under, Scene)
 
 
 SCENES = (
-    Form("VirtualHome", _read_virtualhome, has("id", "class_name"), ("nodes",), Scene),
     Form("Spark-DSG", _read_spark_dsg, has("attributes", "layer"), ("nodes",), Scene),
-    _concept_graphs("object_tag", "objects"),
-    _concept_graphs("class_name", "objects"),
-    _concept_graphs("object_tag"),
-    _concept_graphs("object_relation"),
-    _concept_graphs("object_1_tag"),
+    _things("VirtualHome", "class_name", "nodes"),
+    _things("ConceptGraphs", "object_tag", "objects"),
+    _things("ConceptGraphs", "class_name", "objects"),
+    _things("ConceptGraphs", "object_tag"),
+    _things("ConceptGraphs", "object_relation"),
+    _things("ConceptGraphs", "object_1_tag"),
 )

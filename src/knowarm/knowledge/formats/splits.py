@@ -15,7 +15,7 @@ from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
 
 PARTS = ("train", "valid", "test")
 _NAME = re.compile(r"(.+)[\t ]\s*([0-9]{1,9})\s*")
-_TRIPLE = re.compile(r"[\s,]*" + r"[\s,]+".join(["([0-9]{1,9})"] * 3) + r"[\s,]*")
+_TRIPLE = re.compile(r"[\s,]*([0-9]{1,9})[\s,]+([0-9]{1,9})[\s,]+([0-9]{1,9})[\s,]*")
 Parts = dict[str, Ids]
 """Ids of head, relation and tail of the triples of each part, (n, 3) int64."""
 

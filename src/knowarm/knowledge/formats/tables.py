@@ -13,6 +13,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats.columns import (
     CONFIDENCE,
     ROLES,
+    Columns,
     cell_of_name,
     columns_of,
     confidence_of,
@@ -26,8 +27,8 @@ from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import RDF_TYPE
 
-Row = tuple[int, list[str]]
-"""Number of a row's first line, and its cells."""
+Row = tuple[str, list[str]]
+"""Where a row begins, "a.csv, line 3", and its cells."""
 
 SEPARATORS = (",", "\t", ";", "|")
 """Separators of cells, tried in this order after that of the file's suffix."""
@@ -78,17 +79,17 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     first_row = next(rows, None)
     if first_row is None:
         return statements.build()
-    first_line, names = first_row
+    first_where, names = first_row
     if {"_start", "_end", "_type"}.issubset(names):
-        return _read_apoc(path, names, rows)
-    columns = columns_of(tuple(names), path)
+        return _read_apoc(names, rows, statements)
+    columns = columns_of(tuple(names), str(path))
     has_header = columns is not None
     if_empty = "Fill it in or delete the line."
     if columns is None:
-        refuse_names(f"{path}, line {first_line}", names, if_wide)
+        refuse_names(first_where, names, if_wide)
         if_empty += f" {if_wide}."
         names = list(ROLES)
-        columns = columns_of(tuple(names), path)
+        columns = Columns((0, 1, 2))
         rows = chain([first_row], rows)
     labels = dict[int, int]()
     """Place in the triple by the column of its label, as KGTK has them."""
@@ -98,17 +99,14 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
             labels[names.index(label)] = role
     statements.unread.update({*columns.others} - set(map(names.__getitem__, labels)))
     judged = list[Triple]()
-    for number, row in rows:
-        where = f"{path}, line {number}"
+    for where, row in rows:
         _refuse_uneven(where, row, names, _IF_UNEVEN)
         head, relation, tail = (name_of_cell(row[column]) for column in columns.triple)
         triple = (head, relation, tail)
         if not all(triple):
             role = list(ROLES)[triple.index("")]
             raise UserError(f"{where}: the {role} is empty. {if_empty}")
-        confidence = None
-        if columns.confidence is not None:
-            confidence = confidence_of(row[columns.confidence], where)
+        confidence = confidence_of(columns, row, where)
         statements.add(triple, confidence)
         for column, role in labels.items():
             if row[column]:
@@ -117,20 +115,20 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
             judged.append(triple)
     refuse_marks(path, judged)
     if not has_header:
-        doubt(path, first_line, judged, if_wide)
+        doubt(first_where, judged, if_wide)
     return statements.build()
 
 
-def _read_apoc(path: Path, names: list[str], rows: Iterator[Row]) -> KnowledgeGraph:
+def _read_apoc(
+    names: list[str], rows: Iterator[Row], statements: Statements
+) -> KnowledgeGraph:
     """Read the nodes and relationships of `apoc.export.csv` of Neo4j, one of them per row.
 
     A node is named by its number and has the label "name"; its labels are its types.
     """
-    statements = Statements(path)
     own = {"_id", "_labels", "_start", "_end", "_type", "name"}
     statements.unread.update(filter(None, {*names} - own))
-    for number, row in rows:
-        where = f"{path}, line {number}"
+    for where, row in rows:
         _refuse_uneven(where, row, names, "Export it again.")
         cells = dict(zip(names, row, strict=False))
         triple = [cells["_start"], cells["_type"], cells["_end"]]
@@ -222,7 +220,7 @@ def _rows(path: Path, dialect: Dialect) -> Iterator[Row]:
             row = list(map(_unquoted, row))
         cells = list(map(str.strip, row))
         if any(cells) and start > dialect.skipped:
-            yield start, cells
+            yield f"{path}, line {start}", cells
         start = reader.line_num + 1
 
 
@@ -246,9 +244,6 @@ def read_conceptnet(
     `/c/en/teapot/n` becomes the entity "teapot", `/r/UsedFor` the relation "UsedFor". Kept are
     edges of at least a weight between terms of these languages, of these or all relations.
     """
-    wanted = None
-    if relations is not None:
-        wanted = {f"/r/{name}".encode() for name in relations}
     prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
     builder = GraphBuilder()
     for number, line in byte_lines(path):
@@ -264,11 +259,11 @@ def read_conceptnet(
         _, relation, start, end, properties = columns
         if not (start.startswith(prefixes) and end.startswith(prefixes)):
             continue
-        if wanted is not None and relation not in wanted:
+        name = decode(relation, path, number).removeprefix("/r/")
+        if relations is not None and name not in relations:
             continue
         if min_weight > 0 and _weight(properties, path, number) < min_weight:
             continue
-        name = decode(relation, path, number).removeprefix("/r/")
         head = decode(start, path, number).split("/")[3]
         tail = decode(end, path, number).split("/")[3]
         builder.add(head, name, tail)

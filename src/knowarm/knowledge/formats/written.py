@@ -35,6 +35,8 @@ _RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
 _FENCE = re.compile(r"\s*(?:```|~~~)\s*([\w+-]*)")
 _WRAPPER = re.compile(r"\s*(?:[\w ]+=\s*)?[\[\]{}()]\s*,?\s*")
 """First or last line of a list of a programming language."""
+_NAMES = re.compile(r"\W*".join(["<([^<>=?!/,;|]+)>"] * 3) + r"\W*")
+"""Three names, each in angle brackets."""
 _GROUP = re.compile(r"\([^()]*\)|\[[^\[\]]*\]|<[^<>]*>|\{[^{}]*\}|⟨[^⟨⟩]*⟩")
 _BETWEEN = re.compile(r"[\s,;.\[\](){}]*")
 _ROLE = re.compile(r"(\w+)\s*[:=]\s*(.+)")
@@ -105,13 +107,13 @@ def _written_rows(path: Path) -> Iterator[Row]:
         if not triples:
             prose.append(f"line {number}: {line.strip()[:60]}")
         if triples and _is_rule(below) and ("|" in below or not count):
-            is_first = not header
-            header = _header(where, triples[0], header)
-            if not is_first:
+            _check_header(where, triples[0], header)
+            if header:
                 continue
+            header = triples[0]
         for cells in triples:
             count += 1
-            yield number, cells
+            yield where, cells
     if prose and count:
         plural = "" if len(prose) == 1 else "s"
         warn(
@@ -119,34 +121,30 @@ def _written_rows(path: Path) -> Iterator[Row]:
         )
 
 
-def _header(where: str, names: list[str], first: list[str]) -> list[str]:
-    """Return the names above the line of a Markdown table, which name columns as the first do."""
+def _check_header(where: str, names: list[str], first: list[str]) -> None:
+    """Refuse names above the line of a Markdown table that name no columns, or not the first."""
     if first and names != first:
         raise UserError(
             f"{where}: another table begins, with the columns {', '.join(names)}. "
             "Save it as a file of its own."
         )
-    if columns_of(tuple(names), Path(where)) is None:
+    if columns_of(tuple(names), where) is None:
         raise UserError(
             f"{where}: {', '.join(names)} name columns, but not which are head, "
             f"relation and tail. Name them {', '.join(ROLES)}, and write a row per fact."
         )
-    return names
 
 
 def _named_columns(line: str) -> list[list[str]]:
     """Return the cells of a line that names columns without being set off."""
-    for separator in _SEPARATORS:
-        cells = _split(line, separator)
-        if len(cells) > 2 and _columns(cells):
-            return [cells]
-    return []
+    cells = _row(line)
+    return [cells] if _columns(cells) else []
 
 
 def _columns(names: Iterable[object]) -> tuple[int, ...]:
     """Return the columns of head, relation and tail that names tell, () without."""
     with suppress(UserError):
-        columns = columns_of(tuple(map(str, names)), Path())
+        columns = columns_of(tuple(map(str, names)), "")
         if columns is not None:
             return columns.triple
     return ()
@@ -188,22 +186,22 @@ def _triples_of_line(
     text = _without_emphasis(text)
     if text.startswith("|") and text.endswith("|") and len(text) > 1:
         return [_split(text[1:-1], "|")]
+    names = _NAMES.fullmatch(text)
+    if names is not None:
+        return [list(names.groups())]
     triples = list[list[str]]()
     for group in _groups(text):
         triples += _triples_of_group(group)
     if triples:
         return triples
-    rows = [_split(text, separator) for separator in _SEPARATORS]
-    if _ARROW.search(text) and (_SPACED_ARROW.search(text) or 3 not in map(len, rows)):
+    cells = _row(text)
+    if _ARROW.search(text) and (_SPACED_ARROW.search(text) or len(cells) != 3):
         return list(filter(None, [_cells_of_arrows(text)]))
-    for separator, cells in zip(_SEPARATORS, rows, strict=True):
-        if len(cells) < 3:
-            continue
-        values = _without_roles(cells)
-        is_row = separator == "|" and has_rule
-        if values or is_item or is_block or is_row:
-            return [values or _without_full_stop(cells, is_item)]
-    return []
+    values = _without_roles(cells)
+    is_set_off = is_item or is_block or (has_rule and "|" in text)
+    if not values and cells and is_set_off:
+        values = _without_full_stop(cells, is_item)
+    return list(filter(None, [values]))
 
 
 def _groups(text: str) -> list[str]:
@@ -211,19 +209,10 @@ def _groups(text: str) -> list[str]:
     text = text.rstrip(",;. \t")
     groups = _GROUP.findall(text)
     if groups and _BETWEEN.fullmatch(_GROUP.sub("", text)):
-        # <mug> <usedFor> <drinking>
-        if len(groups) == 3 and all(map(_is_one_word, groups)):
-            return [f"({', '.join(groups)})".replace("<", "").replace(">", "")]
         return groups
     if _closing(text) == len(text) - 1:
         return [text]
     return []
-
-
-def _is_one_word(group: str) -> bool:
-    """Return whether a group is one name in angle brackets, and no element of XML."""
-    is_name = re.fullmatch(r"<[^<>=?!/]+>", group) is not None
-    return is_name and not _triples_of_group(group)
 
 
 def _closing(text: str) -> int:
@@ -252,11 +241,8 @@ def _triples_of_group(group: str) -> list[list[str]]:
     inside = group[1:-1].strip()
     if _ARROW.search(inside):
         return list(filter(None, [_cells_of_arrows(inside)]))
-    for separator in _SEPARATORS:
-        cells = _split(inside, separator)
-        if len(cells) > 1:
-            return [_without_roles(cells) or cells]
-    return []
+    cells = _row(inside, least=2)
+    return list(filter(None, [_without_roles(cells) or cells]))
 
 
 def _cells_of_arrows(text: str) -> list[str]:
@@ -270,6 +256,12 @@ def _cells_of_arrows(text: str) -> list[str]:
             cell = cell[1:-1].strip()
         plain.append(_without_emphasis(cell))
     return plain
+
+
+def _row(text: str, least: int = 3) -> list[str]:
+    """Return the cells between the first of the separators that part a text, [] without."""
+    rows = (_split(text, separator) for separator in _SEPARATORS)
+    return next((cells for cells in rows if len(cells) >= least), [])
 
 
 def _split(text: str, separator: str) -> list[str]:
