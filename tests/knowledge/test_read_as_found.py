@@ -111,7 +111,7 @@ def test_what_people_have_is_read_right_and_without_a_warning(tmp_path, name, co
         ("a.json", '[{"s": "mug", "p": "usedFor", "o": "drinking", "weight": 2}]', {MUG}, "weight"),
         ("a.ttl", TURTLE + ":mug :recipe <http://e.org/hot chocolate> .", {MUG}, "line 3: Invalid"),
         ("a.ttl", TURTLE + "foaf:x :y :z .", {MUG}, "1 malformed .* line 3: The prefix f"),
-        ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, r"1 statements about triples \(RDF 1.2\)"),
+        ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, "1 statements about triples"),
         (
             "a.nt",
             "<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n<urn:a> <urn:b>\n",
@@ -211,7 +211,7 @@ def test_columns_without_relations_are_doubted(tmp_path, text):
     ],
 )
 def test_relations_that_are_numbers_are_doubted(tmp_path, text):
-    with pytest.warns(DataWarning, match="were read as relations, but hardly .* or they are numbers"):
+    with pytest.warns(DataWarning, match="read as relations, .* or they are numbers"):
         read_graph(write(tmp_path / "a.tsv", text))
 
 

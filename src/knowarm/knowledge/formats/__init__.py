@@ -225,7 +225,7 @@ def _format_of(path: Path) -> str:
     suffix = suffix_of(path)
     content = re.sub(r"\A(\s|#.*\n)*", "", beginning_of(path))
     refuse_others(path, suffix, content)
-    suffixes = dict[str, str]()
+    suffixes = {}
     for name, known in FORMATS.items():
         suffixes.update(dict.fromkeys(known.suffixes, name))
     by_suffix = suffixes.get(suffix)

@@ -52,7 +52,7 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
 def _json_value(path: Path) -> Any:
     """Return the value of a file, or the list of its values, of which it holds one per line."""
     decoder = json.JSONDecoder()
-    values = list[Any]()
+    values: list[Any] = []
     with reading(path, "Correct the file."), open_bytes(path) as file:
         text = file.read().decode()
         position = _behind_blanks(text, 0)
@@ -103,7 +103,7 @@ def _refuse_no_graph(document: Any, path: Path) -> None:
 
 def _refuse_by_name(document: Mapping[str, Any], path: Path) -> None:
     """Refuse properties by name, {"mug": {"on": "desk"}, ...}, with a command that lists them."""
-    kinds = set[type]()
+    kinds: set[type] = set()
     for properties in document.values():
         if isinstance(properties, dict):
             kinds.update(map(type, properties.values()))

@@ -47,7 +47,7 @@ def refuse_marks(path: Path, rows: list[Triple]) -> None:
 
     They would become parts of names.
     """
-    marks = set[str]()
+    marks = set()
     in_brackets = 0
     for head, _, tail in rows:
         mark = _MARK.match(head)

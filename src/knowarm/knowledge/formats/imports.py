@@ -44,7 +44,7 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
     files = {path.resolve()}
     declared = _KNOWN | _ontologies(graph)
     waiting = [(name, path) for name in _imports(graph).values()]
-    missing = dict[str, None]()
+    missing: dict[str, None] = {}
     while waiting:
         name, importing = waiting.pop(0)
         if _plain(name) in declared:
@@ -70,11 +70,11 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
 
 def _imports(graph: KnowledgeGraph) -> dict[int, str]:
     """Return the names of what a graph imports, by the row that says so."""
-    names = dict[int, str]()
+    names = {}
     relation = graph.relation_names.find(_IMPORTS)
     for row in np.flatnonzero(graph.relations == relation):
         name = graph.names[graph.tails[row]]
-        names[row] = local_name(name) if name.startswith('"') else name
+        names[int(row)] = local_name(name) if name.startswith('"') else name
     return names
 
 

@@ -45,7 +45,7 @@ def records_of(document: Any, *keys: str) -> list[Any]:
 
     They lie in a list, or in an object with one of them per key.
     """
-    records = list[Any]()
+    records = []
     for values in _under(document, keys):
         if isinstance(values, list):
             records += values
@@ -97,7 +97,7 @@ def _is_graph(value: Any) -> bool:
 
 
 def _read_cytoscape(document: Any, records: Records) -> None:
-    graph = dict[str, Any]()
+    graph = {}
     for key in ("nodes", "edges"):
         records_with_data = document["elements"].get(key, ())
         graph[key] = list(map(itemgetter("data"), records_with_data))

@@ -192,7 +192,7 @@ def _read(
     about = _Reified(statements, reified.triples if reified else {})
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
-    prefixes = dict[str, str]()
+    prefixes = {}
     with opened() as file:
         quads = parse(file, format=syntax, base_iri=base, lenient=bool(bad_iris))
         for number, quad in enumerate(_sound(quads, syntax, errors)):
@@ -211,9 +211,9 @@ def _read(
             if not about.takes(head, relation, quad.object):
                 builder.add_statement(head, relation, _name(quad.object))
         prefixes |= quads.prefixes
-    for prefix, iri in prefixes.items():
-        if _is_absolute(iri):
-            builder.prefixes[prefix] = iri
+    builder.prefixes = {
+        prefix: iri for prefix, iri in prefixes.items() if _is_absolute(iri)
+    }
     if not bad_iris and any("IRI" in _reason(error) for error in errors):
         return _read(opened, path, syntax, errors)
     if reified is None and not about.triples.keys().isdisjoint(builder.entities):

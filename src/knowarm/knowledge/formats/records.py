@@ -133,7 +133,7 @@ class Records(Statements):
 
     def build(self) -> KnowledgeGraph:
         """Return the graph; say what is not in it. Nodes with one label are individuals of it."""
-        shared = list[str]()
+        shared = []
         for label, names in self.labeled.items():
             if len(names) > 1:
                 shared.append(label)

@@ -213,7 +213,7 @@ def _ends(relation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the two objects of a relation of ConceptGraphs, [] where it does not describe them."""
     if "object1" in relation:
         return [relation["object1"], relation["object2"]]
-    ends = list[Mapping[str, Any]]()
+    ends: list[Mapping[str, Any]] = []
     for number in (1, 2):
         if f"object_{number}_tag" in relation:
             tag = relation[f"object_{number}_tag"]

@@ -35,9 +35,9 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
             f"{folder} is no folder of triples: it must hold train.txt (and may hold valid.txt and "
             "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
         )
-    labels = dict[str, str]()
-    confidence = dict[Triple, float]()
-    graphs = dict[str, KnowledgeGraph]()
+    labels: dict[str, str] = {}
+    confidence: dict[Triple, float] = {}
+    graphs = {}
     for part in PARTS:
         file = folder / f"{part}.txt"
         if file.is_file():
@@ -61,7 +61,7 @@ def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     parts = Parts()
     for part in PARTS:
         path = folder / f"{part}2id.txt"
-        triples = list[list[int]]()
+        triples = []
         for where, cells in _rows(path, _TRIPLE, "three ids `head tail relation`"):
             head, tail, relation = map(int, cells)
             if max(head, tail) >= len(entities) or relation >= len(relations):
@@ -79,7 +79,7 @@ def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
 
 def _read_names(path: Path) -> tuple[Names, list[int]]:
     """Return the names sorted, and the new id of each id of the file."""
-    by_id = dict[int, str]()
+    by_id = {}
     count = 0
     for _, (name, number) in _rows(path, _NAME, "`name<tab>id`"):
         by_id[int(number)] = name
@@ -100,7 +100,7 @@ def _rows(
 
     There are none if there is no file.
     """
-    lines = list[tuple[int, str]]()
+    lines = []
     if path.exists():
         lines = [(number, line) for number, line in text_lines(path) if line.strip()]
     first = lines[0][1].strip() if lines else "0"

@@ -91,21 +91,21 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
         names = list(ROLES)
         columns = Columns((0, 1, 2))
         rows = chain([first_row], rows)
-    labels = dict[int, int]()
+    labels = {}
     """Place in the triple by the column of its label, as KGTK has them."""
     for role, column in enumerate(columns.triple):
         label = f"{names[column]};label"
         if label in names:
             labels[names.index(label)] = role
     statements.unread.update({*columns.others} - set(map(names.__getitem__, labels)))
-    judged = list[Triple]()
+    judged: list[Triple] = []
     for where, row in rows:
         _refuse_uneven(where, row, names, _IF_UNEVEN)
         head, relation, tail = (name_of_cell(row[column]) for column in columns.triple)
         triple = (head, relation, tail)
         if not all(triple):
-            role = list(ROLES)[triple.index("")]
-            raise UserError(f"{where}: the {role} is empty. {if_empty}")
+            empty = list(ROLES)[triple.index("")]
+            raise UserError(f"{where}: the {empty} is empty. {if_empty}")
         confidence = confidence_of(columns, row, where)
         statements.add(triple, confidence)
         for column, role in labels.items():

@@ -80,8 +80,8 @@ def _written_rows(path: Path) -> Iterator[Row]:
     following = list(map(itemgetter(1), lines))
     has_rule = any(map(_is_rule, following))
     has_brackets = any(map(_has_brackets, following))
-    prose = list[str]()
-    header = list[str]()
+    prose = []
+    header: list[str] = []
     count = 0
     is_block = False
     for (number, line), below in zip(lines, [*following[1:], ""], strict=False):
@@ -189,7 +189,7 @@ def _triples_of_line(
     names = _NAMES.fullmatch(text)
     if names is not None:
         return [list(names.groups())]
-    triples = list[list[str]]()
+    triples = []
     for group in _groups(text):
         triples += _triples_of_group(group)
     if triples:
@@ -285,7 +285,7 @@ def _without_emphasis(text: str) -> str:
 
 def _without_roles(cells: list[str]) -> list[str]:
     """Return the values of cells such as "Subject: mug", in order; none if they are no such."""
-    values = dict[str, str]()
+    values = {}
     for match in map(_ROLE.fullmatch, cells):
         if match is None:
             return []
