@@ -99,8 +99,8 @@ def _is_graph(value: Any) -> bool:
 def _read_cytoscape(document: Any, records: Records) -> None:
     graph = {}
     for key in ("nodes", "edges"):
-        records_with_data = document["elements"].get(key, ())
-        graph[key] = list(map(itemgetter("data"), records_with_data))
+        inside = document["elements"].get(key, ())
+        graph[key] = [record.get("data", {}) for record in inside]
     _read_links(graph, records)
 
 

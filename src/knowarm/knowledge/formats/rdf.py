@@ -8,7 +8,7 @@ import io
 import re
 import xml.sax
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from itertools import chain
@@ -95,7 +95,6 @@ CONFIDENCES = frozenset(
 """Relations that state the probability of a triple, from 0 to 1, in any spelling, "has" before it
 or not."""
 _REIFIES = RDF + "reifies"
-_ABOUT = "statements about triples (RDF 1.2)"
 Names = tuple[str, str, str]
 """Head, relation and tail as a file names them."""
 
@@ -175,8 +174,7 @@ def _read(
     opened: Callable[[], IO[bytes]],
     path: Path,
     syntax: RdfFormat,
-    bad_iris: Sequence[SyntaxError] = (),
-    reified: "_Reified | None" = None,
+    earlier: "_Quads | None" = None,
 ) -> KnowledgeGraph:
     """Read an RDF file; again, triple by triple, if malformed IRIs were found in it.
 
@@ -186,16 +184,14 @@ def _read(
     Raises:
         SyntaxError: more than single statements are malformed.
     """
-    statements = Statements(path)
+    statements = _Quads(path, earlier)
     builder = statements.builder
-    errors = list(bad_iris)
-    about = _Reified(statements, reified.triples if reified else {})
     base = None if syntax in LINES else path.absolute().as_uri()
     no_iri = 0
     prefixes = {}
     with opened() as file:
-        quads = parse(file, format=syntax, base_iri=base, lenient=bool(bad_iris))
-        for number, quad in enumerate(_sound(quads, syntax, errors)):
+        quads = parse(file, format=syntax, base_iri=base, lenient=earlier is not None)
+        for number, quad in enumerate(_sound(quads, syntax, statements.errors)):
             if number == 0:
                 # The parser of RDF/XML forgets them at the end of their element.
                 prefixes = quads.prefixes
@@ -203,22 +199,20 @@ def _read(
                 raise UserError(
                     f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
                 )
-            if bad_iris and not all(map(_is_sound, quad.triple)):
+            if earlier is None or all(map(_is_sound, quad.triple)):
+                statements.take(quad)
+            else:
                 no_iri += 1
-                continue
-            head = _name(quad.subject)
-            relation = quad.predicate.value
-            if not about.takes(head, relation, quad.object):
-                builder.add_statement(head, relation, _name(quad.object))
         prefixes |= quads.prefixes
     builder.prefixes = {
         prefix: iri for prefix, iri in prefixes.items() if _is_absolute(iri)
     }
-    if not bad_iris and any("IRI" in _reason(error) for error in errors):
-        return _read(opened, path, syntax, errors)
-    if reified is None and not about.triples.keys().isdisjoint(builder.entities):
-        return _read(opened, path, syntax, bad_iris, about)
-    malformed = len(errors) - len(bad_iris)
+    is_late = not statements.triples.keys().isdisjoint(builder.entities)
+    has_bad_iri = any("IRI" in _reason(error) for error in statements.errors)
+    if earlier is None and (is_late or has_bad_iri):
+        return _read(opened, path, syntax, statements)
+    errors = (earlier or statements).errors
+    malformed = len(statements.errors)
     if malformed + no_iri > len(builder.ids) // 30 + bool(builder.ids):
         raise errors[0]
     if errors:
@@ -235,7 +229,7 @@ def _read(
         return name_of_iri(name)
 
     graph = builder.build(new_name=graph_name)
-    for names in set(chain.from_iterable(about.triples.values())):
+    for names in set(chain.from_iterable(statements.triples.values())):
         head, relation, tail = map(graph_name, names)
         if (head, relation, tail) not in graph:
             statements.left_out["triples that are quoted (RDF 1.2) and not stated"] += 1
@@ -244,38 +238,40 @@ def _read(
     return graph
 
 
-class _Reified:
-    """What is said about triples (RDF 1.2)."""
+class _Quads(Statements):
+    """Statements of an RDF file, some of them about triples (RDF 1.2)."""
 
-    def __init__(
-        self, statements: Statements, triples: Mapping[str, set[Names]]
-    ) -> None:
-        self.statements = statements
-        self.triples = defaultdict[str, set[Names]](set, triples)
+    def __init__(self, path: Path, earlier: "_Quads | None") -> None:
+        super().__init__(path)
+        self.errors: list[SyntaxError] = []
+        self.triples = defaultdict[str, set[Names]](set)
         """The triples that a term stands for, by the term."""
+        if earlier is not None:
+            self.triples.update(earlier.triples)
 
-    def takes(self, head: str, relation: str, tail: Term | Triple) -> bool:
-        """Take a statement about a triple; return False of others."""
+    def take(self, quad: Quad) -> None:
+        """Add a statement, or take what it says about a triple."""
+        head = _name(quad.subject)
+        relation = quad.predicate.value
+        tail = quad.object
         if isinstance(tail, Triple):
             if relation == _REIFIES and not isinstance(tail.object, Triple):
                 subject = _name(tail.subject)
                 names = (subject, tail.predicate.value, _name(tail.object))
                 self.triples[head].add(names)
-            else:
-                self.statements.left_out[_ABOUT] += 1
-            return True
-        if head not in self.triples:
-            return False
+                return
+        elif head not in self.triples:
+            self.builder.add_statement(head, relation, _name(tail))
+            return
         confidence = _confidence(relation, tail)
         if confidence is None:
-            self.statements.left_out[_ABOUT] += 1
-        else:
-            for triple in self.triples[head]:
-                self.statements.note_confidence(triple, confidence)
-        return True
+            self.left_out["statements about triples (RDF 1.2)"] += 1
+            return
+        for triple in self.triples[head]:
+            self.note_confidence(triple, confidence)
 
 
-def _confidence(relation: str, tail: Term) -> float | None:
+def _confidence(relation: str, tail: Term | Triple) -> float | None:
     """Return the probability that a statement about a triple gives it; None of others."""
     word = name_key(local_name(relation)).removeprefix("has")
     if word not in CONFIDENCES or not isinstance(tail, Literal):
@@ -345,11 +341,10 @@ class _Absolute(XMLGenerator):
     def startElement(self, name: str, attrs: Any) -> None:
         """Write the start of an element, whose base is relative to that around it."""
         values = dict(attrs)
-        base = self.bases[-1]
-        if "xml:base" in values:
-            base = urljoin(base, values["xml:base"])
-            values["xml:base"] = base
+        base = urljoin(self.bases[-1], values.get("xml:base", ""))
         self.bases.append(base)
+        if "xml:base" in values:
+            values["xml:base"] = base
         for key, iri in values.items():
             if key.startswith("xmlns") and iri and not urlsplit(iri).scheme:
                 # urljoin drops a "#" at the end.
