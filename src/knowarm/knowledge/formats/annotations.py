@@ -30,11 +30,11 @@ def without_administration(graph: KnowledgeGraph, path: Path) -> KnowledgeGraph:
     left_out = set(filter(_is_administrative, graph.relation_names))
     if not left_out:
         return graph
-    kept = []
-    for triple in graph:
-        head, relation, _ = triple
-        if relation not in left_out and not _is_administrative(head):
-            kept.append(triple)
+    kept = [
+        triple
+        for triple in graph
+        if triple[1] not in left_out and not _is_administrative(triple[0])
+    ]
     names = sorted(set(map(local_name, left_out)))
     warn(
         f"{path}: {len(graph) - len(kept)} administrative annotations of OBO are left out: "

@@ -29,16 +29,16 @@ def read_json_graph(path: Path) -> KnowledgeGraph:
     document has one of the forms of scenes and other programs, or holds one object that has.
     """
     document = _json_value(path)
+    parts = {"": document}
+    if _form_of(document) is None and isinstance(document, dict):
+        parts = {key: part for key, part in document.items() if _form_of(part)}
+    if len(parts) > 1:
+        raise UserError(
+            f"{path} holds {len(parts)} graphs: {listed(parts)}. Save one of them as a file."
+        )
+    for part in parts.values():
+        document = part
     form = _form_of(document)
-    if form is None and isinstance(document, dict):
-        inside = {key: part for key, part in document.items() if _form_of(part)}
-        if len(inside) > 1:
-            raise UserError(
-                f"{path} holds {len(inside)} graphs: {listed(inside)}. Save one of them as a file."
-            )
-        for part in inside.values():
-            document = part
-            form = _form_of(part)
     if form is None:
         _refuse_no_graph(document, path)
         form = LINKS
@@ -78,10 +78,8 @@ def _behind_blanks(text: str, position: int) -> int:
 
 def _form_of(document: Any) -> Form | None:
     """Return the first of the forms that a document has."""
-    for form in (*SCENES, *PROGRAMS):
-        if form.recognizes(document):
-            return form
-    return LINKS if LINKS.fits(document) else None
+    forms = (form for form in (*SCENES, *PROGRAMS) if form.recognizes(document))
+    return next(forms, None)
 
 
 def _refuse_no_graph(document: Any, path: Path) -> None:

@@ -69,8 +69,7 @@ def _read_links(document: Any, records: Records) -> None:
     links = document
     if isinstance(document, dict):
         nodes = document.get("nodes", [])
-        lists = filter(_is_list, map(document.get, _LISTS))
-        links = next(lists, [document])
+        links = next(filter(_is_list, _under(document, _LISTS)), [document])
     elif list(map(type, document)) == [str, str, str]:
         links = [document]
     if isinstance(nodes, dict):  # as in the JSON Graph Format
@@ -89,11 +88,6 @@ def _read_links(document: Any, records: Records) -> None:
 
 def _is_list(value: Any) -> bool:
     return isinstance(value, list)
-
-
-def _is_graph(value: Any) -> bool:
-    """Return whether a value is an object with a list of links."""
-    return isinstance(value, dict) and any(map(_is_list, map(value.get, _LISTS)))
 
 
 def _read_cytoscape(document: Any, records: Records) -> None:
@@ -241,7 +235,7 @@ def _read_obographs(document: Any, records: Records) -> None:
             records.add_link([edge["sub"], relation, edge["obj"]])
 
 
-LINKS = Form("a graph", _read_links, _is_graph)
+LINKS = Form("a graph", _read_links, _is_list, _LISTS)
 """Nodes and links of no program in particular."""
 PROGRAMS = (
     Form("Neo4j", _read_neo4j, has("rels")),
@@ -254,5 +248,6 @@ PROGRAMS = (
     Form("Wikidata", _refuse_wikidata, has("id", "labels", "claims")),
     Form("Cytoscape", _read_cytoscape, has("edges"), ("elements",)),
     Form("OBO Graphs", _read_obographs, has("graphs")),
+    LINKS,
 )
-"""Forms of other programs."""
+"""Forms of other programs, the plain one last."""

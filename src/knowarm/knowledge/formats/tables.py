@@ -21,7 +21,7 @@ from knowarm.knowledge.formats.columns import (
     name_of_cell,
 )
 from knowarm.knowledge.formats.doubts import doubt, melt, refuse_marks, refuse_names
-from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
+from knowarm.knowledge.formats.files import MAX_LINE, text_lines
 from knowarm.knowledge.formats.records import Statements
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
@@ -39,12 +39,6 @@ _JUDGED = 100_000
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
 """The first line by which Excel knows the separator."""
-
-
-_IF_UNEVEN = (
-    "Correct the line, delete it if it is no row, or name the columns in the first line, three of "
-    "them head, relation and tail, such as head,relation,tail,weight."
-)
 
 
 class Dialect(NamedTuple):
@@ -100,7 +94,7 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     statements.unread.update({*columns.others} - set(map(names.__getitem__, labels)))
     judged: list[Triple] = []
     for where, row in rows:
-        _refuse_uneven(where, row, names, _IF_UNEVEN)
+        _refuse_uneven(where, row, names)
         head, relation, tail = (name_of_cell(row[column]) for column in columns.triple)
         triple = (head, relation, tail)
         if not all(triple):
@@ -129,7 +123,7 @@ def _read_apoc(
     own = {"_id", "_labels", "_start", "_end", "_type", "name"}
     statements.unread.update(filter(None, {*names} - own))
     for where, row in rows:
-        _refuse_uneven(where, row, names, "Export it again.")
+        _refuse_uneven(where, row, names)
         cells = dict(zip(names, row, strict=False))
         triple = [cells["_start"], cells["_type"], cells["_end"]]
         node = name_of_cell(cells.get("_id", ""))
@@ -166,15 +160,15 @@ def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
             writer.writerow(row)
 
 
-def _refuse_uneven(
-    where: str, row: list[str], names: Sequence[str], remedy: str
-) -> None:
+def _refuse_uneven(where: str, row: list[str], names: Sequence[str]) -> None:
     """Refuse a row with another number of cells than there are columns, but for blank ones."""
     if len(row) < len(names) or any(row[len(names) :]):
         plural = "" if len(row) == 1 else "s"
         raise UserError(
             f"{where}: has {len(row)} column{plural}, but a row has {len(names)} "
-            f"({listed(names)}). {remedy}"
+            f"({listed(names)}). Correct the line, delete it if it is no row, or name the columns "
+            "in the first line, three of them head, relation and tail, such as "
+            "head,relation,tail,weight."
         )
 
 
@@ -244,37 +238,34 @@ def read_conceptnet(
     `/c/en/teapot/n` becomes the entity "teapot", `/r/UsedFor` the relation "UsedFor". Kept are
     edges of at least a weight between terms of these languages, of these or all relations.
     """
-    prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
+    prefixes = tuple(f"/c/{language}/" for language in languages)
     builder = GraphBuilder()
-    for number, line in byte_lines(path):
-        columns = line.split(b"\t")
+    for number, line in text_lines(path):
+        where = f"{path}, line {number}"
+        cells = line.split("\t")
         if not line.strip():
             continue
-        if len(columns) != 5:
+        if len(cells) != 5:
             raise UserError(
-                f"{path}, line {number}: has {len(columns)} columns, but a ConceptNet assertion "
-                f"has 5 (uri, relation, start, end, JSON). Give the file "
-                f"conceptnet-assertions-5.*.csv as it was downloaded."
+                f"{where}: has {len(cells)} columns, but a ConceptNet assertion has 5 (uri, "
+                "relation, start, end, JSON). Give the file conceptnet-assertions-5.*.csv as it "
+                "was downloaded."
             )
-        _, relation, start, end, properties = columns
-        if not (start.startswith(prefixes) and end.startswith(prefixes)):
+        _, relation, start, end, properties = cells
+        name = relation.removeprefix("/r/")
+        is_wanted = relations is None or name in relations
+        if not (start.startswith(prefixes) and end.startswith(prefixes) and is_wanted):
             continue
-        name = decode(relation, path, number).removeprefix("/r/")
-        if relations is not None and name not in relations:
-            continue
-        if min_weight > 0 and _weight(properties, path, number) < min_weight:
-            continue
-        head = decode(start, path, number).split("/")[3]
-        tail = decode(end, path, number).split("/")[3]
-        builder.add(head, name, tail)
+        if min_weight <= 0 or _weight(properties, where) >= min_weight:
+            builder.add(start.split("/")[3], name, end.split("/")[3])
     return builder.build()
 
 
-def _weight(properties: bytes, path: Path, number: int) -> float:
+def _weight(properties: str, where: str) -> float:
     try:
         return float(json.loads(properties)["weight"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(
-            f"{path}, line {number}: the fifth column must be JSON with a number `weight`, "
-            f"got {properties[:60].decode(errors='replace')!r}. Download the file again."
+            f"{where}: the fifth column must be JSON with a number `weight`, got "
+            f"{properties[:60]!r}. Download the file again."
         ) from error

@@ -115,9 +115,8 @@ def _written_rows(path: Path) -> Iterator[Row]:
             count += 1
             yield where, cells
     if prose and count:
-        plural = "" if len(prose) == 1 else "s"
         warn(
-            f"{path}: {len(prose)} line{plural} without a triple left out, such as {prose[0]}"
+            f"{path}: left out are {len(prose)} lines without a triple, such as {prose[0]}"
         )
 
 
