@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pyoxigraph import RdfFormat
 
@@ -35,21 +35,15 @@ class Format(NamedTuple):
     """Whether content without comments before it is of this format."""
 
 
-def _begins(pattern: str) -> Callable[[str], object]:
-    return re.compile(pattern, re.DOTALL).match
-
-
-def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "(?!)") -> Format:
-    return Format(partial(read_rdf, syntax=syntax), suffixes, _begins(begins))
-
-
-def _owl(syntax: str, begins: str) -> Format:
-    return Format(partial(read_owl, syntax=syntax), (f".{syntax}",), _begins(begins))
-
-
-def _network(kind: str, begins: str) -> Format:
-    read = partial(read_with_networkx, kind=kind)
-    return Format(read, (f".{kind}",), _begins(begins))
+def _format(
+    read: Callable[[Path, Any], KnowledgeGraph],
+    kind: Any,
+    *suffixes: str,
+    begins: str = "(?!)",
+) -> Format:
+    """Return the format of files that a function reads as some kind, and how they begin."""
+    recognizes = re.compile(begins, re.DOTALL).match
+    return Format(lambda path: read(path, kind), suffixes, recognizes)
 
 
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
@@ -61,43 +55,55 @@ _JSON_LD = rf'(?={_JSON})(?!.*(?:{_CONCEPTNET_API})).*"@[a-z]+"'
 """A key of JSON-LD, and none of the edges of ConceptNet's API, which refer to a remote context."""
 
 FORMATS: dict[str, Format] = {
-    "rdfxml": _rdf(
+    "rdfxml": _format(
+        read_rdf,
         RdfFormat.RDF_XML,
         ".rdf",
         ".owl",
         ".xml",
         begins=_PROLOG + r"<(\w+:)?RDF\b",
     ),
-    "graphml": _network("graphml", rf"{_PROLOG}<graphml\b"),
-    "gexf": _network("gexf", rf"{_PROLOG}<gexf\b"),
-    "gml": _network(
-        "gml", r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\["
+    "graphml": _format(
+        read_with_networkx, "graphml", ".graphml", begins=_PROLOG + r"<graphml\b"
     ),
-    "ofn": _owl("ofn", r"(Prefix|Ontology)\("),
-    "omn": _owl("omn", "(Prefix|Ontology):"),
-    "owx": _owl("owx", _PROLOG + r"<(\w+:)?Ontology\b"),
-    "obo": _owl("obo", "format-version:"),
-    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=_JSON_LD),
+    "gexf": _format(read_with_networkx, "gexf", ".gexf", begins=_PROLOG + r"<gexf\b"),
+    "gml": _format(
+        read_with_networkx,
+        "gml",
+        ".gml",
+        begins=r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\[",
+    ),
+    "ofn": _format(read_owl, "ofn", ".ofn", begins=r"(Prefix|Ontology)\("),
+    "omn": _format(read_owl, "omn", ".omn", begins="(Prefix|Ontology):"),
+    "owx": _format(read_owl, "owx", ".owx", begins=_PROLOG + r"<(\w+:)?Ontology\b"),
+    "obo": _format(read_owl, "obo", ".obo", begins="format-version:"),
+    "jsonld": _format(read_rdf, RdfFormat.JSON_LD, ".jsonld", begins=_JSON_LD),
     "json": Format(
         read_json_graph,
         (".json", ".jsonl", ".ndjson", ".hext", ".srj", ".rj"),
-        _begins(_JSON),
+        re.compile(_JSON).match,
     ),
-    "turtle": _rdf(
+    "turtle": _format(
+        read_rdf,
         RdfFormat.TURTLE,
         ".ttl",
         ".turtle",
         begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<|\[\s*\]\s*<",
     ),
-    "ntriples": _rdf(
-        RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]*:[^<>\s]*>\s+<[^<>\s]+>\s"
+    "ntriples": _format(
+        read_rdf,
+        RdfFormat.N_TRIPLES,
+        ".nt",
+        begins=r"<[^<>\s]*:[^<>\s]*>\s+<[^<>\s]+>\s",
     ),
-    "nquads": _rdf(RdfFormat.N_QUADS, ".nq"),
-    "trig": _rdf(RdfFormat.TRIG, ".trig"),
-    "n3": _rdf(RdfFormat.N3, ".n3"),
-    "csv": Format(partial(read_table, separator=","), (".csv",)),
-    "tsv": Format(partial(read_table, separator="\t"), (".tsv", ".txt")),
-    "conceptnet": Format(read_conceptnet, recognizes=_begins(r"/a/[^\t]*\t/r/")),
+    "nquads": _format(read_rdf, RdfFormat.N_QUADS, ".nq"),
+    "trig": _format(read_rdf, RdfFormat.TRIG, ".trig"),
+    "n3": _format(read_rdf, RdfFormat.N3, ".n3"),
+    "csv": _format(read_table, ",", ".csv"),
+    "tsv": _format(read_table, "\t", ".tsv", ".txt"),
+    "conceptnet": Format(
+        read_conceptnet, recognizes=re.compile(r"/a/[^\t]*\t/r/").match
+    ),
     "written": Format(read_written, (".md", ".markdown"), looks_written),
     "folder": Format(lambda folder: read_parts(folder)[0]),
 }

@@ -45,8 +45,7 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
     declared = _KNOWN | _ontologies(graph)
     waiting = [(name, path) for name in _imports(graph).values()]
     missing: dict[str, None] = {}
-    while waiting:
-        name, importing = waiting.pop(0)
+    for name, importing in waiting:
         if _plain(name) in declared:
             continue
         declared.add(_plain(name))

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from knowarm.errors import UserError
@@ -209,16 +209,15 @@ def _read_things(document: Any, scene: Scene) -> None:
         scene.add_link(record)
 
 
-def _ends(relation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the two objects of a relation of ConceptGraphs, [] where it does not describe them."""
-    if "object1" in relation:
-        return [relation["object1"], relation["object2"]]
-    ends: list[Mapping[str, Any]] = []
+def _ends(relation: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield the two objects of a relation of ConceptGraphs, where it describes them."""
     for number in (1, 2):
-        if f"object_{number}_tag" in relation:
-            tag = relation[f"object_{number}_tag"]
-            ends.append({"id": relation[f"object_{number}_id"], "object_tag": tag})
-    return ends
+        tag = f"object_{number}_tag"
+        if tag in relation:
+            key = relation[f"object_{number}_id"]
+            yield {"id": key, "object_tag": relation[tag]}
+        elif "object1" in relation:
+            yield relation[f"object{number}"]
 
 
 def _things(name: str, key: str, *under: str) -> Form:

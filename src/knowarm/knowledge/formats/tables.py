@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.columns import (
@@ -41,13 +41,6 @@ _SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
 """The first line by which Excel knows the separator."""
 
 
-class Dialect(NamedTuple):
-    """How the cells of a table are separated."""
-
-    separator: str
-    skipped: int = 0  # Lines before the first row
-
-
 def read_table(path: Path, separator: str) -> KnowledgeGraph:
     """Read a table of names, whose first row may name the columns (see `ROLES`).
 
@@ -57,8 +50,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     """
     csv.field_size_limit(MAX_LINE)
     dialect = _dialect(path, separator)
-    rows = _rows(path, dialect)
-    return read_rows(path, rows, melt(path, *dialect))
+    return read_rows(path, _rows(path, *dialect), melt(path, *dialect))
 
 
 def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
@@ -172,33 +164,36 @@ def _refuse_uneven(where: str, row: list[str], names: Sequence[str]) -> None:
         )
 
 
-def _dialect(path: Path, expected: str) -> Dialect:
-    """Return the separator that gives the first rows equally many cells, three or more."""
+def _dialect(path: Path, expected: str) -> tuple[str, int]:
+    """Return the separator, and how many lines stand before the first row.
+
+    The separator gives the first rows equally many cells, three or more.
+    """
     lines = [line for _, line in islice(text_lines(path), _SAMPLE)]
     stated = _SEPARATOR_LINE.fullmatch(lines[0]) if lines else None
     if stated is not None:
-        return Dialect(stated[1], skipped=1)
+        return stated[1], 1
     for separator in dict.fromkeys((expected, *SEPARATORS)):
         with suppress(csv.Error):  # one that does not fit
             counts = {
                 len(row) for row in csv.reader(lines, delimiter=separator) if any(row)
             }
             if len(counts) == 1 and max(counts) >= 3:
-                return Dialect(separator)
-    return Dialect(expected)
+                return separator, 0
+    return expected, 0
 
 
-def _rows(path: Path, dialect: Dialect) -> Iterator[Row]:
+def _rows(path: Path, separator: str, skipped: int) -> Iterator[Row]:
     """Yield rows that are not blank, their cells without blanks around them.
 
     Between tabs, a cell is quoted if it begins and ends with quotes; else by the rules of CSV.
     """
-    is_tab = dialect.separator == "\t"
+    is_tab = separator == "\t"
     options: Any = {"strict": True, "skipinitialspace": True}
     if is_tab:
         options = {"quoting": csv.QUOTE_NONE}
     lines = (line + "\n" for _, line in text_lines(path))
-    reader = csv.reader(lines, delimiter=dialect.separator, **options)
+    reader = csv.reader(lines, delimiter=separator, **options)
     start = 1
     while True:
         try:
@@ -213,7 +208,7 @@ def _rows(path: Path, dialect: Dialect) -> Iterator[Row]:
         if is_tab:
             row = list(map(_unquoted, row))
         cells = list(map(str.strip, row))
-        if any(cells) and start > dialect.skipped:
+        if any(cells) and start > skipped:
             yield f"{path}, line {start}", cells
         start = reader.line_num + 1
 
