@@ -34,14 +34,6 @@ _MARK = re.compile(r"(?!_:|<[^<>]*>$)(?:[^\w/:#\"'@.$?!&%~(\[{]|_(?=.*_$))")
 """Mark with which a head begins, and names do not."""
 
 
-def refuse_names(where: str, cells: Sequence[str], if_wide: str) -> None:
-    """Refuse a first row that names columns of another number than three."""
-    is_long = len(cells) > 6
-    is_other = len(cells) == 2 or any(cells[3:])
-    if is_other and (is_long or _names_columns(cells)):
-        raise _wide_header(where, cells, if_wide)
-
-
 def refuse_marks(path: Path, rows: list[Triple]) -> None:
     """Refuse a table if most of its rows have brackets, or all begin with one mark.
 
@@ -88,7 +80,10 @@ def doubt(where: str, rows: list[Triple], if_wide: str) -> None:
     is_header = not occurs_again and _names_columns(first)
     are_numbers = len(rows) > 1 and all(map(_NUMBER.fullmatch, relations))
     if is_header and not are_numbers and (is_wide or 1 < len(rows) == len(heads)):
-        raise _wide_header(where, first, if_wide)
+        raise UserError(
+            f"{where}: {listed(first)} name columns, but not which are head, relation and tail; "
+            f"name them so, or write head,relation,tail above triples. {if_wide}."
+        )
     if is_wide or are_numbers:
         if occurs_again or are_numbers:
             if_wide = (
@@ -124,14 +119,6 @@ def _names_columns(cells: Sequence[str]) -> bool:
     first = cells[0].strip("_#")
     is_thing = first.casefold().removesuffix("s") in _FIRST_COLUMNS
     return is_thing or _IDENTIFIER.fullmatch(cells[0]) is not None
-
-
-def _wide_header(where: str, cells: Sequence[str], if_wide: str) -> UserError:
-    """Return the error for a first row that names columns, and none of them is the relation."""
-    return UserError(
-        f"{where}: {listed(cells)} name columns, but not which are head, relation and tail; name "
-        f"them so, or write head,relation,tail above triples. {if_wide}."
-    )
 
 
 def melt(path: Path, separator: str, skipped: int = 0) -> str:

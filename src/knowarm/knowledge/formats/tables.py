@@ -3,7 +3,7 @@
 import csv
 import json
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
@@ -20,7 +20,7 @@ from knowarm.knowledge.formats.columns import (
     listed,
     name_of_cell,
 )
-from knowarm.knowledge.formats.doubts import doubt, melt, refuse_marks, refuse_names
+from knowarm.knowledge.formats.doubts import doubt, melt, refuse_marks
 from knowarm.knowledge.formats.files import MAX_LINE, text_lines
 from knowarm.knowledge.formats.records import Statements
 from knowarm.knowledge.graph.builder import GraphBuilder
@@ -72,7 +72,7 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     has_header = columns is not None
     if_empty = "Fill it in or delete the line."
     if columns is None:
-        refuse_names(first_where, names, if_wide)
+        _refuse_uneven(first_where, names, ROLES, f" {if_wide}.")
         if_empty += f" {if_wide}."
         names = list(ROLES)
         columns = Columns((0, 1, 2))
@@ -152,7 +152,9 @@ def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
             writer.writerow(row)
 
 
-def _refuse_uneven(where: str, row: list[str], names: Sequence[str]) -> None:
+def _refuse_uneven(
+    where: str, row: list[str], names: Collection[str], if_wide: str = ""
+) -> None:
     """Refuse a row with another number of cells than there are columns, but for blank ones."""
     if len(row) < len(names) or any(row[len(names) :]):
         plural = "" if len(row) == 1 else "s"
@@ -160,7 +162,7 @@ def _refuse_uneven(where: str, row: list[str], names: Sequence[str]) -> None:
             f"{where}: has {len(row)} column{plural}, but a row has {len(names)} "
             f"({listed(names)}). Correct the line, delete it if it is no row, or name the columns "
             "in the first line, three of them head, relation and tail, such as "
-            "head,relation,tail,weight."
+            f"head,relation,tail,weight.{if_wide}"
         )
 
 

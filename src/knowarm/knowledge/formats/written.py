@@ -18,6 +18,9 @@ from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import Row, read_rows
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 
+Cells = list[str]
+"""Head, relation, tail and further cells of a line."""
+
 _BULLET = re.compile(
     r"\s*(?:>\s*)*"  # as Markdown quotes
     r"(?:(?:[^\w\s\"'`(\[{<⟨/:#@|$=.]{1,2}|\(?\d{1,5}[.):]|\[\d{1,5}\]|[A-Za-z][)])\s+)?"
@@ -81,7 +84,7 @@ def _written_rows(path: Path) -> Iterator[Row]:
     has_rule = any(map(_is_rule, following))
     has_brackets = any(map(_has_brackets, following))
     prose = []
-    header: list[str] = []
+    header: Cells = []
     count = 0
     is_block = False
     for (number, line), below in zip(lines, [*following[1:], ""], strict=False):
@@ -120,7 +123,7 @@ def _written_rows(path: Path) -> Iterator[Row]:
         )
 
 
-def _check_header(where: str, names: list[str], first: list[str]) -> None:
+def _check_header(where: str, names: Cells, first: Cells) -> None:
     """Refuse names above the line of a Markdown table that name no columns, or not the first."""
     if first and names != first:
         raise UserError(
@@ -134,7 +137,7 @@ def _check_header(where: str, names: list[str], first: list[str]) -> None:
         )
 
 
-def _named_columns(line: str) -> list[list[str]]:
+def _named_columns(line: str) -> list[Cells]:
     """Return the cells of a line that names columns without being set off."""
     cells = _row(line)
     return [cells] if _columns(cells) else []
@@ -169,7 +172,7 @@ def _triples_of_line(
     has_rule: bool = False,
     has_brackets: bool = False,
     is_block: bool = False,
-) -> list[list[str]]:
+) -> list[Cells]:
     """Return the cells of the triples in a line, none if it is not set off.
 
     Args:
@@ -227,7 +230,7 @@ def _closing(text: str) -> int:
     return -1
 
 
-def _triples_of_group(group: str) -> list[list[str]]:
+def _triples_of_group(group: str) -> list[Cells]:
     """Return the cells in brackets, or in the brackets in them; none if there is only one."""
     with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
         values = ast.literal_eval(group)
@@ -244,7 +247,7 @@ def _triples_of_group(group: str) -> list[list[str]]:
     return list(filter(None, [_without_roles(cells) or cells]))
 
 
-def _cells_of_arrows(text: str) -> list[str]:
+def _cells_of_arrows(text: str) -> Cells:
     """Return the cells between arrows: of "mug -> usedFor -> drinking", "(mug)-[:IN]->(box)"."""
     cells = _ARROW.split(_EDGE.sub(r" -> \1\2 -> ", text))
     if len(cells) != 3 or "{" in text:
@@ -257,13 +260,13 @@ def _cells_of_arrows(text: str) -> list[str]:
     return plain
 
 
-def _row(text: str, least: int = 3) -> list[str]:
+def _row(text: str, least: int = 3) -> Cells:
     """Return the cells between the first of the separators that part a text, [] without."""
     rows = (_split(text, separator) for separator in _SEPARATORS)
     return next((cells for cells in rows if len(cells) >= least), [])
 
 
-def _split(text: str, separator: str) -> list[str]:
+def _split(text: str, separator: str) -> Cells:
     """Split a text by the rules of CSV; cells without quotes, emphasis and blanks around them."""
     with suppress(csv.Error):
         (cells,) = csv.reader([text], delimiter=separator, skipinitialspace=True)
@@ -282,7 +285,7 @@ def _without_emphasis(text: str) -> str:
     return _without_emphasis(inside)
 
 
-def _without_roles(cells: list[str]) -> list[str]:
+def _without_roles(cells: Cells) -> Cells:
     """Return the values of cells such as "Subject: mug", in order; none if they are no such."""
     values = {}
     for match in map(_ROLE.fullmatch, cells):
@@ -292,13 +295,13 @@ def _without_roles(cells: list[str]) -> list[str]:
     return _values_of_roles(values)
 
 
-def _values_of_roles(values: Mapping[str, object]) -> list[str]:
+def _values_of_roles(values: Mapping[str, object]) -> Cells:
     """Return the values of head, relation and tail in order; none if the keys name no such."""
     texts = list(map(str, values.values()))
     return list(map(texts.__getitem__, _columns(values)))
 
 
-def _without_full_stop(cells: list[str], is_item: bool) -> list[str]:
+def _without_full_stop(cells: Cells, is_item: bool) -> Cells:
     """Return cells without the full stop behind an item of a list."""
     last = cells[-1]
     if is_item and last.endswith(".") and "." not in last[:-1]:
