@@ -108,10 +108,12 @@ def _is_wide(rows: int, different_heads: int, relations: Counter[str]) -> bool:
     Each thing has one row, and the values of the middle column differ nearly as often as the rows
     and are not spelled as relations are.
     """
-    if rows < 3 or different_heads < 0.9 * rows or len(relations) < 0.6 * rows:
+    if rows < 3 or different_heads < 0.9 * rows:
         return False
-    spelled = filter(_RELATION.fullmatch, relations.elements())
-    return rows >= _FEW or 2 * len(list(spelled)) < rows
+    if len(relations) < 0.6 * rows:
+        return False
+    spelled = list(filter(_RELATION.fullmatch, relations.elements()))
+    return rows >= _FEW or 2 * len(spelled) < rows
 
 
 def _names_columns(cells: Sequence[str]) -> bool:

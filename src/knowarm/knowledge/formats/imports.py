@@ -80,14 +80,16 @@ def _imports(graph: KnowledgeGraph) -> dict[int, str]:
 def _without_import(graph: KnowledgeGraph, name: str) -> KnowledgeGraph:
     """Return a graph that holds what it imports, and so does not state the import."""
     rows = [row for row, other in _imports(graph).items() if other == name]
-    return graph.rows(np.delete(np.arange(len(graph)), rows), nodes=graph.nodes)
+    others = np.delete(np.arange(len(graph)), rows)
+    return graph.rows(others, nodes=graph.nodes)
 
 
 def _ontologies(graph: KnowledgeGraph) -> set[str]:
     """Return the plain names of the ontologies that a graph declares itself to be."""
     is_type = graph.relations == graph.relation_names.find(RDF_TYPE)
-    is_declared = is_type & (graph.tails == graph.names.find(_ONTOLOGY))
-    return set(map(_plain, graph.names.at(graph.heads[is_declared])))
+    is_ontology = graph.tails == graph.names.find(_ONTOLOGY)
+    declared = graph.names.at(graph.heads[is_type & is_ontology])
+    return set(map(_plain, declared))
 
 
 def _plain(name: str) -> str:

@@ -31,8 +31,9 @@ class Form(NamedTuple):
 
     def recognizes(self, document: Any) -> bool:
         """Return whether a document is of this kind."""
-        records = records_of(document, *self.under)[:_LOOKED_AT]
-        return any(map(self.fits, [*_under(document, self.under), *records]))
+        places = _under(document, self.under)
+        records = records_of(document, *self.under)
+        return any(map(self.fits, [*places, *records[:_LOOKED_AT]]))
 
 
 def has(*keys: str) -> Callable[[Any], bool]:
@@ -125,7 +126,9 @@ def _read_neo4j(document: Any, records: Records) -> None:
 def _read_conceptnet(document: Any, records: Records) -> None:
     """Read the English edges of an answer of the API that have the least weight or more."""
     for edge in document["edges"]:
-        head, relation, tail = map(_identifier, map(edge.get, ("start", "rel", "end")))
+        head = _identifier(edge["start"])
+        relation = _identifier(edge["rel"])
+        tail = _identifier(edge["end"])
         if float(edge.get("weight", _MIN_WEIGHT)) < _MIN_WEIGHT:
             records.left_out[f"edges of a weight below {_MIN_WEIGHT:g}"] += 1
         elif not (head.startswith(_ENGLISH) and tail.startswith(_ENGLISH)):
@@ -197,9 +200,10 @@ def _term(term: Any) -> str:
 
 def _is_rdf_json(value: Any) -> bool:
     """Return whether a value holds what RDF/JSON says about a subject: lists of terms."""
+    is_term = has("type", "value")
     if not isinstance(value, dict) or not all(map(_is_list, value.values())):
         return False
-    return any(terms and has("type", "value")(terms[0]) for terms in value.values())
+    return any(terms and is_term(terms[0]) for terms in value.values())
 
 
 def _read_rdf_json(document: Any, records: Records) -> None:

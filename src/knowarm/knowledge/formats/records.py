@@ -106,7 +106,7 @@ class Records(Statements):
         cells = list(values.values())
         confidence = confidence_of(columns, cells, self.where)
         self.unread.update({*columns.others} - self.silent)
-        self.relate(list(map(cells.__getitem__, columns.triple)), confidence)
+        self.relate([cells[column] for column in columns.triple], confidence)
 
     def relate(self, cells: list[Any], confidence: float | None = None) -> None:
         """Add a triple of identifiers of nodes, or of other values."""

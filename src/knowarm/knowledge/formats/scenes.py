@@ -50,7 +50,7 @@ _A_AND_B = re.compile(r"([ab]) (.+) ([ab])")
 """Relations of ConceptGraphs in either direction: "b on a"."""
 
 
-class Scene(Records):
+class SceneRecords(Records):
     """Things of a scene: each is an individual of its class, named after both, as "mug_17"."""
 
     silent = _KEYS
@@ -150,7 +150,7 @@ def _position(record: Mapping[str, Any]) -> list[float]:
     return []
 
 
-def _read_spark_dsg(document: Any, scene: Scene) -> None:
+def _read_spark_dsg(document: Any, scene: SceneRecords) -> None:
     """Read layers of nodes; what is in a place without a name is in what holds the place."""
     layers = {}
     for node in document["nodes"]:
@@ -190,7 +190,7 @@ def _spark_class(node: Mapping[str, Any], document: Any) -> str:
     return name
 
 
-def _read_things(document: Any, scene: Scene) -> None:
+def _read_things(document: Any, scene: SceneRecords) -> None:
     """Read things, relations or both; relations may tell what their things are."""
     things = records_of(document, "nodes", "objects")
     relations = records_of(document, *_EDGES)
@@ -221,11 +221,17 @@ def _ends(relation: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def _things(name: str, key: str, *under: str) -> Form:
-    return Form(name, _read_things, has(key), under, Scene)
+    return Form(name, _read_things, has(key), under, SceneRecords)
 
 
 SCENES = (
-    Form("Spark-DSG", _read_spark_dsg, has("attributes", "layer"), ("nodes",), Scene),
+    Form(
+        "Spark-DSG",
+        _read_spark_dsg,
+        has("attributes", "layer"),
+        ("nodes",),
+        SceneRecords,
+    ),
     _things("VirtualHome", "class_name", "nodes"),
     _things("ConceptGraphs", "object_tag", "objects"),
     _things("ConceptGraphs", "class_name", "objects"),

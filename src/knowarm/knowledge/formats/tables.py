@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from itertools import chain, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ SEPARATORS = (",", "\t", ";", "|")
 """Separators of cells, tried in this order after that of the file's suffix."""
 _SAMPLE = 50
 """Lines by which the separator is recognized."""
-_JUDGED = 100_000
+_JUDGED = 10_000
 """Rows by which it is known whether they are triples."""
 _QUOTED = re.compile('"((?:[^"]|"")*)"')
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=([^\w\s"]|\t)"?\s*', re.IGNORECASE)
@@ -84,10 +85,11 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
         if label in names:
             labels[names.index(label)] = role
     statements.unread.update({*columns.others} - set(map(names.__getitem__, labels)))
+    cells_of = itemgetter(*columns.triple)
     judged: list[Triple] = []
     for where, row in rows:
         _refuse_uneven(where, row, names)
-        head, relation, tail = (name_of_cell(row[column]) for column in columns.triple)
+        head, relation, tail = map(name_of_cell, cells_of(row))
         triple = (head, relation, tail)
         if not all(triple):
             empty = list(ROLES)[triple.index("")]
@@ -250,8 +252,9 @@ def read_conceptnet(
             )
         _, relation, start, end, properties = cells
         name = relation.removeprefix("/r/")
-        is_wanted = relations is None or name in relations
-        if not (start.startswith(prefixes) and end.startswith(prefixes) and is_wanted):
+        if not (start.startswith(prefixes) and end.startswith(prefixes)):
+            continue
+        if relations is not None and name not in relations:
             continue
         if min_weight <= 0 or _weight(properties, where) >= min_weight:
             builder.add(start.split("/")[3], name, end.split("/")[3])

@@ -38,7 +38,7 @@ _RULE = re.compile(r"\s*[|+]?\s*:?-{2,}:?\s*(?:[|+]\s*:?-{2,}:?\s*)*[|+]?\s*")
 _FENCE = re.compile(r"\s*(?:```|~~~)\s*([\w+-]*)")
 _WRAPPER = re.compile(r"\s*(?:[\w ]+=\s*)?[\[\]{}()]\s*,?\s*")
 """First or last line of a list of a programming language."""
-_NAMES = re.compile(r"\W*".join(["<([^<>=?!/,;|]+)>"] * 3) + r"\W*")
+_NAMES = re.compile(r"[\s,;]*".join(["<([^<>=?!/,;|]+)>"] * 3) + r"[\s,;.]*")
 """Three names, each in angle brackets."""
 _GROUP = re.compile(r"\([^()]*\)|\[[^\[\]]*\]|<[^<>]*>|\{[^{}]*\}|⟨[^⟨⟩]*⟩")
 _BETWEEN = re.compile(r"[\s,;.\[\](){}]*")
