@@ -27,10 +27,10 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     `valid2id.txt` and `test2id.txt` hold `head tail relation`; the first line of each is the number
     of the others. Text: `train.txt`, `valid.txt` and `test.txt` are tables of names.
     """
-    files = {file.name for file in folder.iterdir()}
-    if {"entity2id.txt", "relation2id.txt", "train2id.txt"} <= files:
+    openke = ("entity2id.txt", "relation2id.txt", "train2id.txt")
+    if all(map(Path.is_file, map(folder.joinpath, openke))):
         return _read_openke(folder)
-    if "train.txt" not in files:
+    if not (folder / "train.txt").is_file():
         raise UserError(
             f"{folder} is no folder of triples: it must hold train.txt (and may hold valid.txt and "
             "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
