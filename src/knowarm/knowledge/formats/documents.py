@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.columns import columns_of, listed
-from knowarm.knowledge.formats.files import open_bytes
+from knowarm.knowledge.formats.files import open_bytes, python
 from knowarm.knowledge.formats.json_forms import LINKS, PROGRAMS, Form
 from knowarm.knowledge.formats.records import Records
 from knowarm.knowledge.formats.scenes import SCENES
@@ -113,14 +112,13 @@ def _refuse_by_name(document: Mapping[str, Any], path: Path) -> None:
             "[[h, r, t] for h in d for r in d[h] "
             "for t in (d[h][r] if isinstance(d[h][r], list) else [d[h][r]]) if t is not None]"
         )
-    file = json.dumps(str(path), ensure_ascii=False)
     code = (
-        f"import json; d = json.load(open({file})); "
-        f'json.dump({triples}, open("triples.json", "w"))'
+        "import json; d = json.load(open(<file>)); "
+        f'json.dump({triples}, open(<made>, "w"))'
     )
     raise UserError(
         f"{path}: this JSON is neither JSON-LD nor a graph. If its keys are things, write triples: "
-        f"python -c {shlex.quote(code)}"
+        f"{python(code, path, 'triples.json')}"
     )
 
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from pathlib import Path
 
 from knowarm.errors import UserError, warn
 from knowarm.knowledge.formats.columns import listed
-from knowarm.knowledge.formats.files import open_compressed
+from knowarm.knowledge.formats.files import open_compressed, python
 from knowarm.knowledge.graph.graph import Triple
 
 _FIRST_COLUMNS = {
@@ -125,21 +124,21 @@ def _names_columns(cells: Sequence[str]) -> bool:
 
 def melt(path: Path, separator: str, skipped: int = 0) -> str:
     """Return the command that writes a row per property, which is then read."""
-    options = [json.dumps(str(path), ensure_ascii=False)]
+    options = ""
     if separator != ",":
-        options.append(f"sep={json.dumps(separator)}")
+        options += f"sep={json.dumps(separator)}, "
     with open_compressed(path) as file:
         if file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE):
-            options.append('encoding="utf-16"')
+            options += 'encoding="utf-16", '
     if skipped:
-        options.append(f"skiprows={skipped}")
+        options += f"skiprows={skipped}, "
     no_blanks = r'.replace(r"^\s*$", float("nan"), regex=True)'
     code = (
-        f"import pandas; pandas.read_csv({', '.join(options)}, dtype=str, index_col=0, "
+        f"import pandas; pandas.read_csv(<file>, {options}dtype=str, index_col=0, "
         f"skipinitialspace=True){no_blanks}.melt(ignore_index=False).dropna()"
-        '.to_csv("triples.csv", index_label="head", header=["relation", "tail"])'
+        '.to_csv(<made>, index_label="head", header=["relation", "tail"])'
     )
     return (
         "If a line describes one thing and each column one of its properties, write a line per "
-        f"property: python -c {shlex.quote(code)}"
+        f"property: {python(code, path, 'triples.csv')}"
     )

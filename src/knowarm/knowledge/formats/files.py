@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import io
+import json
 import lzma
 import shlex
 import zipfile
@@ -101,6 +102,13 @@ def to_utf8(path: Path) -> str:
 def quoted(path: Path) -> str:
     """Return a path as a command line holds it."""
     return shlex.quote(str(path))
+
+
+def python(code: str, file: object, made: object = "") -> str:
+    """Return the command that runs Python code on <file>, which writes <made>."""
+    for mark, path in {"<file>": file, "<made>": made}.items():
+        code = code.replace(mark, json.dumps(str(path), ensure_ascii=False))
+    return f"python -c {shlex.quote(code)}"
 
 
 def decode(line: bytes, path: Path, number: int) -> str:

@@ -1,13 +1,11 @@
 """Formats of graphs that are not read, by name, with the way to one that is."""
 
-import json
 import re
-import shlex
 from pathlib import Path
 from typing import NamedTuple
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.files import quoted
+from knowarm.knowledge.formats.files import python, quoted
 
 
 class Other(NamedTuple):
@@ -104,9 +102,8 @@ def refuse_others(path: Path, suffix: str, content: str) -> None:
 
 def _way(path: Path, other: Other) -> str:
     """Return what to do with a file."""
-    if not other.code:
-        name = quoted(path.with_suffix(""))
-        return other.way.replace("<file>", quoted(path)).replace("<name>", name)
-    code = other.code.replace("<file>", json.dumps(str(path), ensure_ascii=False))
-    made = json.dumps(f"{path}{other.made}", ensure_ascii=False)
-    return f"Convert it: python -c {shlex.quote(code.replace('<made>', made))}"
+    if other.code:
+        made = f"{path}{other.made}"
+        return f"Convert it: {python(other.code, path, made)}"
+    name = quoted(path.with_suffix(""))
+    return other.way.replace("<file>", quoted(path)).replace("<name>", name)
