@@ -25,8 +25,18 @@ _KNOWN = {_OWL, RDF.rstrip("#"), RDFS.rstrip("#")}
 _CATALOG = "catalog-v001.xml"
 """File in which Protégé notes where imports lie."""
 _SUFFIXES = (
-    ".owl", ".ttl", ".rdf", ".xml", ".nt", ".n3", ".ofn", ".omn", ".owx", ".jsonld", ".obo",
-)  # fmt: skip
+    ".owl",
+    ".ttl",
+    ".rdf",
+    ".xml",
+    ".nt",
+    ".n3",
+    ".ofn",
+    ".omn",
+    ".owx",
+    ".jsonld",
+    ".obo",
+)
 
 _Reader = Callable[[Path], KnowledgeGraph]
 
