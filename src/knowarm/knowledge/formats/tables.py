@@ -73,7 +73,8 @@ def read_rows(path: Path, rows: Iterator[Row], if_wide: str) -> KnowledgeGraph:
     has_header = columns is not None
     if_empty = "Fill it in or delete the line."
     if columns is None:
-        _refuse_uneven(first_where, names, ROLES, f" {if_wide}.")
+        if len(names) > 1:
+            _refuse_uneven(first_where, names, ROLES, f" {if_wide}.")
         if_empty += f" {if_wide}."
         names = list(ROLES)
         columns = Columns((0, 1, 2))
