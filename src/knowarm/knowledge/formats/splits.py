@@ -48,14 +48,12 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     whole = graph_of(triples, labels=labels, confidence=confidence)
     parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
     for part, graph in graphs.items():
-        entities = list(map(whole.names.find, graph.names))
-        relations = list(map(whole.relation_names.find, graph.relation_names))
-        ids = [
-            np.take(entities, graph.heads),
-            np.take(relations, graph.relations),
-            np.take(entities, graph.tails),
-        ]
-        parts[part] = np.stack(ids, axis=1)
+        entities = np.array(list(map(whole.names.find, graph.names)))
+        relations = np.array(list(map(whole.relation_names.find, graph.relation_names)))
+        heads = entities[graph.heads]
+        middle = relations[graph.relations]
+        tails = entities[graph.tails]
+        parts[part] = np.stack([heads, middle, tails], axis=1)
     return whole, parts
 
 
