@@ -90,8 +90,9 @@ def doubt(where: str, rows: list[Triple], if_wide: str) -> None:
                 "object,use,material"
             )
         values = list(relations)[not occurs_again :]
+        examples = ", ".join(values[:3])
         warn(
-            f"{where}: {', '.join(values[:3])} were read as relations, but hardly one of them "
+            f"{where}: {examples} were read as relations, but hardly one of them "
             f"occurs again, or they are numbers. {if_wide}."
         )
     elif not occurs_again and max(3, len(relations)) < len(rows):

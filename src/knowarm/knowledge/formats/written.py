@@ -64,7 +64,8 @@ def looks_written(beginning: str) -> bool:
         if _triples_of_line(line, has_rule):
             triples += 1
         elif not _is_rule(line) and not _is_cut(line):
-            rows += max(map(line.count, _SEPARATORS)) >= 2
+            separators = map(line.count, _SEPARATORS)
+            rows += max(separators) >= 2
     return triples > rows
 
 
