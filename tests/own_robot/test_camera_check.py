@@ -13,7 +13,7 @@ from knowarm.cli.main import main
 from knowarm.deploy.driver import shrunk
 from knowarm.errors import UserError
 from knowarm.own_robot import camera_check
-from knowarm.own_robot.camera_check import check_camera, named_points
+from knowarm.own_robot.camera_check import check_camera, named_points, rectify
 from knowarm.own_robot.pixels import draw_once
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.objects import find_targets
@@ -34,7 +34,6 @@ from knowarm.own_robot.camera_fit import (  # noqa: E402
     camera_of,
     fit_camera,
     most_free,
-    rectify,
 )
 
 

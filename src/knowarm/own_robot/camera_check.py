@@ -16,21 +16,22 @@ from knowarm.own_robot.camera_fit import (
     FOVY,
     LEAST_POINTS,
     LENS,
+    NUMBERS,
     Camera,
     bootstrap_cameras,
     camera_of,
     fit_camera,
     most_free,
-    rectify,
 )
 from knowarm.own_robot.pixels import draw_large
-from knowarm.own_robot.poses import CORNERS, rectangle_places
+from knowarm.own_robot.poses import CORNERS, support_places
+from knowarm.pictures import central_square, rectified
 from knowarm.reading import read_text, reading, replacing
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.scene.scene import Scene
 
 SIDE = 480  # Width and height of the overlay [px]
 LEAST_SPREAD_M = 0.02  # Of the points beside the line on which most lie
@@ -67,13 +68,28 @@ def check_camera(
     return [drawn, *_compare(scene, config, aspect, pixels / image.height, places)]
 
 
+def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
+    """Return what the policy's camera sees of a photograph, ``side`` pixels wide and high.
+
+    Of a description without intrinsics it is the central square.
+    """
+    if robot.camera_intrinsics is None:
+        return central_square(image, side)
+    return rectified(
+        image,
+        side,
+        robot.camera_fovy_deg,
+        robot.camera_intrinsics,
+        robot.camera_distortion,
+    )
+
+
 def named_points(scene: Scene, data: mujoco.MjData) -> dict[str, Floats]:
     """Return points (3,) [m], world, by name: gripper, origins of joints, rectangle."""
     points = {"gripper": data.site_xpos[scene.tcp_site].copy()}
     for name in scene.robot.joints:
         points[name] = data.joint(ROBOT_PREFIX + name).xanchor.copy()
-    corners = target_places(scene, rectangle_places(scene.robot, CORNERS))
-    for number, corner in enumerate(corners, start=1):
+    for number, corner in enumerate(support_places(scene, CORNERS), start=1):
         points[f"rectangle_{number}"] = corner
     return points
 
@@ -113,9 +129,9 @@ def _compare(
     start = camera_of(robot, aspect)
     free = most_free(len(places), robot)
     camera = fit_camera(start, seen, places, free)
-    away = np.linalg.norm(camera.see(places) - seen, axis=1)
-    residual = float(np.sqrt(np.square(away).mean()))
-    worst = int(away.argmax()) + 1
+    away = camera.see(places) - seen
+    worst = int(np.linalg.norm(away, axis=1).argmax()) + 1
+    residual = _rms(away)
     fit = Check(
         "fit",
         residual <= MAX_RESIDUAL,
@@ -127,21 +143,25 @@ def _compare(
     if not fit.ok:
         return [fit]  # no camera sees these points
     cameras = bootstrap_cameras(camera, seen, places, free, CAMERAS)
-    if free == LENS and not _has_lens(cameras):
+    low, high = _intervals(cameras)
+    if free == LENS and low[-1] <= 0 <= high[-1]:  # to no side the lens surely distorts
         free = FOVY
         camera = fit_camera(start, seen, places, free)
         cameras = bootstrap_cameras(camera, seen, places, free, CAMERAS)
+    # What the policy looks at: the rectangle's corners, below and above
+    corners = support_places(scene, CORNERS)
+    top = [0.0, 0.0, scene.grasp_position[:, 2].max()]
+    shown = np.vstack([corners, corners + top, places])
     half_height = start.focus[1] * np.tan(np.radians(robot.camera_fovy_deg) / 2)
     to_pixels = config.image_size / 2 / half_height
-    shown = np.vstack([_grasps_and_corners(scene), places])
-    moved = to_pixels * _apart(camera, start, shown)
-    noise = [to_pixels * _apart(one, camera, shown) for one in cameras]
+    fitted = camera.see(shown)
+    moved = to_pixels * _rms(fitted - start.see(shown))
+    noise = [to_pixels * _rms(one.see(shown) - fitted) for one in cameras]
     unsure = float(np.quantile(noise, CONFIDENCE))
-    is_same = moved**2 <= MAX_MOVED**2 + unsure**2
     pose = Check("camera", True, _describe(camera, cameras))
     verdict = Check(
         "pixels of the policy",
-        bool(is_same),
+        bool(moved**2 <= MAX_MOVED**2 + unsure**2),
         f"move by {moved:.2f} of {config.image_size} (root mean square); clicks leave "
         f"{unsure:.2f} open",
         f"More than {MAX_MOVED}: move the camera back, or write into the robot's description "
@@ -150,47 +170,14 @@ def _compare(
     return [fit, pose, verdict]
 
 
-def _has_lens(cameras: Sequence[Camera]) -> bool:
-    """Return whether cameras agree that the lens distorts, and to which side."""
-    low, high = _intervals(cameras)[:, -1]
-    return bool(low > 0 or high < 0)
-
-
-def _grasps_and_corners(scene: Scene) -> Floats:
-    """Return places that the policy looks at: corners of the rectangle, below and above, (8, 3)."""
-    corners = target_places(scene, rectangle_places(scene.robot, CORNERS))
-    above = np.array([0.0, 0.0, scene.grasp_position[:, 2].max()])
-    return np.vstack([corners, corners + above])
-
-
-def _apart(one: Camera, other: Camera, places: Floats) -> float:
-    """Return how far two cameras see places apart, root mean square [image heights]."""
-    return float(
-        np.sqrt(np.square(one.see(places) - other.see(places)).sum(axis=1).mean())
-    )
-
-
-NUMBERS = (
-    ("x", "m"),
-    ("y", "m"),
-    ("z", "m"),
-    ("roll", "degrees"),
-    ("field of view", "degrees"),
-    ("distortion k1", ""),
-)
-"""What of a camera is reported, each with its unit."""
-
-
-def _numbers(camera: Camera) -> Floats:
-    """Return the `NUMBERS` of a camera, (6,)."""
-    return np.array(
-        [*camera.position, camera.roll_deg, camera.fovy_deg, camera.lens[0]]
-    )
+def _rms(offsets: Floats) -> float:
+    """Return the root mean square of the lengths of offsets (n, 2)."""
+    return float(np.sqrt(np.square(offsets).sum(axis=1).mean()))
 
 
 def _intervals(cameras: Sequence[Camera]) -> Floats:
-    """Return lower and upper ends of the `NUMBERS` of cameras fitted to redrawn clicks, (2, 6)."""
-    values = np.stack([_numbers(camera) for camera in cameras])
+    """Return lower and upper ends of the numbers of cameras fitted to redrawn clicks, (2, 6)."""
+    values = [camera.numbers for camera in cameras]
     shares = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
     return np.asarray(np.quantile(values, shares, axis=0))
 
@@ -198,7 +185,7 @@ def _intervals(cameras: Sequence[Camera]) -> Floats:
 def _describe(camera: Camera, cameras: Sequence[Camera]) -> str:
     """Return a camera's numbers with their intervals; those that are not fitted are left out."""
     texts = []
-    columns = zip(NUMBERS, _numbers(camera), *_intervals(cameras), strict=True)
+    columns = zip(NUMBERS.items(), camera.numbers, *_intervals(cameras), strict=True)
     for (name, unit), value, low, high in columns:
         if low < high:
             texts.append(f"{name} {value:.3f} [{low:.3f}, {high:.3f}] {unit}".strip())
@@ -215,8 +202,8 @@ def _fields(robot: Robot, camera: Camera, free: int, aspect: float) -> str:
         "camera_roll_deg": round(camera.roll_deg, 2),
     }
     if free >= FOVY:
-        side = min(1.0, aspect)
-        fovy = 2 * np.arctan(side / 2 / camera.focus[1])
+        # Of the central square, which the policy sees
+        fovy = 2 * np.arctan(min(1.0, aspect) / 2 / camera.focus[1])
         fields["camera_fovy_deg"] = round(float(np.degrees(fovy)), 2)
     if free >= LENS:
         fields["camera_intrinsics"] = camera.focus.round(5).tolist()

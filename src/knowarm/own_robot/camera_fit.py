@@ -1,23 +1,20 @@
-"""Camera fitted to points of a photograph by OpenCV, with intervals by bootstrap."""
+"""Camera fitted to points of a photograph, with intervals by bootstrap."""
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from PIL import Image
 from scipy.optimize import least_squares
 
 from knowarm.arrays import Floats
 from knowarm.errors import packages_of
-from knowarm.pictures import central_square, rectified
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import level_axes, roll
 
 TO_OPENCV = np.array([1.0, -1.0, -1.0])
 """Signs of the axes from x right, y up, z backward to OpenCV's x right, y down, z forward."""
 
-SIDE = 1000.0  # Height of the image in which OpenCV computes [px]
 LEAST_POINTS = 4
 POSE = 6
 """Numbers of a pose; the seventh that is fitted is the field of view, the eighth the lens (k1)."""
@@ -28,6 +25,16 @@ FOR_FOVY = 6  # Points from which the field of view is fitted, too
 FOR_LENS = 9  # Points from which barrel and pincushion distortion is
 CLICK = 1 / 480
 """Least standard error of a click that intervals assume [image heights]."""
+
+NUMBERS = {
+    "x": "m",
+    "y": "m",
+    "z": "m",
+    "roll": "degrees",
+    "field of view": "degrees",
+    "distortion k1": "",
+}
+"""Units of what is reported of a camera, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,12 +48,18 @@ class Camera:
     )
     lens: Floats  # k1, k2, p1, p2, k3, (5,)
 
+    @property
+    def matrix(self) -> Floats:
+        """OpenCV's camera matrix, (3, 3)."""
+        x, y, centre_x, centre_y = self.focus
+        return np.array([[x, 0, centre_x], [0, y, centre_y], [0, 0, 1]])
+
     def see(self, places: Floats) -> Floats:
         """Project places (n, 3) [m] into the image, (n, 2): right and down from the corner."""
-        points, _ = _cv2().projectPoints(
-            places, *_pose(self), _matrix(self.focus), self.lens
-        )
-        return np.asarray(points.reshape(-1, 2) / SIDE)
+        local = (places - self.position) @ self.axes * TO_OPENCV
+        pose = np.zeros((2, 3))
+        points, _ = _cv2().projectPoints(local, *pose, self.matrix, self.lens)
+        return np.asarray(points[:, 0])
 
     @property
     def fovy_deg(self) -> float:
@@ -59,6 +72,11 @@ class Camera:
         level = level_axes(self.axes[:, 2])
         right = level.T @ self.axes[:, 0]
         return float(np.degrees(np.arctan2(-right[1], right[0])))
+
+    @property
+    def numbers(self) -> Floats:
+        """The numbers that are reported, (6,), each with a name and unit of `NUMBERS`."""
+        return np.array([*self.position, self.roll_deg, self.fovy_deg, self.lens[0]])
 
 
 def camera_of(robot: Robot, aspect: float = 1.0) -> Camera:
@@ -74,7 +92,7 @@ def camera_of(robot: Robot, aspect: float = 1.0) -> Camera:
         position=position,
         axes=roll(level_axes(backward), robot.camera_roll_deg),
         focus=np.array(focus),
-        lens=np.pad(robot.camera_distortion, (0, 5 - len(robot.camera_distortion))),
+        lens=np.array(robot.camera_distortion or np.zeros(5)),
     )
 
 
@@ -88,64 +106,48 @@ def most_free(count: int, robot: Robot) -> int:
 def fit_camera(start: Camera, seen: Floats, places: Floats, free: int) -> Camera:
     """Fit a camera to places (n, 3) [m] that are seen at (n, 2), in image heights.
 
-    ``free`` numbers are fitted, the others are those of ``start``: see `POSE`.
+    ``free`` numbers are fitted, the others are those of ``start``: see `POSE`. Of its pose and
+    OpenCV's global solutions, the fit begins at the one that sees the places best.
     """
-    pixels = np.ascontiguousarray(seen * SIDE)
-    rotation, translation = _start(start, pixels, places)
-    matrix = _matrix(start.focus)
-    first = np.concatenate([rotation.ravel(), translation.ravel(), [0.0, 0.0]])
 
-    def camera(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        full = np.append(values, np.zeros(LENS - free))
-        zoomed = matrix.copy()
-        zoomed[[0, 1], [0, 1]] *= np.exp(full[6])
-        lens = start.lens.copy()
-        lens[0] += full[7]
-        return full[:3], full[3:6], zoomed, lens
+    def errors(change: Floats, camera: Camera) -> Floats:
+        return (_change(camera, change).see(places) - seen).ravel()
 
-    def errors(values: Floats) -> Floats:
-        drawn, _ = _cv2().projectPoints(places, *camera(values))
-        return np.asarray((drawn.reshape(-1, 2) - pixels).ravel())
+    none = np.zeros(free)
+    cameras = _starts(start, seen, places)
+    first = min(cameras, key=lambda camera: np.square(errors(none, camera)).sum())
+    fit = least_squares(errors, none, method="lm", args=(first,))
+    return _change(first, fit.x)
 
-    def slopes(values: Floats) -> Floats:
-        _, _, zoomed, _ = camera(values)
-        _, change = _cv2().projectPoints(places, *camera(values))
-        zoom = change[:, 6] * zoomed[0, 0] + change[:, 7] * zoomed[1, 1]
-        return np.column_stack([change[:, :6], zoom, change[:, 10]])[:, :free]
 
-    fit = least_squares(errors, first[:free], jac=slopes, method="lm")
-    rotation, translation, matrix, lens = camera(fit.x)
-    turn = _cv2().Rodrigues(rotation)[0]
+def _change(camera: Camera, change: Floats) -> Camera:
+    """Change the first numbers of a camera: shift (3,) [m], turn (3,) [rad], zoom, lens."""
+    full = np.append(change, np.zeros(LENS - len(change)))
+    turn, _ = _cv2().Rodrigues(full[3:6])
+    zoom = np.exp(full[6])
+    lens = camera.lens.copy()
+    lens[0] += full[7]
     return Camera(
-        position=-turn.T @ translation,
-        axes=turn.T * TO_OPENCV,
-        focus=np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]) / SIDE,
+        position=camera.position + full[:3],
+        axes=camera.axes @ turn,
+        focus=camera.focus * [zoom, zoom, 1, 1],
         lens=lens,
     )
 
 
-def _start(start: Camera, pixels: Floats, places: Floats) -> tuple[Floats, Floats]:
-    """Return the pose of OpenCV's global solution, or of the start where that is better."""
+def _starts(start: Camera, seen: Floats, places: Floats) -> list[Camera]:
+    """Return a camera at its pose and at those of OpenCV's global solutions."""
     cv2 = _cv2()
-    matrix = _matrix(start.focus)
-    best = _pose(start)
-    least = np.inf
-    candidates = [best]
+    cameras = [start]
     with suppress(cv2.error):  # clicks that lie on each other
-        count, rotations, translations, _ = cv2.solvePnPGeneric(
-            places, pixels, matrix, start.lens, flags=cv2.SOLVEPNP_SQPNP
+        _, rotations, translations, _ = cv2.solvePnPGeneric(
+            places, seen, start.matrix, start.lens, flags=cv2.SOLVEPNP_SQPNP
         )
-        candidates += zip(rotations[:count], translations[:count], strict=True)
-    for rotation, translation in candidates:
-        refined = cv2.solvePnPRefineLM(
-            places, pixels, matrix, start.lens, rotation.copy(), translation.copy()
-        )
-        drawn, _ = cv2.projectPoints(places, *refined, matrix, start.lens)
-        error = float(np.square(drawn.reshape(-1, 2) - pixels).sum())
-        if error < least:
-            least = error
-            best = refined
-    return best
+        for rotation, translation in zip(rotations, translations, strict=True):
+            turn = cv2.Rodrigues(rotation)[0].T
+            position = -turn @ translation[:, 0]
+            cameras.append(replace(start, position=position, axes=turn * TO_OPENCV))
+    return cameras
 
 
 def bootstrap_cameras(
@@ -159,7 +161,7 @@ def bootstrap_cameras(
     generator = np.random.default_rng(0)
     drawn = camera.see(places)
     square = np.square(drawn - seen).sum() / max(seen.size - free, 1)
-    error = max(CLICK, float(np.sqrt(square)))
+    error = max(CLICK, np.sqrt(square))
     cameras = []
     for _ in range(count):
         clicks = drawn + error * generator.standard_normal(drawn.shape)
@@ -167,37 +169,8 @@ def bootstrap_cameras(
     return cameras
 
 
-def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
-    """Return what the policy's camera sees of a photograph, ``side`` pixels wide and high.
-
-    Of a description without intrinsics it is the central square.
-    """
-    if robot.camera_intrinsics is None:
-        return central_square(image, side)
-    return rectified(
-        image,
-        side,
-        robot.camera_fovy_deg,
-        robot.camera_intrinsics,
-        robot.camera_distortion,
-    )
-
-
 def _cv2() -> Any:
     """Import OpenCV."""
     with packages_of("camera", "Fitting a camera"):
         import cv2
     return cv2
-
-
-def _matrix(focus: Floats) -> Floats:
-    """Return OpenCV's camera matrix [px]."""
-    x, y, centre_x, centre_y = focus * SIDE
-    return np.array([[x, 0, centre_x], [0, y, centre_y], [0, 0, 1]])
-
-
-def _pose(camera: Camera) -> tuple[Floats, Floats]:
-    """Return OpenCV's rotation and translation from the world to a camera."""
-    turn = (camera.axes * TO_OPENCV).T
-    rotation = _cv2().Rodrigues(turn)[0]
-    return rotation, -(turn @ camera.position)[:, None]

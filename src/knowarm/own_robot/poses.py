@@ -30,6 +30,11 @@ def rectangle_places(robot: Robot, signs: Any) -> Floats:
     return centre + half * signs
 
 
+def support_places(scene: Scene, signs: Any) -> Floats:
+    """Return places in the rectangle on its support, world, (n, 3) [m], by their signs (n, 2)."""
+    return target_places(scene, rectangle_places(scene.robot, signs))
+
+
 def grasps(scene: Scene, places: Floats) -> tuple[Floats, Floats]:
     """Return the grasps of K targets at n places (n, 2) [m].
 

@@ -8,11 +8,11 @@ from PIL import Image, ImageDraw
 
 from knowarm.arrays import Floats
 from knowarm.own_robot.pixels import draw_large, draw_once
-from knowarm.own_robot.poses import CORNERS, rectangle_places
+from knowarm.own_robot.poses import CORNERS, support_places
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import TargetColours
-from knowarm.world.scene.scene import Scene, project, target_places
+from knowarm.world.scene.scene import Scene, project
 
 SIDE = 512  # Side of each of the two images [px]
 LINE = (255, 210, 60)  # Colour of the rectangle and of the gripper's approach
@@ -22,7 +22,7 @@ APPROACH_M = 0.1  # Length of the line that shows the gripper's approach [m]
 def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
     data = scene.at(scene.home)
-    corners = target_places(scene, rectangle_places(scene.robot, CORNERS))
+    corners = support_places(scene, CORNERS)
     for k, mocap in enumerate(scene.target_mocap):
         data.mocap_pos[mocap] = corners[k % len(corners)]
     mujoco.mj_kinematics(scene.model, data)
