@@ -1,7 +1,7 @@
 """Drafts of descriptions: joints, TCP, task, layout, overrides; the draft passes all checks."""
 
-import dataclasses
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,7 +11,6 @@ from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.own_robot.draft import (
-    Draft,
     _toml,
     draft_robot,
     read_overrides,
@@ -35,6 +34,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import RealJoint, Robot
 from knowarm.world.scene.compose import STOP_RAD
 from knowarm.world.scene.scene import build_scene, load_scene
+from tests.own_robot.test_repair import drafted
 from tests.world.helpers import EXAMPLES
 
 SHIPPED = ROBOTS["irb120"]
@@ -247,7 +247,7 @@ def test_friction_stops_a_joint_near_its_target(tmp_path: Path) -> None:
     for joint in spec.joints:
         joint.frictionloss = 3.0
     (tmp_path / "arm.xml").write_text(spec.to_xml())
-    rubbed = dataclasses.replace(SHIPPED, mjcf=tmp_path / "arm.xml")
+    rubbed = replace(SHIPPED, mjcf=tmp_path / "arm.xml")
     gains = build_scene(rubbed, find_targets(["mug"])).model.actuator_gainprm[:, 0]
     assert (3.0 / gains <= STOP_RAD + 1e-9).all()
     free = build_scene(SHIPPED, find_targets(["mug"])).model.actuator_gainprm[:, 0]
@@ -307,7 +307,7 @@ def test_the_distance_of_success_shrinks_until_a_fixed_list_solves_little(
 
     monkeypatch.setattr("knowarm.own_robot.draft.fixed_list_success", solve)
     options = {"success_angle_deg": 60.0, "ignore_roll": True, "distance_m": 0.05}
-    draft = shrink_distance(Draft(robot=SHIPPED, fields={}, how={}, **options), ["mug"])
+    draft = shrink_distance(replace(drafted(), **options), ["mug"])
     assert draft.distance_m == pytest.approx(distance_m)
     assert tried == pytest.approx([0.05, 0.035, 0.025, 0.02][: len(shares)])
     assert f"within {100 * distance_m:g} cm" in draft.how["success"]
@@ -338,7 +338,7 @@ def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(text.replace(body, body + WALL))
     for mjcf, side in ((SHIPPED.mjcf, "right"), (tmp_path / "arm.xml", "left")):
         scene = build_scene(
-            dataclasses.replace(SHIPPED, mjcf=mjcf), find_targets(["mug"])
+            replace(SHIPPED, mjcf=mjcf), find_targets(["mug"])
         )
         home = Home(scene.home, 1.0, "")
         _, view, text = choose_view(scene, [home], {"camera_fovy_deg": 40.0})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.own_robot import draft, draft_area
+from knowarm.own_robot import draft
 from knowarm.own_robot.draft import draft_robot, shrink_distance
 from knowarm.own_robot.robot_check import check_joints, check_robot
 from knowarm.own_robot.servo_check import check_servos
@@ -201,14 +201,15 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
         robot, rectangle_centre_m=(0.6, 0.0), rectangle_half_size_m=(0.1, 0.2)
     )
     described = (EXAMPLES / "scara.toml").read_text()
+    drafted = Mock(robot=robot, toml=lambda file, areas: described)
     # Enough; the best of all
     trials = (
         ([0.4, 0.7, 0.95], -135.0),
         ([0.4, 0.7, 0.6, 0.5], 180.0),
     )
     for shares, yaw in trials:
-        monkeypatch.setattr(draft_area, "oracle_success", Mock(side_effect=shares))
-        area, text = draft_area.find_area(robot, lambda file, areas: described, Lift())
+        monkeypatch.setattr(draft, "oracle_success", Mock(side_effect=shares))
+        area, text = draft.find_area(drafted, Lift())
         assert area == {
             "centre_m": [0.6, 0.0],
             "half_size_m": [0.025, 0.15],
@@ -217,16 +218,16 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
         }
         assert f"{100 * max(shares):.0f} %" in text
 
-    monkeypatch.setattr(draft_area, "oracle_success", Mock(return_value=0.0))
-    area, text = draft_area.find_area(robot, lambda file, areas: described, Lift())
+    monkeypatch.setattr(draft, "oracle_success", Mock(return_value=0.0))
+    area, text = draft.find_area(drafted, Lift())
     assert area == {}
     assert "in none of the areas" in text
 
     def refuse(config: object) -> float:
         raise UserError("Fingers touch.")
 
-    monkeypatch.setattr(draft_area, "oracle_success", refuse)
-    assert draft_area.find_area(robot, lambda file, areas: described, Lift()) == (
+    monkeypatch.setattr(draft, "oracle_success", refuse)
+    assert draft.find_area(drafted, Lift()) == (
         {},
         "not possible: Fingers touch.",
     )

@@ -2,9 +2,10 @@
 
 import json
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,15 +13,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from knowarm.arrays import Floats
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.own_robot.draft_area import find_area
+from knowarm.own_robot.calibration import joint_map_toml
 from knowarm.own_robot.draft_base import lowest_fixed_m, place_base
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
+from knowarm.own_robot.object_check import MIN_ORACLE, oracle_success
 from knowarm.own_robot.plausible import question_ranges, ranges_of
 from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
@@ -33,6 +34,8 @@ from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
 from knowarm.world.tasks.skills import SKILLS
+from knowarm.world.tasks.skills.skill import Skill
+from knowarm.world.tasks.task import Task
 
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6, -0.2, -0.4, -0.6)
 """Changes of the base's height that are tried, of which it must stay above the floor [m]."""
@@ -58,9 +61,8 @@ JOINT_MAP = """
 # The real arm, for knowarm serve, ros, record and export, in its order: value = sign * scale
 # * angle + offset, in the unit: "rad", "deg", or LeRobot's "range_0_100" and "range_m100_100",
 # whose ends are the model's limits or range = [-1.9, 1.9]. knowarm doctor --calibration fills it.
-[joint_map]"""
-UNCHANGED = 'sign = 1, offset = 0.0, unit = "rad"'
-"""Lines of a drafted joint map, which converts nothing; a held joint is sent if it is named."""
+"""
+"""Comment above a drafted joint map, which converts nothing; held joints are sent if named."""
 
 NO_RECTANGLE = {
     "rectangle_centre_m": [0.0, 0.0],
@@ -118,19 +120,30 @@ class Draft:
         values = self.thresholds | self.fields | given
         values["mjcf"] = mjcf.as_posix()
         lines += [f"{name} = {_toml(value)}" for name, value in values.items()]
+        text = "\n".join(lines) + "\n"
         if "joint_map" not in self.fields:
-            lines.append(JOINT_MAP)
-            for joint in self.robot.joints:
-                lines.append(_joint_line(joint))
-            for joint in self.robot.held_joints:
-                lines.append(f"# {_joint_line(joint)}")
-        return "\n".join(lines) + "\n"
+            text += JOINT_MAP + joint_map_toml(_unchanged(self.robot.joints))
+            held = joint_map_toml(_unchanged(self.robot.held_joints))
+            for line in held.splitlines()[1:]:
+                text += f"# {line}\n"
+        return text
 
 
-def _joint_line(joint: str) -> str:
-    """Return the line of a joint in a joint map that converts nothing."""
-    key = json.dumps(joint)
-    return f"{key} = {{name = {key}, {UNCHANGED}}}"
+@contextmanager
+def written(draft: Draft, **given: Any) -> Iterator[str]:
+    """Write a draft to a temporary file, with fields that are given, and return its name."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "arm.toml"
+        file.write_text(draft.toml(file, **given), "utf-8")
+        yield str(file)
+
+
+def _unchanged(joints: Iterable[str]) -> Fields:
+    """Return the joint map that converts nothing."""
+    return {
+        joint: {"name": joint, "sign": 1, "offset": 0.0, "unit": "rad"}
+        for joint in joints
+    }
 
 
 def _toml(value: Any) -> str:
@@ -165,10 +178,15 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     Targets are names or TOML files; overrides are fields of ``Robot`` that are not drafted.
     """
     how: Choices = {}
-    build = partial(_wide_scene, path, targets)
     model = read_mjcf(path, str(path)).compile()
     values: Fields = {"mjcf": str(path)} | _arm(model, overrides, how)
-    scene = build(values | NO_RECTANGLE)
+
+    def build(changes: Fields) -> Scene:
+        """Build a scene in which everything is visible, to compute with."""
+        robot = _robot(path, values | WIDE_VIEW | changes)
+        return build_scene(robot, find_targets(targets))
+
+    scene = build(NO_RECTANGLE)
     question, ranges = question_ranges(scene)
     if question:
         raise UserError(f"{path.name}: {question}, such as --set '{ranges}'.")
@@ -181,19 +199,20 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
                 "turned or shifted so that the arm stands at the origin, on the floor where its "
                 "table is left out, and faces x"
             )
-    x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
+    x, y, z = values.get("base_position_m", Robot.base_position_m)
 
     @cache  # compiling many meshes takes seconds
     def scene_at(height: float) -> Scene:
-        return build(values | NO_RECTANGLE | {"base_position_m": [x, y, height]})
+        return build(NO_RECTANGLE | {"base_position_m": [x, y, height]})
 
     try:
         heights = [z]
         if not is_placed:
             low = lowest_fixed_m(scene_at(z))
-            heights = [
-                z + change for change in HEIGHTS_M if change >= 0 or low + change > 0
+            changes = [
+                change for change in HEIGHTS_M if change >= 0 or low + change > 0
             ]
+            heights = [z + change for change in changes]
         layout = find_layout(scene_at, heights, overrides)
     except UserError as error:
         tried = "; ".join(f"{topic}: {text}" for topic, text in how.items())
@@ -201,8 +220,8 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
             f"{error} Tried: {tried or 'the given joints and TCP'}."
         ) from None
     _add_rectangle(layout, values, how)
-    values = _view(build(values), layout, values, how, "home" in overrides)
-    scene = build(values)
+    values = _view(build({}), layout, values, how, "home" in overrides)
+    scene = build({})
     lag = servo_lag(scene)
     if lag >= MAX_LAG_RAD and "servo_frequency_hz" not in overrides:
         values["servo_frequency_hz"], best = best_frequency(scene)
@@ -223,8 +242,17 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
         distance_m=min(most_m, max(LEAST_M, distance_m)),
     )
     if robot.fingers and not robot.areas:
-        _add_areas(draft)
+        for skill in SKILLS.types():
+            if skill.moves_fingers:
+                area, how[skill.area] = find_area(draft, skill())
+                if area:
+                    values["areas"] = {skill.area: area}
     return draft
+
+
+def _robot(path: Path, values: Fields) -> Robot:
+    fields = {"name": path.stem, **values, "mjcf": path}
+    return from_dict(Robot, fields, where=str(path))
 
 
 def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
@@ -233,18 +261,20 @@ def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
     joints = overrides.get("joints", [])
     if not isinstance(joints, list):
         raise UserError(f"joints must be a list of names, got {joints!r}.")
-    is_tcp_given = "tcp_site" in overrides or "tcp_body" in overrides
-    if not joints or not is_tcp_given:
+    if not joints or overrides.keys().isdisjoint({"tcp_site", "tcp_body"}):
         gripper = find_gripper(model, joints)
         values = {"joints": list(gripper.joints), **gripper.fields}
         how["arm"] = gripper.how
     if "tcp_site" in overrides and "tcp_body" not in overrides:
-        values = {
-            name: value for name, value in values.items() if not name.startswith("tcp_")
-        }
+        for name in ("tcp_body", "tcp_position_m", "tcp_quaternion"):
+            values.pop(name, None)
     values |= overrides
     ranges = ranges_of(model, values.get("joint_ranges", {}))
-    values.setdefault("home", _rest(ranges, values["joints"]))
+    rest = []
+    for name in values["joints"]:
+        low, high = ranges.get(name, (0.0, 0.0))
+        rest.append(0.0 if low <= 0 <= high else (low + high) / 2)
+    values.setdefault("home", rounded(rest))
     return values
 
 
@@ -254,22 +284,12 @@ def _is_free(model: mujoco.MjModel, joint: str) -> bool:
     return mujoco.mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
 
 
-def _rest(ranges: Mapping[str, Floats], joints: Sequence[str]) -> list[float]:
-    """Return 0 for each joint, or the middle of its range where that excludes 0."""
-    rest = []
-    for name in joints:
-        low, high = ranges.get(name, (0.0, 0.0))
-        rest.append(0.0 if low <= 0 <= high else (low + high) / 2)
-    return rounded(rest)
-
-
 def _add_rectangle(layout: Layout, values: Fields, how: Choices) -> None:
     """Add the fields of a layout that are not given."""
     scene = layout.scene
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
-    values.setdefault(
-        "start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3))
-    )
+    fraction = min(Robot.start_fraction, round(START_RAD / half_range, 3))
+    values.setdefault("start_fraction", fraction)
     values["base_position_m"] = rounded(scene.robot.base_position_m)
     values.setdefault("rectangle_centre_m", rounded(layout.centre_m))
     values.setdefault("rectangle_half_size_m", rounded(layout.half_size_m))
@@ -310,45 +330,48 @@ def _view(
     return view | values
 
 
-def _add_areas(draft: Draft) -> None:
-    """Add the areas of skills in which the robot uses its fingers."""
-    for skill in SKILLS.types():
-        if skill.moves_fingers:
-            area, draft.how[skill.area] = find_area(draft.robot, draft.toml, skill())
-            if area:
-                draft.fields["areas"] = {skill.area: area}
+ENOUGH = MIN_ORACLE + 0.1  # Success of the oracle from which no other area is tried
+
+
+def find_area(draft: Draft, skill: Skill) -> tuple[Fields, str]:
+    """Find the area, of those that a skill proposes, in which its oracle succeeds most often.
+
+    What two fingers do with an object depends on their contacts, which inverse kinematics does not
+    see. Return the fields of the area, empty if nothing can be done, and what was found.
+    """
+    best = 0.0
+    best_area: Fields = {}
+    for area in skill.areas_to_try(draft.robot):
+        with written(draft, areas={skill.area: area}) as file:
+            try:
+                success = oracle_success(EnvConfig(robot=file, task=Task(skill=skill)))
+            except UserError as error:
+                return {}, f"not possible: {error}"
+        if success > best:
+            best = success
+            best_area = area
+        if best >= ENOUGH:
+            break
+    if not best_area:
+        return (
+            {},
+            "not possible: the oracle succeeds in none of the areas that were tried",
+        )
+    found = f"the oracle succeeds in {100 * best:.0f} % of the episodes in its area"
+    return best_area, found
 
 
 def shrink_distance(draft: Draft, targets: Sequence[str]) -> Draft:
     """Shrink a draft's distance of success until a fixed list of actions solves little enough."""
     distance_m = draft.distance_m
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "arm.toml"
-        file.write_text(draft.toml(file), "utf-8")
-        config = EnvConfig(
-            robot=str(file),
-            targets=tuple(targets),
-            success_distance_m=SUCCESS_DISTANCE_M,
-            success_angle_deg=draft.success_angle_deg,
-            ignore_roll=draft.ignore_roll,
-        )
+    with written(draft) as file:
+        config = EnvConfig(robot=file, targets=tuple(targets))
         share, _ = fixed_list_success(config, distance_m)
         while share > WANTED_BLIND and distance_m > LEAST_M:
             distance_m = max(LEAST_M, round(SHRINK * distance_m / STEP_M) * STEP_M)
             share, _ = fixed_list_success(config, distance_m)
-    how = dict(draft.how)
-    how["success"] = (
+    success = (
         f"within {100 * distance_m:g} cm, where the best fixed list of actions solves "
         f"{100 * share:.0f} %"
     )
-    return replace(draft, distance_m=distance_m, how=how)
-
-
-def _wide_scene(path: Path, targets: Sequence[str], values: Fields) -> Scene:
-    """Build a scene in which everything is visible, to compute with."""
-    return build_scene(_robot(path, values | WIDE_VIEW), find_targets(targets))
-
-
-def _robot(path: Path, values: Fields) -> Robot:
-    fields = {"name": path.stem, **values, "mjcf": path}
-    return from_dict(Robot, fields, where=str(path))
+    return replace(draft, distance_m=distance_m, how=draft.how | {"success": success})

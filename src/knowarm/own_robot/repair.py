@@ -3,13 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.own_robot.draft import Draft
+from knowarm.own_robot.draft import Draft, written
 from knowarm.own_robot.draft_reach import YAWS_DEG
 from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import check_ways
@@ -68,11 +66,9 @@ def _changes(
 
 def _failed(draft: Draft, targets: Sequence[str], changes: Fields) -> list[str]:
     """Return the names of the checks that a draft with changes fails."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "arm.toml"
-        file.write_text(draft.toml(file, **changes), "utf-8")
+    with written(draft, **changes) as file:
         try:
-            config = EnvConfig(robot=str(file), targets=tuple(targets))
+            config = EnvConfig(robot=file, targets=tuple(targets))
             return [check.name for check in check_ways(config) if not check.ok]
         except UserError:  # such as a grasp outside the image
             return ["scene"]
