@@ -337,9 +337,7 @@ def test_the_camera_looks_past_what_hides_the_targets(tmp_path: Path) -> None:
     assert body in text
     (tmp_path / "arm.xml").write_text(text.replace(body, body + WALL))
     for mjcf, side in ((SHIPPED.mjcf, "right"), (tmp_path / "arm.xml", "left")):
-        scene = build_scene(
-            replace(SHIPPED, mjcf=mjcf), find_targets(["mug"])
-        )
+        scene = build_scene(replace(SHIPPED, mjcf=mjcf), find_targets(["mug"]))
         home = Home(scene.home, 1.0, "")
         _, view, text = choose_view(scene, [home], {"camera_fovy_deg": 40.0})
         assert side in text.partition(": at its start the arm fills")[0]

@@ -16,12 +16,13 @@ import numpy as np
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.own_robot.calibration import joint_map_toml
-from knowarm.own_robot.draft_base import lowest_fixed_m, place_base
+from knowarm.own_robot.draft_base import lowest_m, place_base
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
 from knowarm.own_robot.object_check import MIN_ORACLE, oracle_success
+from knowarm.own_robot.pixels import fixed_parts
 from knowarm.own_robot.plausible import question_ranges, ranges_of
 from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
@@ -208,7 +209,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
     try:
         heights = [z]
         if not is_placed:
-            low = lowest_fixed_m(scene_at(z))
+            low = lowest_m(scene_at(z), fixed_parts(scene_at(z)))
             changes = [
                 change for change in HEIGHTS_M if change >= 0 or low + change > 0
             ]

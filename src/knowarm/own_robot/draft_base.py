@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.linalg import norm
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import extent
 from knowarm.own_robot.pixels import robot_parts
@@ -54,7 +54,7 @@ def place_base(scene: Scene, free: bool) -> Fields:
         shift = -origin[:2]
     x, y = np.array([[cosine, -sine], [sine, cosine]]) @ shift
     z = 0.0
-    low = _lowest_m(scene, robot_parts(scene))
+    low = lowest_m(scene, np.flatnonzero(robot_parts(scene)))
     if FLOATING_M < low < np.inf and (free or stands_on(scene.robot, low)):
         z = -low
     changed: Fields = {}
@@ -75,14 +75,6 @@ def _faced_deg(ahead: Floats) -> float:
     return float(DIRECTIONS_DEG[counts.argmax()])
 
 
-def lowest_fixed_m(scene: Scene) -> float:
-    """Return the least height of the parts of a robot that no joint moves, at most; inf if none."""
-    model = scene.model
-    is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    return _lowest_m(scene, robot_parts(scene) & is_fixed)
-
-
-def _lowest_m(scene: Scene, parts: Mask) -> float:
+def lowest_m(scene: Scene, geoms: Integers) -> float:
     """Return the least height of geoms at home, at most; inf if there are none."""
-    down = np.array([0.0, 0.0, -1.0])
-    return -extent(scene.at(scene.home), np.flatnonzero(parts), down)
+    return -extent(scene.at(scene.home), geoms, np.array([0.0, 0.0, -1.0]))

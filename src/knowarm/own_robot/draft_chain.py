@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import mujoco
@@ -273,14 +274,20 @@ def polyline_m(points: Sequence[Floats] | Floats) -> float:
     return float(norm(np.diff(points, axis=0), axis=1).sum())
 
 
+def box_corners(data: MjData, geoms: Sequence[int] | Integers) -> Floats:
+    """Return the corners of boxes around geoms, world, (n, 8, 3) [m]."""
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    middle, half = np.split(data.model.geom_aabb[geoms, None], 2, axis=-1)
+    to_local = data.geom_xmat[geoms].reshape(-1, 3, 3).swapaxes(1, 2)
+    corners = (middle + signs * half) @ to_local
+    return np.asarray(data.geom_xpos[geoms, None] + corners)
+
+
 def extent(
     data: MjData, geoms: Integers, direction: Floats, origin: Floats | float = 0.0
 ) -> float:
     """Return how far geoms reach from a point, by default the world's, in a direction [m]."""
-    middle, half = np.split(data.model.geom_aabb[geoms], 2, axis=1)
-    local = direction @ data.geom_xmat[geoms].reshape(-1, 3, 3)
-    ends = (data.geom_xpos[geoms] - origin) @ direction
-    ends += (local * middle).sum(axis=1) + (np.abs(local) * half).sum(axis=1)
+    ends = (box_corners(data, geoms) - origin) @ direction
     return float(ends.max(initial=-np.inf))
 
 

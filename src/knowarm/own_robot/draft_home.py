@@ -7,7 +7,7 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.own_robot.draft_reach import NODES, Layout
-from knowarm.own_robot.poses import grasps, rectangle_places, sample_shares
+from knowarm.own_robot.poses import grasps, sample_shares
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import SUCCESS_DISTANCE_M
 from knowarm.world.scene.scene import Scene
@@ -52,21 +52,25 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     solutions = np.concatenate([branch.joints for branch in layout.branches])
     poses = _candidates(scene, solutions)
     simulation = MujocoSimulator(scene, len(poses))
-    contacts = simulation.batch.bind("ncon")
+    contacts = simulation.batch.bind("ncon").reshape(-1)
     simulation.set_joints(poses)
     frame = simulation.tcp_matrix
     x, y, z = simulation.tcp_position.T
-    support = scene.robot.support_height_m
-    reach = float(np.hypot(*scene.robot.rectangle_centre_m))
-    distances, angles = _ways(simulation, layout.ignore_roll)
+    height = z - scene.robot.support_height_m
+    reach = np.hypot(*scene.robot.rectangle_centre_m)
+    ways = []
+    for grasp in zip(*grasps(scene, np.zeros((len(poses), 2))), strict=True):
+        tip = (simulation.tcp_position, frame)
+        ways.append(measure(*tip, *grasp, layout.ignore_roll))
+    distances, angles = np.stack(ways, axis=1)  # To each target at the middle
     nearest_m = distances.min(axis=0)
     nearest_deg = angles.min(axis=0)
     farthest_deg = angles.max(axis=0)
     travel = np.abs(poses[:, None] - solutions).max(axis=(1, 2))
     penalty = (
-        100.0 * (contacts.reshape(-1) > 0)
-        + 20.0 * (z < support + 0.3 * reach)
-        + 5.0 * (z > support + 1.2 * reach)
+        100.0 * (contacts > 0)
+        + 20.0 * (height < 0.3 * reach)
+        + 5.0 * (height > 1.2 * reach)
         + 10.0 * (frame[:, 8] > 0.3)
         + 10.0 * (np.hypot(x, y) < 0.35 * reach)
         + 10.0 * (x < 0.2 * reach)
@@ -77,19 +81,16 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
         + np.abs(y) / reach
     )
-    chosen: list[int] = []
+    homes: list[Home] = []
     for i in np.argsort(penalty):
-        apart = np.abs(poses[chosen] - poses[i]).max(axis=1)
-        if (apart > DIFFERENT_RAD).all():
-            chosen.append(i)
-    homes = []
-    for i in chosen[:HOMES]:
-        text = (
-            f"gripper {z[i] - support:.2f} m above the support, "
-            f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
-            f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
-        )
-        homes.append(Home(poses[i], float(travel[i]), text))
+        apart = [np.abs(home.joints - poses[i]).max() for home in homes]
+        if min(apart, default=np.inf) > DIFFERENT_RAD and len(homes) < HOMES:
+            text = (
+                f"gripper {height[i]:.2f} m above the support, "
+                f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
+                f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
+            )
+            homes.append(Home(poses[i], float(travel[i]), text))
     return sorted(homes, key=lambda home: -_reached(scene, layout, home))
 
 
@@ -102,32 +103,16 @@ def _candidates(scene: Scene, solutions: Floats) -> Floats:
     return np.clip(poses, scene.joint_lower + slack, scene.joint_upper - slack)
 
 
-def _ways(simulation: MujocoSimulator, ignore_roll: bool) -> tuple[Floats, Floats]:
-    """Measure distances [m] and angles [deg] of n poses from K grasps at the middle, (K, n)."""
-    scene = simulation.scene
-    targets = len(scene.targets)
-    middle = np.zeros((simulation.num_envs, 2))
-    position, matrix = grasps(scene, rectangle_places(scene.robot, middle))
-    distances, angles = measure(
-        np.tile(simulation.tcp_position, (targets, 1)),
-        np.tile(simulation.tcp_matrix, (targets, 1)),
-        position.reshape(-1, 3),
-        matrix.reshape(-1, 9),
-        ignore_roll,
-    )
-    return distances.reshape(targets, -1), angles.reshape(targets, -1)
-
-
 def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     """Return the share of the grasps that are reached from a start pose in time."""
-    robot = scene.robot
-    position, matrix = grasps(scene, rectangle_places(robot, NODES))
+    position, matrix = grasps(scene, NODES)
     position = position.reshape(-1, 3)
     start = np.tile(home.joints, (len(position), 1))
-    offset = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
-    signs = (-1.0) ** np.arange(len(start))
-    moved = list(robot.start_joints)
-    start[:, moved] += np.outer(signs, offset[moved])
+    moved = list(scene.robot.start_joints)
+    half_range = (scene.joint_upper - scene.joint_lower)[moved] / 2
+    # By turns at both ends of the start distribution
+    start[0::2, moved] += scene.robot.start_fraction * half_range
+    start[1::2, moved] -= scene.robot.start_fraction * half_range
     start = start.clip(scene.joint_lower, scene.joint_upper)
     solver = InverseKinematics.within_angle(
         replace(scene, home=home.joints), layout.angle_deg, layout.ignore_roll

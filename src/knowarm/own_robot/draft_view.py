@@ -10,13 +10,14 @@ import mujoco
 import numpy as np
 
 from knowarm.arrays import Floats
+from knowarm.own_robot.draft_chain import box_corners
 from knowarm.own_robot.draft_home import Home
 from knowarm.own_robot.draft_reach import NODES
 from knowarm.own_robot.pixels import SceneImages, different_pixels, robot_parts
-from knowarm.own_robot.poses import Fields, place_targets, rectangle_places
+from knowarm.own_robot.poses import Fields, place_targets, rounded, support_places
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.compose import level_axes
-from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.scene.scene import Scene
 
 FOVY_DEG = 40.0
 MARGIN = 0.9  # Share of the image within which everything must lie
@@ -72,12 +73,11 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> Fiel
     """Place a camera so that it shows the rectangle with its targets, and the arm."""
     data = scene.at(home.joints)
     top = scene.grasp_position[:, 2].max() * 1.2
-    places = target_places(scene, rectangle_places(scene.robot, NODES[1:]))
-    ends = _robot_corners(scene, data)
+    places = support_places(scene, NODES[1:])
+    ends = box_corners(data, np.flatnonzero(robot_parts(scene))).reshape(-1, 3)
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
     tip = data.site_xpos[scene.tcp_site]
-    above = places + np.array([0, 0, top])
-    points = np.vstack([places, above, ends, tip])
+    points = np.vstack([places, places + np.array([0, 0, top]), ends, tip])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = level_axes(direction)
     local = (points - look_at) @ axes
@@ -86,19 +86,9 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> Fiel
     distance = (beside / slope + local[:, 2]).max()
     position = look_at + distance * axes[:, 2]
     return {
-        "camera_position_m": np.round(position, 4).tolist(),
-        "camera_look_at_m": np.round(look_at, 4).tolist(),
+        "camera_position_m": rounded(position),
+        "camera_look_at_m": rounded(look_at),
     }
-
-
-def _robot_corners(scene: Scene, data: mujoco.MjData) -> Floats:
-    """Return the corners of boxes around the robot's geoms, world, (n, 3) [m]."""
-    geoms = np.flatnonzero(robot_parts(scene))
-    signs = np.array(list(product((-1, 1), repeat=3)))
-    middle, half = np.split(scene.model.geom_aabb[geoms, None], 2, axis=-1)
-    rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
-    turned = np.einsum("gij,gcj->gci", rotations, middle + signs * half)
-    return (data.geom_xpos[geoms, None] + turned).reshape(-1, 3)
 
 
 def _shown(scene: Scene, home: Home, view: Fields) -> tuple[float, float]:
@@ -109,11 +99,9 @@ def _shown(scene: Scene, home: Home, view: Fields) -> tuple[float, float]:
     model.cam_pos[scene.camera] = position
     model.cam_fovy[scene.camera] = view["camera_fovy_deg"]
     mujoco.mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
-    simulation = place_targets(scene, home.joints, rectangle_places(scene.robot, NODES))
+    simulation = place_targets(scene, home.joints, NODES)
     images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
-    least = np.inf
-    for k in range(len(scene.targets)):
-        pixels = different_pixels(images.targets([k]), images.empty)
-        least = min(least, float(pixels.min()))
-    robot = images.robot_pixels()[0]
-    return least, float(robot) / EnvConfig.image_size**2
+    drawn = [images.targets([k]) for k in range(len(scene.targets))]
+    least = different_pixels(np.stack(drawn), images.empty).min()
+    share = images.robot_pixels()[0] / EnvConfig.image_size**2
+    return float(least), float(share)

@@ -92,3 +92,9 @@ def robot_parts(scene: Scene) -> Mask:
     """Return which geoms are the robot's, (G,): those of its file may have no names."""
     names = [scene.model.geom(g).name for g in range(scene.model.ngeom)]
     return np.array([not name or name.startswith(ROBOT_PREFIX) for name in names])
+
+
+def fixed_parts(scene: Scene) -> Integers:
+    """Return the geoms of the robot that no joint moves."""
+    is_fixed = scene.model.body_weldid[scene.model.geom_bodyid] == 0
+    return np.flatnonzero(robot_parts(scene) & is_fixed)

@@ -1,30 +1,38 @@
 """What no arm has and files state: ranges beyond a turn and a half, tables above the targets."""
 
+import copy
 import json
 from collections.abc import Mapping, Sequence
 from itertools import product
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from knowarm.arrays import Floats
-from knowarm.own_robot.pixels import robot_parts
-from knowarm.own_robot.poses import rectangle_places
+from knowarm.own_robot.draft_chain import box_corners
+from knowarm.own_robot.pixels import fixed_parts
+from knowarm.own_robot.poses import robot_file, support_places
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.mjcf import read_mjcf, surroundings
-from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.scene.mjcf import surroundings
+from knowarm.world.scene.scene import Scene
 
-MOST_RAD = 3 * np.pi
-"""A hinge that turns farther from 0 has a wrong range."""
 
-MOST_M = 5.0  # A slide that is longer has one
-DEGREES = 30.0  # From which a range of hinges is one in degrees
-MILLIMETRES = 20.0  # From which a range of slides is one in millimetres
-USUAL_RAD = 3.14  # A range to write down as an example
+class Kind(NamedTuple):
+    """What ranges of a kind of joint are plausible."""
+
+    unit: str
+    most: float  # No arm's joint is farther from 0
+    mistaken: float  # From which a range is one in another unit,
+    scale: float  # of which this makes the right one
+    usual: float  # Ends of a range to write down as an example
+
+
+HINGE = Kind("rad", 3 * np.pi, 30.0, np.pi / 180, 3.14)
+SLIDE = Kind("m", 5.0, 20.0, 0.001, 1.0)
 SIDE = 5  # Places per side of the rectangle above which parts are searched
 CLEARANCE_M = 0.01
-HIGH_M = 100.0  # From where it is looked down
 RESTING_M = 0.03  # Farthest that a base stands above what bears it
 SUNK_M = 0.1  # Farthest that it is drawn into that
 
@@ -34,90 +42,55 @@ def question_ranges(scene: Scene) -> tuple[str, str]:
 
     Both are empty if no range is questionable.
     """
-    robot = scene.robot
     texts = []
     likely = []
-    limits = zip(scene.joint_lower, scene.joint_upper, strict=True)
-    for name, (low, high) in zip(robot.joints, limits, strict=True):
+    limits = np.column_stack([scene.joint_lower, scene.joint_upper])
+    for name, ends in zip(scene.joint_names, limits, strict=True):
         joint = scene.model.joint(ROBOT_PREFIX + name)
         is_slide = joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE
-        most = MOST_M if is_slide else MOST_RAD
-        if max(-low, high) > most:
-            texts.append(f"{name} [{low:.4g}, {high:.4g}] {'m' if is_slide else 'rad'}")
-            likely.append(f"{json.dumps(name)} = {_likely(low, high, is_slide)}")
+        kind = SLIDE if is_slide else HINGE
+        largest = np.abs(ends).max()
+        if largest > kind.most:
+            low, high = ends
+            texts.append(f"{name} [{low:.4g}, {high:.4g}] {kind.unit}")
+            meant = ends.clip(-kind.usual, kind.usual)
+            if largest > kind.mistaken:
+                meant = ends * kind.scale
+            likely.append(f"{json.dumps(name)} = {meant.round(4).tolist()}")
     if not texts:
         return "", ""
     question = (
-        f"no arm turns by more than a turn and a half or slides by more than {MOST_M:.0f} m: "
+        f"no arm turns by more than a turn and a half or slides by more than {SLIDE.most:.0f} m: "
         f"{', '.join(texts)}. Are these degrees or millimetres? Give the ranges of its data sheet"
     )
     return question, f"joint_ranges = {{{', '.join(likely)}}}"
 
 
-def _likely(low: float, high: float, is_slide: bool) -> list[float]:
-    """Return the range that may be meant: of degrees or millimetres, else a usual one."""
-    ends = np.array([low, high])
-    largest = np.abs(ends).max()
-    if is_slide and largest > MILLIMETRES:
-        ends = ends / 1000
-    elif is_slide:
-        ends = ends.clip(-1, 1)
-    elif largest > DEGREES:
-        ends = np.radians(ends)
-    else:
-        ends = ends.clip(-USUAL_RAD, USUAL_RAD)
-    likely: list[float] = ends.round(4).tolist()
-    return likely
-
-
 def fixed_parts_above(scene: Scene) -> list[str]:
     """Name the parts of a robot's file that stand still above targets, below its highest joint."""
     data = scene.at(scene.home)
-    model = scene.model
-    joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.joint_names]
-    highest = data.xanchor[joints, 2].max()
-    line = np.linspace(-1, 1, SIDE)
-    signs = list(product(line, line))
-    places = target_places(scene, rectangle_places(scene.robot, signs))
-    is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    names = []
-    for geom in np.flatnonzero(robot_parts(scene) & is_fixed).tolist():
-        for place in places:
-            top = _top_m(data, geom, place)
-            if place[2] + CLEARANCE_M < top < highest:
-                body = model.body(model.geom_bodyid[geom]).name.removeprefix(
-                    ROBOT_PREFIX
-                )
-                name = model.geom(geom).name or f"a geom of body {body!r}"
-                names.append(name.removeprefix(ROBOT_PREFIX))
-                break
-    return list(dict.fromkeys(names))
-
-
-def _top_m(data: mujoco.MjData, geom: int, place: Floats) -> float:
-    """Return the height of a geom's surface above a place (3,) [m]; -inf if it is not there."""
-    model = data.model
-    start = np.array([place[0], place[1], HIGH_M])
+    model = copy.copy(scene.model)
+    model.geom_group[:] = 1
+    model.geom_group[fixed_parts(scene)] = 0
+    looked_at = np.array([1, 0, 0, 0, 0, 0], np.uint8)  # Groups
     down = np.array([0.0, 0.0, -1.0])
-    kind = model.geom_type[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        way = mujoco.mj_rayMesh(model, data, geom, start, down, None)
-    else:
-        way = mujoco.mju_rayGeom(
-            data.geom_xpos[geom],
-            data.geom_xmat[geom],
-            model.geom_size[geom],
-            start,
-            down,
-            kind,
-            None,
-        )
-    return HIGH_M - way if way >= 0 else -np.inf
+    hit = np.zeros(1, np.int32)
+    line = np.linspace(-1, 1, SIDE)
+    names = {}
+    for place in support_places(scene, list(product(line, line))):
+        start = np.array([*place[:2], data.xanchor[:, 2].max()])
+        way = mujoco.mj_ray(model, data, start, down, looked_at, 1, -1, hit)
+        if 0 <= way < start[2] - place[2] - CLEARANCE_M:
+            geom = model.geom(hit[0])
+            body = model.body(geom.bodyid[0]).name.removeprefix(ROBOT_PREFIX)
+            name = geom.name.removeprefix(ROBOT_PREFIX) or f"a geom of body {body!r}"
+            names[geom.id] = name
+    return list(dict.fromkeys(names[geom] for geom in sorted(names)))
 
 
 def stands_on(robot: Robot, low_m: float) -> bool:
     """Return whether something of a robot's file that is left out bears it at a height [m]."""
-    part = read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
+    part = robot_file(robot)
     model = part.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -128,11 +101,9 @@ def stands_on(robot: Robot, low_m: float) -> bool:
         else:
             geoms.append(element)
     for geom in geoms:
-        middle, half = model.geom_aabb[geom.id].reshape(2, 3)
-        upward = data.geom_xmat[geom.id].reshape(3, 3)[2]
         top = data.geom_xpos[geom.id][2]
         if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
-            top += upward @ middle + np.abs(upward) @ half
+            top = box_corners(data, [geom.id])[..., 2].max()
         if -RESTING_M < top - low_m < SUNK_M:
             return True
     return False

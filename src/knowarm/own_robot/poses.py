@@ -1,13 +1,15 @@
-"""Poses with which drafts and checks compute: places, grasps there, and arms at joint angles."""
+"""What drafts and checks compute with: a robot's file, places, grasps there, and poses."""
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import scipy
 
 from knowarm.arrays import Floats
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.skills.ik import InverseKinematics
 
@@ -23,6 +25,11 @@ CORNERS = (
 """Corners of a rectangle in order, relative to its centre and half-sizes."""
 
 
+def robot_file(robot: Robot) -> mujoco.MjSpec:
+    """Read the MJCF file of a description."""
+    return read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
+
+
 def rectangle_places(robot: Robot, signs: Any) -> Floats:
     """Return places in a robot's rectangle [m] by their signs (n, 2), -1 to 1 between its sides."""
     centre = np.array(robot.rectangle_centre_m)
@@ -35,14 +42,14 @@ def support_places(scene: Scene, signs: Any) -> Floats:
     return target_places(scene, rectangle_places(scene.robot, signs))
 
 
-def grasps(scene: Scene, places: Floats) -> tuple[Floats, Floats]:
-    """Return the grasps of K targets at n places (n, 2) [m].
+def grasps(scene: Scene, signs: Any) -> tuple[Floats, Floats]:
+    """Return the grasps of K targets at n places in the rectangle, by their signs (n, 2).
 
     Positions (K, n, 3) [m] and row-major rotations (K, n, 9), world.
     """
-    position = target_places(scene, places) + scene.grasp_position[:, None]
+    position = support_places(scene, signs) + scene.grasp_position[:, None]
     matrix = scene.grasp_matrix.reshape(-1, 1, 9)
-    return position, np.repeat(matrix, len(places), axis=1)
+    return position, np.repeat(matrix, len(signs), axis=1)
 
 
 def sample_shares(scene: Scene, count: int) -> Floats:
@@ -63,10 +70,11 @@ def sample_tips(scene: Scene, count: int) -> Floats:
     return position
 
 
-def place_targets(scene: Scene, joints: Floats, places: Floats) -> MujocoSimulator:
-    """Pose an arm at angles (J,) [rad] and all targets at one place per copy, (n, 2) [m]."""
-    count = len(places)
+def place_targets(scene: Scene, joints: Floats, signs: Any) -> MujocoSimulator:
+    """Pose an arm at angles (J,) [rad] and all targets at one place per copy, by signs (n, 2)."""
+    count = len(signs)
     simulation = MujocoSimulator(scene, count, 1, "kinematic")
+    places = rectangle_places(scene.robot, signs)
     positions = np.repeat(places[:, None], len(scene.targets), axis=1)
     simulation.reset(np.arange(count), np.tile(joints, (count, 1)), positions)
     return simulation

@@ -1,12 +1,13 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach, visibility."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from knowarm.arrays import Floats, Mask
 from knowarm.check import Check
@@ -15,6 +16,7 @@ from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, poly
 from knowarm.own_robot.opening import check_fingers
 from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
 from knowarm.own_robot.plausible import fixed_parts_above, question_ranges
+from knowarm.own_robot.poses import robot_file
 from knowarm.own_robot.servo_check import check_servos
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent, searched_list
@@ -23,9 +25,8 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.mjcf import FLOORS, read_mjcf, surroundings
+from knowarm.world.scene.mjcf import FLOORS, surroundings
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import IKSolution, InverseKinematics
 
@@ -83,10 +84,8 @@ def check_robot(
         yield check
         failed += not check.ok
     if not failed:
-        distance_m = distance_m or env.scene.robot.evaluation_distance_m
-        yield from check_agents(
-            replace(config, image_size=1), distance_m or EVALUATION_M
-        )
+        distance_m = distance_m or env.scene.robot.evaluation_distance_m or EVALUATION_M
+        yield from check_agents(replace(config, image_size=1), distance_m)
 
 
 def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
@@ -108,15 +107,10 @@ def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:
         yield from _check_visible(one)
 
 
-def _read_file(robot: Robot) -> mujoco.MjSpec:
-    return read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
-
-
 def _check_scene(scene: Scene) -> Check:
     """Say what of the robot's file is left out, and what of its world is kept as the base."""
     robot = scene.robot
-    part = _read_file(robot)
-    found = f"compiles, {scene.model.ngeom} geoms"
+    part = robot_file(robot)
     names = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         kind = "body"
@@ -126,24 +120,28 @@ def _check_scene(scene: Scene) -> Check:
             f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}"
         )
         part.delete(element)
-    if names:
-        found += f"; left out of {robot.mjcf.name}: {', '.join(names)}"
-    kept = [geom.name or "unnamed" for geom in part.worldbody.geoms]
-    if kept:
-        found += f"; geoms of its world taken for the robot's base: {', '.join(kept)}"
-    textured = _textured(scene)
-    if textured:
-        found += f"; textures are drawn as their mean colour: {', '.join(textured)}"
     above = fixed_parts_above(scene)
-    if above:
-        found += f"; above the targets' rectangle: {', '.join(above)}"
+    lists = {
+        f"left out of {robot.mjcf.name}": names,
+        "geoms of its world taken for the robot's base": [
+            geom.name or "unnamed" for geom in part.worldbody.geoms
+        ],
+        "textures are drawn as their mean colour": _textured(scene),
+        "above the targets' rectangle": above,
+    }
     return Check(
         "scene",
         not above,
-        found,
+        f"compiles, {scene.model.ngeom} geoms{_listed(lists)}",
         f"Move what stands above the targets in {robot.mjcf.name} into a body without joints, "
         "which is left out, or move the rectangle (rectangle_centre_m).",
     )
+
+
+def _listed(lists: Mapping[str, Sequence[str]]) -> str:
+    """Return lists by what is in them, without those that are empty."""
+    texts = [f"; {what}: {', '.join(names)}" for what, names in lists.items() if names]
+    return "".join(texts)
 
 
 def _textured(scene: Scene) -> list[str]:
@@ -162,7 +160,7 @@ def _textured(scene: Scene) -> list[str]:
 def check_joints(scene: Scene) -> Check:
     """Check that no joints are coupled in the file; say what is held still and has no range."""
     robot = scene.robot
-    file = _read_file(robot).compile()
+    file = robot_file(robot).compile()
     named = {*robot.joints, *robot.held_joints}
     ranges = []
     limits = zip(scene.joint_lower, scene.joint_upper, strict=True)
@@ -170,7 +168,6 @@ def check_joints(scene: Scene) -> Check:
         limited = scene.model.joint(ROBOT_PREFIX + name).limited[0]
         note = "" if limited else " (no range in the file)"
         ranges.append(f"{name} [{low:.2f}, {high:.2f}]{note}")
-    found = ", ".join(ranges)
     body = (
         file.body(robot.tcp_body).id
         if robot.tcp_body
@@ -182,24 +179,25 @@ def check_joints(scene: Scene) -> Check:
         on_body = [names[j] for j in joints_of(file, [body])]
         still += [name for name in on_body if name not in named]
         body = file.body_parentid[body]
-    if still:
-        found += f"; held still between base and gripper: {', '.join(still)}"
     freed = []
     is_free = True
-    remedy = (
-        "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
-        "remove them from the file only if the robot's joints are free of each other."
-    )
     for group in couplings(file):
         coupled = [names[j] for j in group]
         if named.intersection(coupled):
             freed.append(" and ".join(coupled))
         is_free &= len(set(robot.joints).intersection(coupled)) < 2
-    if freed:
-        found += f"; coupled in the file, not in the scene: {', '.join(freed)}"
+    lists = {
+        "held still between base and gripper": still,
+        "coupled in the file, not in the scene": freed,
+    }
+    remedy = (
+        "The agent would move coupled joints as the robot cannot. Couplings are not simulated: "
+        "remove them from the file only if the robot's joints are free of each other."
+    )
     question, toml = question_ranges(scene)
     if question:
         remedy = f"As to ranges, {question}: {toml}."
+    found = ", ".join(ranges) + _listed(lists)
     return Check("joints", is_free and not question, found, remedy)
 
 
@@ -270,27 +268,26 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics.of_task(scene, env.running)
     start = env.joint_positions
-    goal = (env.running.goal_position, env.running.goal_matrix)
-    way = Way(scene, env.config, start, solver.solve(*goal, start))
-    solution = way.solution
+    position = env.running.goal_position
+    goal = (position, env.running.goal_matrix)
+    solution = solver.solve(*goal, start)
+    way = Way(scene, env.config, start, solution)
     reached = way.reached
     if reached.any():
         # The branch of the nearest place that is reached may also reach the others.
-        position = goal[0]
-        distance = np.linalg.norm(position[:, None] - position[reached], axis=2)
-        near = solution.joints[reached][distance.argmin(axis=1)]
+        nearest = cdist(position, position[reached]).argmin(axis=1)
+        near = solution.joints[reached][nearest]
         follow = InverseKinematics.of_task(scene, env.running, starts=1)
         again = way._replace(solution=follow.solve(*goal, near, attempts=1))
         better = ~reached & again.reached
-        for name in ("joints", "distance", "angle", "contact"):
-            getattr(solution, name)[better] = getattr(again.solution, name)[better]
+        for name, values in vars(solution).items():
+            values[better] = getattr(again.solution, name)[better]
     remedy = "move or shrink the rectangle, turn the target with target_yaws_deg"
     if (way.steps > way.most_steps).any():
         remedy += f", enlarge mpi_rad, which is {scene.robot.mpi_rad:g}"
     if others:
         remedy += f", or leave it out: --targets {' '.join(others)}"
-    remedy += "."
-    return check_reach(way, 0, episodes.position, remedy)
+    return check_reach(way, 0, episodes.position, f"{remedy}.")
 
 
 class Way(NamedTuple):
@@ -375,9 +372,11 @@ def check_reach(way: Way, target: int, places: Floats, remedy: str) -> Check:
     """
     robot = way.scene.robot
     name = way.scene.targets[target].name
-    missed = ~way.reached
+    reached = way.reached
+    share = float(reached.mean())
     where = ""
-    if missed.any():
+    if share < 1:
+        missed = ~reached
         solution = way.solution
         x, y = places[missed].mean(axis=0)
         distance = np.median(solution.distance[missed])
@@ -389,7 +388,6 @@ def check_reach(way: Way, target: int, places: Floats, remedy: str) -> Check:
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
     source = " (target_yaws_deg)" if object_of(name) in robot.target_yaws_deg else ""
-    share = float(way.reached.mean())
     return Check(
         f"reach of {name}",
         share >= MIN_REACHABLE,
