@@ -2,14 +2,14 @@
 
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -17,7 +17,6 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 
-from knowarm.arrays import Floats
 from knowarm.errors import UserError, packages_of
 from knowarm.private_apis import xacro_packages
 from knowarm.reading import (
@@ -58,14 +57,6 @@ FindPackage = Callable[[str], Path]
 """Returns the folder of a ROS package."""
 
 
-class _Part(NamedTuple):
-    """One colour of a mesh."""
-
-    file: Path
-    rgba: str | None  # None: the file has no colours
-    is_textured: bool = False
-
-
 def as_mjcf(
     path: Path,
     folder: Path,
@@ -81,8 +72,7 @@ def as_mjcf(
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
-    folders = _folders(_pairs("--package", packages, "="))
-    find = partial(_find_package, path, folders)
+    find = partial(_find_package, path, _folders(_pairs("--package", packages, "=")))
     root = None
     refuse_pointer(path)
     if path.suffix != XACRO and path.is_file():
@@ -102,30 +92,38 @@ def as_mjcf(
         raise UserError(
             f"The folder {folder} for the converted model exists; remove or rename it."
         )
-    notes = [f"converted from {path.name}", *_repair_inertias(root)]
-    notes += _set_limits(root, path)
+    softened = _set_limits(root, path)
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / name
-        _set_compiler(root)
+        _remove(root, "mujoco")
+        SubElement(SubElement(root, "mujoco"), "compiler", COMPILER)
         textured = _convert_meshes(root, path, file.with_name(MESHES), find)
-        if textured:
-            notes.append(f"textures drawn as one colour: {', '.join(textured)}")
         ElementTree.ElementTree(root).write(file)
         try:
-            file.write_text(_compile(file), encoding="utf-8")
+            spec = mujoco.MjSpec.from_file(str(file))
+            missing, repaired = _repair_inertias(spec)
+            file.write_text(_compile(spec), encoding="utf-8")
         except (ValueError, mujoco.FatalError) as error:
             raise UserError(
                 f"{path} cannot be converted: {one_line(error)}. Correct it."
             ) from None
         with writing(folder):
             shutil.copytree(temporary, folder)
+    notes = [f"converted from {path.name}"]
+    for what, names in (
+        ("inertia from shapes or least values, as the file has none: ", missing),
+        ("impossible inertia repaired: ", repaired),
+        ("soft limits taken for ", softened),
+        ("textures drawn as one colour: ", textured),
+    ):
+        if names:
+            notes.append(what + ", ".join(names))
     return folder / name, "; ".join(notes)
 
 
-def _compile(file: Path) -> str:
+def _compile(spec: mujoco.MjSpec) -> str:
     """Return the MJCF of a URDF whose meshes MuJoCo reads."""
-    spec = mujoco.MjSpec.from_file(str(file))
     for mesh in spec.meshes:  # a visual has no mass, and may have no volume
         if mesh.name.startswith("visual"):
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -224,15 +222,6 @@ def _package_name(folder: Path) -> str:
     return (name or folder.name).strip()
 
 
-def _set_compiler(root: Element) -> None:
-    """Set the options of MuJoCo's compiler in a URDF."""
-    extension = root.find("mujoco")
-    if extension is None:
-        extension = SubElement(root, "mujoco")
-    _remove(extension, "compiler")
-    SubElement(extension, "compiler", COMPILER)
-
-
 def _remove(element: Element, tag: str) -> None:
     """Remove the children of an element that have a tag."""
     for child in element.findall(tag):
@@ -243,8 +232,8 @@ SOFT_LIMITS = {"soft_lower_limit", "soft_upper_limit"}
 """Attributes of a joint's safety_controller."""
 
 
-def _set_limits(root: Element, path: Path) -> Iterator[str]:
-    """Take the soft limits of joints, which a controller enforces; name those joints.
+def _set_limits(root: Element, path: Path) -> list[str]:
+    """Take the soft limits of joints, which a controller enforces; return those joints.
 
     Raises:
         UserError: a lower limit is above its upper one.
@@ -265,14 +254,12 @@ def _set_limits(root: Element, path: Path) -> Iterator[str]:
         soft = joint.find("safety_controller")
         if soft is None or not set(soft.attrib) >= SOFT_LIMITS:
             continue
-        soft_low = _number(soft, "soft_lower_limit", path, name)
-        soft_high = _number(soft, "soft_upper_limit", path, name)
-        ends = (max(low, soft_low), min(high, soft_high))
-        if ends != (low, high) and ends[0] < ends[1]:
-            limit.attrib.update(lower=str(ends[0]), upper=str(ends[1]))
+        soft_low = max(low, _number(soft, "soft_lower_limit", path, name))
+        soft_high = min(high, _number(soft, "soft_upper_limit", path, name))
+        if (soft_low, soft_high) != (low, high) and soft_low < soft_high:
+            limit.attrib.update(lower=str(soft_low), upper=str(soft_high))
             softened.append(name)
-    if softened:
-        yield f"soft limits taken for {', '.join(softened)}"
+    return softened
 
 
 def _number(element: Element, key: str, path: Path, joint: str) -> float:
@@ -286,63 +273,49 @@ def _number(element: Element, key: str, path: Path, joint: str) -> float:
         ) from None
 
 
-def _repair_inertias(root: Element) -> Iterator[str]:
-    """Make the inertias of a URDF possible; name the links that move and whose inertia is not."""
-    moved = []
-    for joint in root.iter("joint"):
-        if joint.get("type") != "fixed":
-            moved += [child.get("link") for child in joint.findall("child")]
+def _repair_inertias(spec: mujoco.MjSpec) -> tuple[list[str], list[str]]:
+    """Make the inertias of a URDF possible.
+
+    Return the links that move and have none, and those whose inertia was not possible.
+    """
     missing = []
     repaired = []
-    for link in root.findall("link"):
-        name = link.get("name", "")
-        inertia = link.find("inertial/inertia")
-        mass = link.find("inertial/mass")
-        if inertia is None or mass is None:
-            _add_inertia(link)
-            if name in moved:
-                missing.append(name)
-        elif _repair_inertia(inertia, mass) and name in moved:
-            repaired.append(name)
-    if missing:
-        yield f"inertia from shapes or least values, as the file has none: {', '.join(missing)}"
-    if repaired:
-        yield f"impossible inertia repaired: {', '.join(repaired)}"
+    for body in spec.bodies[1:]:
+        moves = bool(list(body.joints))
+        if not body.explicitinertial:
+            if moves:
+                missing.append(body.name)
+            if all(geom.group == VISUAL_GROUP for geom in body.geoms):
+                body.explicitinertial = True
+                body.ipos = np.zeros(3)
+                body.mass = LEAST_KG
+                body.inertia = np.full(3, LEAST_INERTIA)
+        elif _repair_inertia(body) and moves:
+            repaired.append(body.name)
+    return missing, repaired
 
 
-def _add_inertia(link: Element) -> None:
-    """Give a link without shape that can collide the least inertia."""
-    if link.find("collision") is None:
-        inertial = SubElement(link, "inertial")
-        SubElement(inertial, "mass", value=str(LEAST_KG))
-        SubElement(inertial, "inertia", _attributes(LEAST_INERTIA * np.eye(3)))
-
-
-def _repair_inertia(inertia: Element, mass: Element) -> bool:
+def _repair_inertia(body: mujoco.MjsBody) -> bool:
     """Make an inertia possible; return whether it was not."""
-    kg = float(mass.get("value", 0))
-    matrix = np.zeros((3, 3))
-    matrix[_UPPER] = [float(inertia.get(key, 0)) for key in _ATTRIBUTES]
-    values, axes = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
-    too_small = kg < LEAST_KG or values[0] <= 0
+    full = np.nan_to_num(body.fullinertia)  # MuJoCo reads no zeros
+    matrix = np.diag(full[:3])
+    matrix[BELOW] = full[3:]
+    values, axes = np.linalg.eigh(matrix)
+    too_small = body.mass < LEAST_KG or values[0] <= 0
     too_long = values[:2].sum() < values[2] * (1 - ROUNDING)
     if too_small or too_long:
         values = np.maximum(values, LEAST_INERTIA)
         if values[:2].sum() < values[2]:
             values[:] = values.mean()  # as MuJoCo's balanceinertia does
     values[2] = min(values[2], values[:2].sum() * (1 - ROUNDING))
-    inertia.attrib.update(_attributes(axes @ np.diag(values) @ axes.T))
-    mass.set("value", str(max(kg, LEAST_KG)))
+    matrix = axes @ np.diag(values) @ axes.T
+    body.fullinertia = [*matrix.diagonal(), *matrix[BELOW]]
+    body.mass = max(body.mass, LEAST_KG)
     return bool(too_small or too_long)
 
 
-_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_UPPER = np.triu_indices(3)
-
-
-def _attributes(matrix: Floats) -> dict[str, str]:
-    """Return the attributes of an inertia in a URDF."""
-    return dict(zip(_ATTRIBUTES, map(str, matrix[_UPPER].tolist()), strict=True))
+BELOW = np.tril_indices(3, -1)
+"""Rows and columns of a matrix below its diagonal."""
 
 
 def _convert_meshes(
@@ -354,7 +327,7 @@ def _convert_meshes(
     """
     folder.mkdir()
     textured: list[str] = []
-    known: dict[tuple[Path, str], list[_Part]] = {}
+    known: dict[tuple[Path, str], dict[Path, str | None]] = {}
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             shape.attrib.pop("name", None)  # MuJoCo takes no name twice
@@ -367,25 +340,20 @@ def _convert_meshes(
             source = _mesh_file(mesh.get("filename", ""), path, find)
             key = (source, shape.tag)
             if key not in known:
-                stem = f"{shape.tag}_{len(known)}_{re.sub(r'[^A-Za-z0-9]+', '_', source.stem)}"
-                known[key] = _convert_mesh(source, folder / stem, shape.tag == "visual")
-                if any(part.is_textured for part in known[key]):
-                    textured.append(source.name)
+                stem = re.sub("[^A-Za-z0-9]+", "_", source.stem)
+                target = folder / f"{shape.tag}_{len(known)}_{stem}"
+                is_visual = shape.tag == "visual"
+                known[key] = _convert_mesh(source, target, is_visual, textured)
             link.remove(shape)
-            for part in known[key]:
-                mesh.set("filename", f"{MESHES}/{part.file.name}")
-                link.append(_coloured(shape, part))
+            for file, rgba in known[key].items():
+                mesh.set("filename", f"{MESHES}/{file.name}")
+                part = deepcopy(shape)
+                if rgba is not None:
+                    _remove(part, "material")
+                    material = SubElement(part, "material", name=file.stem)
+                    SubElement(material, "color", rgba=rgba)
+                link.append(part)
     return list(dict.fromkeys(textured))
-
-
-def _coloured(shape: Element, part: _Part) -> Element:
-    """Return a copy of a shape in the colour of a part of its mesh."""
-    copy = deepcopy(shape)
-    if part.rgba is not None:
-        _remove(copy, "material")
-        material = SubElement(copy, "material", name=part.file.stem)
-        SubElement(material, "color", rgba=part.rgba)
-    return copy
 
 
 def _mesh_file(name: str, path: Path, find: FindPackage) -> Path:
@@ -414,26 +382,33 @@ def _package_file(place: str, path: Path, find: FindPackage) -> Path:
     return find(package) / inside
 
 
-def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
-    """Copy a binary STL file; split another mesh by its colours, which collisions do without."""
+def _convert_mesh(
+    source: Path, target: Path, is_visual: bool, textured: list[str]
+) -> dict[Path, str | None]:
+    """Copy a binary STL file; split another mesh by its colours, which collisions do without.
+
+    Return the files, each with its colour; None for none. Add a name to those ``textured``.
+    """
     refuse_pointer(source)
     if _is_binary_stl(source):
-        return [_Part(Path(shutil.copyfile(source, target.with_suffix(".stl"))), None)]
+        return {Path(shutil.copyfile(source, target.with_suffix(".stl"))): None}
     with packages_of("urdf", f"The mesh {source}"):
         import trimesh
 
         import_module("collada")  # with which trimesh reads COLLADA
-    parts = []
+    files: dict[Path, str | None] = {}
     remedy = "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."
     with reading(source, remedy):
         groups: dict[str | None, list[Any]] = {}
         for mesh in trimesh.load_scene(source).dump():
             if isinstance(mesh, trimesh.Trimesh):
-                units = mesh.metadata.get("units", "")
-                metres = re.match(r"([\d.eE+-]+) \* meters", units)
-                if metres:
-                    mesh.apply_scale(float(metres[1]))
-                rgba = _rgba(mesh) if colours else None
+                if "*" in (mesh.units or ""):  # COLLADA's, such as 0.01 * meters
+                    mesh.convert_units("meters")
+                rgba = None
+                if is_visual:
+                    rgba = _rgba(mesh)
+                    if _image(mesh) is not None:
+                        textured.append(source.name)
                 groups.setdefault(rgba, []).append(mesh)
         if not groups:
             raise ValueError("it has no faces")
@@ -442,9 +417,8 @@ def _convert_mesh(source: Path, target: Path, colours: bool) -> list[_Part]:
             suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
             file = target.with_name(f"{target.name}_{i}{suffix}")
             whole.export(file)
-            is_textured = colours and any(_image(mesh) is not None for mesh in meshes)
-            parts.append(_Part(file, rgba, is_textured))
-    return parts
+            files[file] = rgba
+    return files
 
 
 def _is_binary_stl(path: Path) -> bool:
