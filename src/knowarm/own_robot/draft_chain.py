@@ -188,7 +188,7 @@ def _finger(data: MjData, body: int) -> str:
     joints = joints_of(model, inside)
     if len(joints) > 1:
         return ""
-    before = fixed_to(model, int(model.body_parentid[body]))
+    before = fixed_to(model, [model.body_parentid[body]])
     sites = tool_sites(model, before)
     if sites:
         return f"site {model.site(min(sites)).name!r} lies before the last joint"
@@ -218,9 +218,10 @@ def _is_jaw(data: MjData, joint: int, moving: Integers, fixed: Integers) -> bool
     return beside > JAW_SHARE * far and back < JAW_SHARE * far
 
 
-def fixed_to(model: MjModel, body: int) -> Ids:
-    """Return the ids of a body and of those that no joint separates from it."""
-    return np.flatnonzero(model.body_weldid == model.body_weldid[body]).tolist()
+def fixed_to(model: MjModel, bodies: Sequence[int]) -> Ids:
+    """Return the ids of bodies and of those that no joint separates from one."""
+    welded = model.body_weldid[list(bodies)]
+    return np.flatnonzero(np.isin(model.body_weldid, welded)).tolist()
 
 
 def subtree(model: MjModel, body: int) -> Ids:
@@ -244,24 +245,17 @@ def geoms_of(model: MjModel, bodies: Sequence[int]) -> Integers:
 
 def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
     """Return the sites of bodies that are named as a tool centre point, best first."""
-    ranks = {}
+    texts = {}
     for site in np.flatnonzero(np.isin(model.site_bodyid, bodies)).tolist():
-        rank = _tool_rank(model.site(site).name)
-        if rank is not None:
-            ranks[site] = rank
-    return sorted(ranks, key=lambda site: ranks[site])
-
-
-def _tool_rank(name: str) -> int | None:
-    """Return the place among `TOOL_WORDS` of a frame's name; None if it names no tool."""
-    words = re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    text = " ".join(re.sub(SUFFIXES, "", word.lower()) for word in words)
-    if re.search(rf"\b({OTHER_WORDS})\b", text):
-        return None
-    for rank, pattern in enumerate(TOOL_WORDS):
-        if re.search(rf"\b({pattern})\b", text):
-            return rank
-    return None
+        words = re.findall("[A-Z]?[a-z]+|[A-Z]+(?![a-z])", model.site(site).name)
+        text = " ".join(re.sub(SUFFIXES, "", word.lower()) for word in words)
+        if not re.search(rf"\b({OTHER_WORDS})\b", text):
+            texts[site] = text
+    sites: Ids = []
+    for pattern in TOOL_WORDS:
+        named = re.compile(rf"\b({pattern})\b")
+        sites += [site for site, text in texts.items() if named.search(text)]
+    return list(dict.fromkeys(sites))
 
 
 def is_slide(model: MjModel, joint: int) -> bool:

@@ -89,10 +89,10 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     across = _across(data, outer, approach)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     fingers, text = _fingers(data, outer, frame)
-    sites = tool_sites(model, fixed_to(model, hand) if outer else inside)
+    sites = tool_sites(model, fixed_to(model, [hand]) if outer else inside)
     kept = sites
     if outer:
-        geoms = geoms_of(model, _with_fixed(model, outer))
+        geoms = geoms_of(model, fixed_to(model, outer))
         kept = [s for s in sites if _is_between(data, s, point, approach, geoms)]
     if kept:
         site = kept[0]
@@ -142,40 +142,36 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
     The columns of ``frame`` (3, 3) are any direction, that across the hand and the approach.
     Also return what was found, in words.
     """
+    if not outer:
+        return {}, ""
     model = data.model
     slides = []
     for j in joints_of(model, outer):
         is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
         if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
-    bodies = [_tip(data, b, frame[:, 2]) for b in model.jnt_bodyid[slides].tolist()]
+    bodies = [_tip(data, b, frame[:, 2]) for b in model.jnt_bodyid[slides]]
     names = [model.body(b).name for b in bodies]
     geoms = [geoms_of(model, [b]).tolist() for b in bodies]
-    if not outer:
-        return {}, ""
     if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
         return {}, "; no fingers: two named ones have to slide across the hand"
     opening = widest_opening(data, slides, geoms, frame)
     if opening is None:
         joints = " and ".join(joint_names(model, slides))
         return {}, f"; no fingers, as {joints} have no range"
+    both = " and ".join(names)
     if opening.gap_m < LEAST_M:
-        return {}, f"; no fingers, as {' and '.join(names)} overlap at all their ends"
-    text = f"; fingers: {' and '.join(names)}, open by {100 * opening.gap_m:.1f} cm"
+        return {}, f"; no fingers, as {both} overlap at all their ends"
+    text = f"; fingers: {both}, open by {100 * opening.gap_m:.1f} cm"
     return {"fingers": names, "held_joints": dict(opening.values)}, text
-
-
-def _with_fixed(model: MjModel, bodies: Ids) -> Ids:
-    """Return bodies with joints, and those that are fixed to them."""
-    return np.flatnonzero(np.isin(model.body_weldid, bodies)).tolist()
 
 
 def _tip(data: MjData, finger: int, approach: Floats) -> int:
     """Return the named body fixed to a finger that reaches farthest out of the hand, or itself."""
     model = data.model
-    tip = finger
+    tip = int(finger)
     farthest = extent(data, geoms_of(model, [finger]), approach) + SAME_M
-    for body in fixed_to(model, finger):
+    for body in fixed_to(model, [finger]):
         reach = extent(data, geoms_of(model, [body]), approach)
         if model.body(body).name and reach > farthest:
             farthest = reach
@@ -190,7 +186,7 @@ def _approach(
     model = data.model
     origin = data.xanchor[last]
     axis = data.xaxis[last].copy()
-    bodies = _with_fixed(model, fingers) or subtree(model, hand)
+    bodies = fixed_to(model, fingers) or subtree(model, hand)
     geoms = geoms_of(model, bodies)
     centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
     middle = centres.mean(axis=0)
@@ -224,22 +220,21 @@ def _fixed_jaw(
 ) -> Integers:
     """Return the geoms fixed to a hand that reach along a finger, which ends at a height."""
     start = data.xpos[finger] @ approach
-    fixed = geoms_of(data.model, fixed_to(data.model, hand))
+    fixed = geoms_of(data.model, fixed_to(data.model, [hand]))
     ends = [extent(data, np.array([g]), approach) for g in fixed]
     return fixed[np.array(ends) > start + JAW_SHARE * (end - start)]
 
 
 def _across(data: MjData, fingers: Ids, approach: Floats) -> Floats:
     """Return the direction in which the fingers open, world, perpendicular to the approach."""
+    model = data.model
+    joints = joints_of(model, fingers)
     candidates = [data.xpos[a] - data.xpos[fingers[0]] for a in fingers[1:]]
-    joints = joints_of(data.model, fingers)
-    candidates += [data.xaxis[j] for j in joints if is_slide(data.model, j)]
+    candidates += [data.xaxis[j] for j in joints if is_slide(model, j)]
     if len(fingers) == 1:  # a jaw that swings
         candidates += [np.cross(data.xaxis[j], approach) for j in joints]
     candidates += [np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])]
-    for candidate in candidates:
-        flat = candidate - (candidate @ approach) * approach
-        length = norm(flat)
-        if length > 0.3 * norm(candidate) > 0:
-            return np.asarray(flat / length)
-    raise AssertionError("one of two perpendicular directions lies across the approach")
+    flat = candidates - np.outer(candidates @ approach, approach)
+    lengths = norm(flat, axis=1)
+    first = (lengths > 0.3 * norm(candidates, axis=1)).argmax()
+    return np.asarray(flat[first] / lengths[first])

@@ -1,6 +1,7 @@
 """Opening of two fingers: the gap between their tips, and the joint values that make it widest."""
 
-from collections.abc import Iterator, Mapping
+import copy
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -18,8 +19,8 @@ from knowarm.own_robot.draft_chain import (
     joint_names,
     joints_of,
 )
+from knowarm.own_robot.poses import robot_file
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.surface import surface_points
 
 TIP_M = 0.03  # Length of a finger's tip
@@ -59,84 +60,67 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
 
 
 def widest_opening(
-    data: MjData, joints: Ids, fingers: list[Ids], frame: Floats
+    drawn: MjData, joints: Ids, fingers: list[Ids], frame: Floats
 ) -> Opening | None:
     """Return the widest opening at the ends of two fingers' slides; None if one has no end.
 
-    Where fingers could pass through each other, the one counts in which each is on its own side.
+    Where fingers could pass through each other, the one counts in which each is on the side on
+    which its slide begins.
     """
-    model = data.model
-    names = joint_names(model, joints)
-    address = model.jnt_qposadr[joints]
-    at_first = data.qpos.copy()
-    best = None
-    for values in _ends(model, joints):
-        data.qpos[address] = values
-        mujoco.mj_kinematics(model, data)
-        gap = finger_gap(data, fingers, frame)
-        key = (round(gap / SAME_M), _is_apart(data, joints, fingers, frame))
-        if best is None or key > best[0]:
-            best = (key, Opening(gap, dict(zip(names, values, strict=True))))
-    data.qpos[:] = at_first
-    mujoco.mj_kinematics(model, data)
-    return None if best is None else best[1]
-
-
-def _is_apart(data: MjData, joints: Ids, fingers: list[Ids], frame: Floats) -> bool:
-    """Return whether each finger is on the side on which its slide begins."""
+    data = copy.copy(drawn)
     model = data.model
     address = model.jnt_qposadr[joints]
     moved = data.qpos[address] - model.qpos0[address]
     begins = data.xpos[model.jnt_bodyid[joints]] - data.xaxis[joints] * moved[:, None]
-    if norm(begins[0] - begins[1]) < SAME_M:
-        return True
-    one, other = fingers
-    apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
+    between = begins[0] - begins[1]
     across = frame[:, 1]
-    return bool(apart @ across * ((begins[0] - begins[1]) @ across) > 0)
+    one, other = fingers
+    openings = []
+    for ends in _ends(model, joints):
+        values = np.round(ends, 5)
+        data.qpos[address] = values
+        mujoco.mj_kinematics(model, data)
+        gap = finger_gap(data, fingers, frame)
+        apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
+        is_apart = norm(between) < SAME_M or apart @ across * (between @ across) > 0
+        by_name = dict(zip(joint_names(model, joints), values.tolist(), strict=True))
+        openings.append((round(gap / SAME_M), is_apart, Opening(gap, by_name)))
+    return max(openings, key=lambda row: row[:2])[2] if openings else None
 
 
-def _ends(model: MjModel, joints: Ids) -> Iterator[list[float]]:
-    """Yield the values of two joints at the ends of their ranges; coupled ones go together."""
-    first, second = joints
-    for follower, leader in ((first, second), (second, first)):
-        polynomial = _coupling(model, follower, leader)
-        if polynomial is not None and model.jnt_limited[leader]:
-            for end in model.jnt_range[leader].tolist():
-                change = end - model.qpos0[model.jnt_qposadr[leader]]
-                value = model.qpos0[model.jnt_qposadr[follower]]
-                value += np.polynomial.Polynomial(polynomial)(change)
-                values = {leader: round(end, 5), follower: round(float(value), 5)}
-                yield [values[first], values[second]]
-            return
-    if model.jnt_limited[joints].all():
-        ends = model.jnt_range[joints].round(5).tolist()
-        for one, other in product(*ends):
-            yield [one, other]
-
-
-def _coupling(model: MjModel, follower: int, leader: int) -> Floats | None:
-    """Return the coefficients of the polynomial by which a joint follows another, or None."""
-    pair = (model.eq_obj1id == follower) & (model.eq_obj2id == leader)
-    rows = np.flatnonzero(pair & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT))
-    return model.eq_data[rows[0], :5] if len(rows) else None
+def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
+    """Return the values of two joints at the ends of their ranges; coupled ones go together."""
+    at_zero = model.qpos0[model.jnt_qposadr]
+    for row in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+        follower = int(model.eq_obj1id[row])
+        leader = int(model.eq_obj2id[row])
+        if {follower, leader} == {*joints} and model.jnt_limited[leader]:
+            ends = model.jnt_range[leader]
+            follow = np.polynomial.Polynomial(model.eq_data[row, :5])
+            values = {leader: ends}
+            values[follower] = at_zero[follower] + follow(ends - at_zero[leader])
+            return np.column_stack([values[joint] for joint in joints])
+    return product(*model.jnt_range[joints]) if model.jnt_limited[joints].all() else ()
 
 
 def check_fingers(robot: Robot) -> Check:
     """Check that the fingers of a description are drawn open."""
-    model = read_mjcf(robot.mjcf, f"Robot {robot.name!r}").compile()
+    part = robot_file(robot)
+    if robot.tcp_body is not None:
+        body = part.body(robot.tcp_body)
+        body.add_site(name=robot.tcp_site, quat=robot.tcp_quaternion)
+    model = part.compile()
     data = MjData(model)
     for name, value in robot.held_joints.items():
         data.joint(name).qpos = value
     mujoco.mj_kinematics(model, data)
-    bodies = [model.body(b).name for b in range(model.nbody)]
     fingers: list[Ids] = []
     slides: Ids = []
     for name in robot.fingers:
-        if name in bodies:
-            fingers.append(geoms_of(model, [bodies.index(name)]).tolist())
-            moved = int(model.body_weldid[bodies.index(name)])
-            joints = joints_of(model, [moved])
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if body >= 0:
+            fingers.append(geoms_of(model, [body]).tolist())
+            joints = joints_of(model, [model.body_weldid[body]])
             slides += [j for j in joints if is_slide(model, j)]
         else:
             fingers.append([model.geom(name).id])
@@ -148,7 +132,7 @@ def check_fingers(robot: Robot) -> Check:
             f"{names or 'none'} of {robot.mjcf.name}",
             "Name two bodies with geoms, or two geoms.",
         )
-    frame = _tcp_frame(data, robot)
+    frame = data.site(robot.tcp_site).xmat.reshape(3, 3)
     drawn = finger_gap(data, fingers, frame)
     found = f"{names} are drawn {100 * drawn:.1f} cm apart"
     best = None
@@ -164,12 +148,3 @@ def check_fingers(robot: Robot) -> Check:
         f"{found}, and {100 * best.gap_m:.1f} cm at the other end",
         f"Draw them open: held_joints = {{ {values} }}.",
     )
-
-
-def _tcp_frame(data: MjData, robot: Robot) -> Floats:
-    """Return the rotation of the tool centre point to world, (3, 3)."""
-    if robot.tcp_body is None:
-        return np.asarray(data.site(robot.tcp_site).xmat.reshape(3, 3))
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, np.array(robot.tcp_quaternion))
-    return np.asarray(data.body(robot.tcp_body).xmat.reshape(3, 3) @ turn.reshape(3, 3))
