@@ -104,12 +104,10 @@ class Doctor(TableCommand):
             names_of: dict[str, list[str]] = {}
             for check in failed:
                 names_of.setdefault(check["remedy"], []).append(check["name"])
-            remedies = [
-                f"{', '.join(names)}: {remedy}" for remedy, names in names_of.items()
-            ]
-            raise UserError(
-                f"{len(failed)} of {len(values['checks'])} checks failed. {' '.join(remedies)}"
-            )
+            text = f"{len(failed)} of {len(values['checks'])} checks failed."
+            for remedy, names in names_of.items():
+                text += f" {', '.join(names)}: {remedy}"
+            raise UserError(text)
         return values
 
     def result(self) -> dict[str, Any]:
@@ -157,18 +155,15 @@ class Doctor(TableCommand):
     def _check_robot(self, robot: str) -> Iterator[Check]:
         """Check a description, after drafting it where the robot is a bare model file."""
         new = self.write
+        maps = self.calibration is not None or self.unit is not None
         if not robot.endswith(MODEL_SUFFIXES):
-            maps = self.calibration is not None or self.unit is not None
             options = [name for name in DRAFT_OPTIONS if name != "write" or not maps]
             self._refuse("--robot with an MJCF, URDF or xacro file", *options)
             if maps:
                 self._write_map(find_robot(robot))
             yield from self._check(robot)
             return
-        if new is not None and (new.suffix != SUFFIX or new.exists()):
-            raise UserError(
-                f"--write must name a {SUFFIX} file that does not exist, got {new}."
-            )
+        self._refuse_existing()
         with TemporaryDirectory() as folder:
             file = new or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
             model, note = as_mjcf(
@@ -180,9 +175,10 @@ class Doctor(TableCommand):
             targets = self.targets or EnvConfig().targets
             given = read_overrides(self.set)
             if self.calibration is not None:
-                given["joint_map"] = self._calibrated(model, given, {})
+                ranges = given.get("joint_ranges", {})
+                given["joint_map"] = self._calibrated(model, ranges, {})
             draft = draft_robot(model, targets, given)
-            if self.unit is not None and self.calibration is None:
+            if maps and self.calibration is None:
                 joints = draft.robot.joints
                 draft.fields["joint_map"] = unit_map(joints, self._unit(UNITS))
             if self.task is None:
@@ -225,19 +221,23 @@ class Doctor(TableCommand):
             entries = unit_map(robot.joints, self._unit(UNITS))
         else:
             names = motor_names(robot.joint_map)
-            given = {"joint_ranges": robot.joint_ranges}
-            entries = self._calibrated(robot.mjcf, given, names)
+            entries = self._calibrated(robot.mjcf, robot.joint_ranges, names)
         text = joint_map_toml(entries)
         if self.write is None:
             print(text)
             return
-        if self.write.suffix != SUFFIX or self.write.exists():
-            raise UserError(
-                f"--write must name a {SUFFIX} file that does not exist, got {self.write}."
-            )
+        self._refuse_existing()
         with replacing(self.write) as temporary:
             temporary.write_text(text, "utf-8")
         print(f"Wrote {self.write}; use it: knowarm serve RUN --joint-map {self.write}")
+
+    def _refuse_existing(self) -> None:
+        """Refuse to write to another file than a new TOML file."""
+        new = self.write
+        if new is not None and (new.suffix != SUFFIX or new.exists()):
+            raise UserError(
+                f"--write must name a {SUFFIX} file that does not exist, got {new}."
+            )
 
     def _unit(self, allowed: Sequence[Unit]) -> Unit:
         """Return the unit that is given, the first of those allowed by default."""
@@ -250,14 +250,14 @@ class Doctor(TableCommand):
         return unit
 
     def _calibrated(
-        self, mjcf: Path, given: Mapping[str, Any], names: Mapping[str, str]
+        self, mjcf: Path, ranges: Mapping[str, Any], names: Mapping[str, str]
     ) -> dict[str, Any]:
         """Return the joint map that a calibration file gives the joints of a model."""
         assert self.calibration is not None
         model = read_mjcf(mjcf, str(mjcf)).compile()
-        ranges = ranges_of(model, given.get("joint_ranges", {}))
         motors = read_calibration(self.calibration)
-        return lerobot_map(motors, ranges, names, self._unit(LEROBOT_UNITS))
+        unit = self._unit(LEROBOT_UNITS)
+        return lerobot_map(motors, ranges_of(model, ranges), names, unit)
 
     def _print(self, draft: Draft, text: str, file: Path) -> None:
         """Print a draft, and the commands that come next."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.own_robot.poses import Fields, sample_joints, sample_tips
 from knowarm.world.scene.scene import Scene, target_places
@@ -91,13 +91,14 @@ def find_layout(
     for ignore_roll in TOLERANCES_DEG:
         for height in heights:
             scene = scene_at(height)
-            counts = {f"{target.name} at {height:.2f} m": 0 for target in scene.targets}
+            counts = np.zeros(len(scene.targets), np.int64)
             for layout in _layouts(scene, ignore_roll, given, counts):
                 if best is None or layout.cost < best.cost:
                     best = layout
                 if best.cost < (TOLERANCES_DEG[False][0], True):
                     return best
-            most |= counts
+            for target, count in zip(scene.targets, counts, strict=True):
+                most[f"{target.name} at {height:.2f} m"] = count
         if best is not None:
             return best
     raise UserError(
@@ -110,7 +111,7 @@ def find_layout(
 
 
 def _layouts(
-    scene: Scene, ignore_roll: bool, given: Fields, counts: dict[str, int]
+    scene: Scene, ignore_roll: bool, given: Fields, counts: Integers
 ) -> Iterator[Layout]:
     """Yield the layouts at a base height; count the places reached at best per target."""
     reach = reach_m(scene)
@@ -122,7 +123,10 @@ def _layouts(
         half = np.array(given.get("rectangle_half_size_m", size * LARGEST * reach))
         branches = _branches(scene, ignore_roll, centre + NODES * half, cases, counts)
         for angle in TOLERANCES_DEG[ignore_roll]:
-            fitting = [_within(alternatives, angle) for alternatives in branches]
+            fitting = []
+            for alternatives in branches:
+                most = angle - MARGIN_DEG
+                fitting.append([one for one in alternatives if one.angle_deg < most])
             if all(fitting):
                 yield Layout(
                     scene=scene,
@@ -145,17 +149,12 @@ def _cases(scene: Scene, given: Fields) -> list[tuple[int, float]]:
     return cases
 
 
-def _within(branches: Sequence[Branch], angle_deg: float) -> list[Branch]:
-    """Return the branches within a success angle."""
-    return [branch for branch in branches if branch.angle_deg < angle_deg - MARGIN_DEG]
-
-
 def _branches(
     scene: Scene,
     ignore_roll: bool,
     places: Floats,
     cases: Sequence[tuple[int, float]],
-    counts: dict[str, int],
+    counts: Integers,
 ) -> list[list[Branch]]:
     """Find solutions at the first of N places (N, 2) and follow them to the others.
 
@@ -169,18 +168,18 @@ def _branches(
     position = target_places(scene, places) + offset
     matrix = (turn @ scene.grasp_matrix[target]).reshape(-1, 9)
     solver = InverseKinematics(scene, starts=1, ignore_roll=ignore_roll)
-    starts = np.concatenate([scene.home[None], sample_joints(scene, STARTS)])
-    row = np.repeat(np.arange(len(cases)), len(starts))
+    starts = np.vstack([scene.home, sample_joints(scene, STARTS)])
+    case = np.repeat(np.arange(len(cases)), len(starts))
     start = np.tile(starts, (len(cases), 1))
-    first = solver.solve(position[row, 0], matrix[row], start, attempts=1)
+    first = solver.solve(position[case, 0], matrix[case], start, attempts=1)
+    # Solutions that round to the same angles are one branch.
     good = np.flatnonzero(_is_good(first, ignore_roll))
+    same = np.column_stack([case, first.joints.round()])[good]
+    good = good[np.unique(same, axis=0, return_index=True)[1]]
     branches: list[list[Branch]] = [[] for _ in scene.targets]
     if not len(good):
         return branches
-    # Solutions that round to the same angles are one branch.
-    same = np.column_stack([row[good], first.joints[good].round()])
-    good = good[np.unique(same, axis=0, return_index=True)[1]]
-    case = row[good]
+    case = case[good]
     follow = solver.solve(
         position[case].reshape(-1, 3),
         np.repeat(matrix[case], n, axis=0),
@@ -188,15 +187,12 @@ def _branches(
         attempts=1,
     )
     near = _is_good(follow, ignore_roll).reshape(-1, n)
-    angle = follow.angle.reshape(-1, n)
+    angle = follow.angle.reshape(-1, n).max(axis=1)
     joints = follow.joints.reshape(len(good), n, -1)
-    for i, k in enumerate(target[case]):
-        name = list(counts)[k]
-        counts[name] = max(counts[name], int(near[i].sum()))
-        if near[i].all():
-            branches[k].append(
-                Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i])
-            )
+    np.maximum.at(counts, target[case], near.sum(axis=1))
+    for i in np.flatnonzero(near.all(axis=1)):
+        branch = Branch(float(yaw[case[i]]), float(angle[i]), joints[i])
+        branches[target[case[i]]].append(branch)
     return branches
 
 

@@ -11,10 +11,11 @@ from knowarm.arrays import Floats
 from knowarm.check import Check
 from knowarm.own_robot.calibration import TICKS
 from knowarm.own_robot.plausible import ranges_of
+from knowarm.own_robot.poses import robot_file
 from knowarm.reading import read_text, reading
 from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import RealJoint
-from knowarm.world.scene.mjcf import check_names, read_mjcf
+from knowarm.world.scene.mjcf import check_names
 
 COMMANDED_DEG = 5.0
 COMMANDED_M = 0.01  # Of a slide
@@ -42,24 +43,21 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
     """
     description = find_robot(robot)
     rows = _read(path)
-    owner = f"Robot {description.name!r}"
-    part = read_mjcf(description.mjcf, owner)
-    moved: dict[str, list[float]] = {}
+    part = robot_file(description)
     check_names(
-        owner,
+        f"Robot {description.name!r}",
         path.name,
-        [row["joint"] for row in rows],
+        [joint for joint, _, _ in rows],
         description.mjcf,
         "joints",
         part.joints,
     )
-    for row in rows:
-        change = float(row["after"]) - float(row["before"])
-        is_slide = part.joint(row["joint"]).type == mujoco.mjtJoint.mjJNT_SLIDE
-        told = COMMANDED_DEG * PER_DEGREE[row["unit"]]
-        if is_slide:
+    moved: dict[str, list[float]] = {}
+    for joint, change, unit in rows:
+        told = COMMANDED_DEG * PER_DEGREE[unit]
+        if part.joint(joint).type == mujoco.mjtJoint.mjJNT_SLIDE:
             told = COMMANDED_M
-        moved.setdefault(row["joint"], []).append(change / told)
+        moved.setdefault(joint, []).append(change / told)
     missing = [name for name in description.joints if name not in moved]
     yield Check(
         "moved joints",
@@ -67,23 +65,23 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
         f"{len(moved)} joints in {path}",
         f"Move the others too: {', '.join(missing)}.",
     )
-    model = part.compile()
-    ranges = ranges_of(model, description.joint_ranges)
+    ranges = ranges_of(part.compile(), description.joint_ranges)
     for name, ratios in moved.items():
         real = description.joint_map.get(name, RealJoint())
         ratio = real.sign * sum(ratios) / len(ratios)
         yield _check_ratio(name, real, ratio, ranges[name])
 
 
-def _read(path: Path) -> list[dict[str, str]]:
-    """Read the rows of a file of moved joints."""
+def _read(path: Path) -> list[tuple[str, float, str]]:
+    """Read the joints of a file of moved joints, each with its change and unit."""
     text = read_text(path, remedy=REMEDY)
+    rows = []
     with reading(path, REMEDY):
-        rows = list(csv.DictReader(text.splitlines()))
-        for row in rows:
+        for row in csv.DictReader(text.splitlines()):
             change = float(row["after"]) - float(row["before"])
             if row["unit"] not in PER_DEGREE or not math.isfinite(change):
                 raise ValueError(f"{row} has no finite readings in a known unit")
+            rows.append((row["joint"], change, row["unit"]))
         if not rows:
             raise ValueError("it has no rows")
     return rows
@@ -97,9 +95,8 @@ def _check_ratio(name: str, real: RealJoint, ratio: float, limits: Floats) -> Ch
     elif ratio < MOST_ERROR:
         remedy = "It did not move: switch the motor on, and wait until it has moved."
     elif real.unit.startswith("range"):
-        middle = (low + high) / 2
-        half = ratio * (high - low) / 2
-        ends = [round(middle - half, 4), round(middle + half, 4)]
+        wider = (ratio - 1) * (high - low) / 2
+        ends = [round(low - wider, 4), round(high + wider, 4)]
         remedy = f"Its range is another: joint_map.{name}.range = {ends}."
     else:
         scale = real.scale / ratio
