@@ -113,21 +113,19 @@ def lerobot_map(
 def _entry(name: str, motor: Motor, limits: Floats, unit: Unit) -> Fields:
     """Return the fields of a joint whose motor is calibrated, and whose limits are the model's."""
     low, high = map(float, limits)
+    span = motor.span_rad
     middle = 0.0 if motor.turns else (low + high) / 2
-    entry: Fields = {"name": name + POSITION}
+    entry: Fields = {"name": name + POSITION, "unit": "range_0_100"}
     if GRIPPER_WORDS.search(name):
-        entry["unit"] = "range_0_100"
-        entry["range"] = [round(low, 5), round(low + motor.span_rad, 5)]
+        ends = (low, low + span)
     elif unit == "deg":
         scale = TICKS / (TICKS - 1)
-        entry["unit"] = "deg"
-        entry["scale"] = round(scale, 6)
-        entry["offset"] = round(-scale * math.degrees(middle), 3) + 0.0  # no -0.0
+        offset = round(-scale * math.degrees(middle), 3) + 0.0  # no -0.0
+        return entry | {"unit": "deg", "scale": round(scale, 6), "offset": offset}
     else:
-        half = motor.span_rad / 2
         entry["unit"] = "range_m100_100"
-        entry["range"] = [round(middle - half, 5), round(middle + half, 5)]
-    return entry
+        ends = (middle - span / 2, middle + span / 2)
+    return entry | {"range": [round(end, 5) for end in ends]}
 
 
 def unit_map(joints: Iterable[str], unit: Unit) -> Fields:

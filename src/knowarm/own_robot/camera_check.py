@@ -4,7 +4,6 @@ import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,7 +23,7 @@ from knowarm.own_robot.camera_fit import (
     most_free,
 )
 from knowarm.own_robot.pixels import draw_large
-from knowarm.own_robot.poses import CORNERS, support_places
+from knowarm.own_robot.poses import CORNERS, Fields, rounded, support_places
 from knowarm.pictures import central_square, rectified
 from knowarm.reading import read_text, reading, replacing
 from knowarm.world.config import EnvConfig, scene_of
@@ -196,9 +195,9 @@ def _fields(robot: Robot, camera: Camera, free: int, aspect: float) -> str:
     """Return the fields of a description that make a camera the robot's, as TOML."""
     distance_m = math.dist(robot.camera_look_at_m, robot.camera_position_m)
     look_at = camera.position - distance_m * camera.axes[:, 2]
-    fields: dict[str, Any] = {
-        "camera_position_m": camera.position.round(4).tolist(),
-        "camera_look_at_m": look_at.round(4).tolist(),
+    fields: Fields = {
+        "camera_position_m": rounded(camera.position),
+        "camera_look_at_m": rounded(look_at),
         "camera_roll_deg": round(camera.roll_deg, 2),
     }
     if free >= FOVY:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.linalg import norm
+from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
@@ -46,22 +47,18 @@ def place_base(scene: Scene, free: bool) -> Fields:
             "that of a gripper alone holds no arm."
         )
     yaw_deg = -_faced_deg(ahead)
-    yaw = np.radians(yaw_deg)
-    sine = np.sin(yaw)
-    cosine = np.cos(yaw)
-    shift = np.zeros(2)
+    shift = np.zeros(3)
     if norm(origin[:2]) > NEAR_M:
-        shift = -origin[:2]
-    x, y = np.array([[cosine, -sine], [sine, cosine]]) @ shift
-    z = 0.0
+        shift[:2] = -origin[:2]
     low = lowest_m(scene, np.flatnonzero(robot_parts(scene)))
     if FLOATING_M < low < np.inf and (free or stands_on(scene.robot, low)):
-        z = -low
+        shift[2] = -low
     changed: Fields = {}
     if yaw_deg:
         changed["base_yaw_deg"] = yaw_deg
-    if yaw_deg or shift.any() or z:
-        changed["base_position_m"] = rounded([x, y, z])
+    if yaw_deg or shift.any():
+        turn = Rotation.from_euler("z", yaw_deg, degrees=True)
+        changed["base_position_m"] = rounded(turn.apply(shift))
     return changed
 
 

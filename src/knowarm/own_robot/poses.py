@@ -73,7 +73,7 @@ def sample_tips(scene: Scene, count: int) -> Floats:
 def place_targets(scene: Scene, joints: Floats, signs: Any) -> MujocoSimulator:
     """Pose an arm at angles (J,) [rad] and all targets at one place per copy, by signs (n, 2)."""
     count = len(signs)
-    simulation = MujocoSimulator(scene, count, 1, "kinematic")
+    simulation = MujocoSimulator(scene, count)
     places = rectangle_places(scene.robot, signs)
     positions = np.repeat(places[:, None], len(scene.targets), axis=1)
     simulation.reset(np.arange(count), np.tile(joints, (count, 1)), positions)

@@ -147,14 +147,14 @@ def _listed(lists: Mapping[str, Sequence[str]]) -> str:
 def _textured(scene: Scene) -> list[str]:
     """Return which of the robot and the targets have textures, by name."""
     model = scene.model
-    has_texture = (model.mat_texid >= 0).any(axis=1)
-    geoms = np.flatnonzero(model.geom_matid >= 0)
-    owners: dict[str, None] = {}
-    for geom in geoms[has_texture[model.geom_matid[geoms]]].tolist():
-        target = scene.geom_target[geom]
-        owner = scene.robot if target < 0 else scene.targets[target]
-        owners[owner.name] = None
-    return list(owners)
+    materials = np.flatnonzero((model.mat_texid >= 0).any(axis=1))
+    geoms = np.isin(model.geom_matid, materials)
+    owners = [
+        *scene.targets,
+        scene.robot,
+    ]  # What belongs to no target, -1, is the robot's
+    names = [owners[k].name for k in scene.geom_target[geoms]]
+    return list(dict.fromkeys(names))
 
 
 def check_joints(scene: Scene) -> Check:
@@ -218,12 +218,11 @@ def _check_size(scene: Scene) -> Check:
     """Check that no part is far larger than the arm."""
     model = scene.model
     data = scene.at(scene.home)
-    joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.joint_names]
-    length = polyline_m([*data.xanchor[joints], data.site_xpos[scene.tcp_site]])
-    diameters = 2 * np.where(robot_parts(scene), model.geom_rbound, 0.0)
-    largest = int(diameters.argmax())
-    diameter = diameters[largest]
-    body = model.body(model.geom_bodyid[largest]).name.removeprefix(ROBOT_PREFIX)
+    length = polyline_m([*data.xanchor, data.site_xpos[scene.tcp_site]])
+    radii = np.where(robot_parts(scene), model.geom_rbound, 0.0)
+    diameter = 2 * radii.max()
+    largest = model.body(model.geom_bodyid[radii.argmax()])
+    body = largest.name.removeprefix(ROBOT_PREFIX)
     return Check(
         "size of the robot",
         bool(diameter <= MAX_PART * length),
@@ -267,18 +266,17 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics.of_task(scene, env.running)
-    start = env.joint_positions
     position = env.running.goal_position
     goal = (position, env.running.goal_matrix)
-    solution = solver.solve(*goal, start)
-    way = Way(scene, env.config, start, solution)
+    solution = solver.solve(*goal, env.joint_positions)
+    way = Way(scene, env.config, env.joint_positions, solution)
     reached = way.reached
     if reached.any():
         # The branch of the nearest place that is reached may also reach the others.
         nearest = cdist(position, position[reached]).argmin(axis=1)
-        near = solution.joints[reached][nearest]
+        branch = solution.joints[reached][nearest]
         follow = InverseKinematics.of_task(scene, env.running, starts=1)
-        again = way._replace(solution=follow.solve(*goal, near, attempts=1))
+        again = way._replace(solution=follow.solve(*goal, branch, attempts=1))
         better = ~reached & again.reached
         for name, values in vars(solution).items():
             values[better] = getattr(again.solution, name)[better]
@@ -405,9 +403,10 @@ def _check_visible(env: ArmVectorEnv) -> Iterator[Check]:
         "move the camera nearer or to the side (camera_position_m), narrow camera_fovy_deg, or "
         "choose a colour that differs from the support's."
     )
-    for i, colour in enumerate(scene.colour_names[0]):
-        name = f"{colour} {scene.targets[0].name}"
-        yield check_visible(name, images.targets([0], i), images.empty, remedy)
+    (target,) = scene.targets
+    for i, colour in enumerate(target.colours):
+        shown = images.targets([0], i)
+        yield check_visible(f"{colour} {target.name}", shown, images.empty, remedy)
 
 
 def check_visible(name: str, shown: Images, empty: Images, remedy: str) -> Check:

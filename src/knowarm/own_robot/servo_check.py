@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from knowarm.check import Check
-from knowarm.world.backend import MujocoSimulator
+from knowarm.own_robot.poses import place_targets
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.state import ACTION_LEVELS
@@ -22,10 +22,8 @@ FREQUENCIES_HZ = (5.0, 3.5, 10.0, 14.0)  # Tried where a servo is not good enoug
 def servo_lag(scene: Scene) -> float:
     """Return the mean distance of the worst joint from its target under random actions [rad]."""
     generator = np.random.default_rng(0)
-    simulation = MujocoSimulator(scene, ARMS)
-    targets = np.tile(scene.home, (ARMS, 1))
-    middle = np.tile(scene.robot.rectangle_centre_m, (ARMS, len(scene.targets), 1))
-    simulation.reset(np.arange(ARMS), targets, middle)
+    simulation = place_targets(scene, scene.home, np.zeros((ARMS, 2)))
+    targets = simulation.joint_positions
     lags = []
     for _ in range(STEPS):
         levels = generator.choice(ACTION_LEVELS, size=targets.shape)
@@ -52,25 +50,18 @@ def best_frequency(scene: Scene) -> tuple[float, float]:
 def check_servos(scene: Scene) -> Check:
     """Check the distance of the joints from their targets under random actions."""
     lag = servo_lag(scene)
-    remedy = ""
     found = f"mean distance from target after a step at most {lag:.4f} rad per joint"
     if lag > UNSTABLE_RAD:
         found = "the simulation is unstable: joints are whole turns from their targets"
-    if lag >= MAX_LAG_RAD:
-        frequency, best = best_frequency(scene)
-        remedy = (
-            f"Above {MAX_LAG_RAD}: servo_frequency_hz = {frequency} gives {best:.4f}."
+    if lag < MAX_LAG_RAD:
+        return Check("servos", True, found)
+    frequency, best = best_frequency(scene)
+    remedy = f"Above {MAX_LAG_RAD}: servo_frequency_hz = {frequency} gives {best:.4f}."
+    if best >= MAX_LAG_RAD:
+        joint = scene.model.joint
+        names = [n for n in scene.joint_names if joint(ROBOT_PREFIX + n).stiffness[0]]
+        remedy += (
+            " Look for links that collide with the support, for damping or friction meant to hold "
+            f"a joint still, and for springs (stiffness of {', '.join(names) or 'no joint'})."
         )
-        if best >= MAX_LAG_RAD:
-            remedy += (
-                " Look for links that collide with the support, for damping or friction meant to "
-                f"hold a joint still, and for springs (stiffness of {_springs(scene)})."
-            )
-    return Check("servos", lag < MAX_LAG_RAD, found, remedy)
-
-
-def _springs(scene: Scene) -> str:
-    """Name the joints with a spring."""
-    joint = scene.model.joint
-    names = [n for n in scene.joint_names if joint(ROBOT_PREFIX + n).stiffness[0]]
-    return ", ".join(names) or "no joint"
+    return Check("servos", False, found, remedy)
