@@ -77,8 +77,12 @@ def find_chain(data: MjData, root: int) -> tuple[JointChain, Ids]:
         free = [b for b in branches if not _is_gripper(model, b)]
         free.sort(key=lambda b: -_joint_count(model, b))
         arms = [b for b in free if _joint_count(model, b) >= ARM_JOINTS]
-        longest = max((_length(data, b) for b in arms), default=0.0)
-        if len(branches) > 1 and longest > ARM_SHARE * _carried(data, joints, body):
+        lengths = [0.0]
+        for b in arms:
+            inside = subtree(model, b)
+            lengths.append(norm(data.xpos[inside] - data.xpos[b], axis=1).max())
+        carried = polyline_m([*data.xanchor[joints], data.xpos[body]])
+        if len(branches) > 1 and max(lengths) > ARM_SHARE * carried:
             joints = []  # of a base, lift or waist that carries several parts
             others += arms[1:]
         else:
@@ -113,17 +117,17 @@ def _end(data: MjData, count: int, branches: Ids, free: Ids) -> str:
 
 def follow_joints(model: MjModel, names: Sequence[str]) -> JointChain:
     """Return the chain of joints that are given by name."""
-    known = {name: j for j, name in enumerate(joint_names(model, range(model.njnt)))}
+    known = joint_names(model, range(model.njnt))
     for name in names:
         if name not in known:
             raise unknown_name("joint", name, known)
-    joints = [known[name] for name in names]
+    joints = [known.index(name) for name in names]
     body = int(model.jnt_bodyid[joints[-1]])
-    while True:
-        parts = _moving_parts(model, body)
-        if len(parts) != 1 or model.body_jntnum[parts[0]]:
-            return JointChain(joints, body, "the given joints end")
+    parts = _moving_parts(model, body)
+    while len(parts) == 1 and not model.body_jntnum[parts[0]]:
         body = parts[0]
+        parts = _moving_parts(model, body)
+    return JointChain(joints, body, "the given joints end")
 
 
 def _moving_parts(model: MjModel, body: int) -> Ids:
@@ -160,17 +164,6 @@ def _without_base(data: MjData, joints: Ids) -> Ids:
     return joints[first:] if slides[first:].count(False) > ARM_JOINTS else joints
 
 
-def _length(data: MjData, body: int) -> float:
-    """Return the distance from a body to the farthest of those that hang on it [m]."""
-    inside = subtree(data.model, body)
-    return float(norm(data.xpos[inside] - data.xpos[body], axis=1).max())
-
-
-def _carried(data: MjData, joints: Ids, body: int) -> float:
-    """Return the length of the chain of joints up to a body [m]; 0 if there are none."""
-    return polyline_m([*data.xanchor[joints], data.xpos[body]])
-
-
 def _finger(data: MjData, body: int) -> str:
     """Return by what a body is known as a finger: a coupling, a site before it, a fixed jaw; or ''.
 
@@ -179,12 +172,11 @@ def _finger(data: MjData, body: int) -> str:
     model = data.model
     inside = subtree(model, body)
     for group in couplings(model):
-        bodies = model.jnt_bodyid[group].tolist()
-        for b in bodies:
-            is_beside = b not in inside and body not in subtree(model, b)
-            if is_beside and body in bodies:
-                name = joint_name(model, group[0])
-                return f"joints of several parts are coupled ({name!r})"
+        bodies = model.jnt_bodyid[group]
+        outside = [b for b in bodies if b not in inside]
+        if body in bodies and any(body not in subtree(model, b) for b in outside):
+            name = joint_name(model, group[0])
+            return f"joints of several parts are coupled ({name!r})"
     joints = joints_of(model, inside)
     if len(joints) > 1:
         return ""
@@ -194,7 +186,7 @@ def _finger(data: MjData, body: int) -> str:
         return f"site {model.site(min(sites)).name!r} lies before the last joint"
     if not joints:
         return ""
-    joint = joints[0]
+    (joint,) = joints
     is_short = np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
     if is_slide(model, joint) and model.jnt_limited[joint] and is_short:
         return f"the last part slides by less than {JAW_TRAVEL_M} m"
@@ -204,18 +196,19 @@ def _finger(data: MjData, body: int) -> str:
 
 def _is_jaw(data: MjData, joint: int, moving: Integers, fixed: Integers) -> bool:
     """Return whether geoms that a joint moves reach to one side, and fixed ones beside them."""
-    if not len(moving) or not len(fixed):
+    if not len(moving):
         return False
     anchor = data.xanchor[joint]
     out = data.geom_xpos[moving].mean(axis=0) - anchor
-    length = float(norm(out))
+    length = norm(out)
     if length < 1e-6 or abs(data.xaxis[joint] @ out) > 0.3 * length:
         return False  # a wrist that rolls
     direction = out / length
-    far = extent(data, moving, direction, anchor)
-    back = extent(data, moving, -direction, anchor)
-    beside = extent(data, fixed, direction, anchor)
-    return beside > JAW_SHARE * far and back < JAW_SHARE * far
+    start = anchor @ direction
+    far = extent(data, moving, direction) - start
+    back = extent(data, moving, -direction) + start
+    beside = extent(data, fixed, direction) - start
+    return bool(beside > JAW_SHARE * far and back < JAW_SHARE * far)
 
 
 def fixed_to(model: MjModel, bodies: Sequence[int]) -> Ids:
@@ -226,11 +219,9 @@ def fixed_to(model: MjModel, bodies: Sequence[int]) -> Ids:
 
 def subtree(model: MjModel, body: int) -> Ids:
     """Return the ids of a body and all that hang on it."""
-    inside = [body]
-    for b in range(body + 1, model.nbody):
-        if model.body_parentid[b] in inside:
-            inside.append(b)
-    return inside
+    after = np.arange(model.nbody) > body
+    ends = np.flatnonzero(after & (model.body_parentid < body))
+    return list(range(body, ends.min(initial=model.nbody)))
 
 
 def joints_of(model: MjModel, bodies: Sequence[int]) -> Ids:
@@ -277,12 +268,9 @@ def box_corners(data: MjData, geoms: Sequence[int] | Integers) -> Floats:
     return np.asarray(data.geom_xpos[geoms, None] + corners)
 
 
-def extent(
-    data: MjData, geoms: Integers, direction: Floats, origin: Floats | float = 0.0
-) -> float:
-    """Return how far geoms reach from a point, by default the world's, in a direction [m]."""
-    ends = (box_corners(data, geoms) - origin) @ direction
-    return float(ends.max(initial=-np.inf))
+def extent(data: MjData, geoms: Integers, direction: Floats) -> float:
+    """Return how far geoms reach in a direction, from the world's origin [m]; -inf if none."""
+    return float((box_corners(data, geoms) @ direction).max(initial=-np.inf))
 
 
 def joint_names(model: MjModel, joints: Sequence[int]) -> list[str]:

@@ -114,10 +114,9 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
     position = to_hand @ (point - data.xpos[hand])
-    taken = [model.site(s).name for s in range(model.nsite)]
-    names = ("tcp", "knowarm_tcp", "tcp_")
+    is_taken = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tcp") >= 0
     fields = {
-        "tcp_site": next(name for name in names if name not in taken),
+        "tcp_site": "knowarm_tcp" if is_taken else "tcp",
         "tcp_body": model.body(hand).name,
         "tcp_position_m": tuple(position.round(5).tolist()),
         "tcp_quaternion": tuple(quaternion.round(6).tolist()),
