@@ -14,6 +14,7 @@ from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import (
     JAW_SHARE,
     Ids,
+    box_corners,
     extent,
     find_chain,
     fixed_to,
@@ -149,7 +150,8 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
         is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
         if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
-    bodies = [_tip(data, b, frame[:, 2]) for b in model.jnt_bodyid[slides]]
+    moved = model.jnt_bodyid[slides].tolist()
+    bodies = [_tip(data, b, frame[:, 2]) for b in moved]
     names = [model.body(b).name for b in bodies]
     geoms = [geoms_of(model, [b]).tolist() for b in bodies]
     if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
@@ -167,15 +169,13 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
 
 def _tip(data: MjData, finger: int, approach: Floats) -> int:
     """Return the named body fixed to a finger that reaches farthest out of the hand, or itself."""
-    model = data.model
-    tip = int(finger)
-    farthest = extent(data, geoms_of(model, [finger]), approach) + SAME_M
-    for body in fixed_to(model, [finger]):
-        reach = extent(data, geoms_of(model, [body]), approach)
-        if model.body(body).name and reach > farthest:
-            farthest = reach
-            tip = body
-    return tip
+
+    def reach(body: int) -> float:
+        return extent(data, geoms_of(data.model, [body]), approach)
+
+    named = [b for b in fixed_to(data.model, [finger]) if data.model.body(b).name]
+    tip = max(named, key=reach, default=finger)
+    return tip if reach(tip) > reach(finger) + SAME_M else finger
 
 
 def _approach(
@@ -197,10 +197,9 @@ def _approach(
     if norm(out) < 1e-6:
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.
-    along = axis @ out
-    length = norm(out)
-    approach = out / length
-    if abs(along) > 0.3 * length:
+    approach = out / norm(out)
+    along = axis @ approach
+    if abs(along) > 0.3:
         approach = axis * np.sign(along)
     end = max((centres @ approach).max(), extent(data, geoms, approach))
     if fingers:  # which grasp a little before their ends
@@ -208,20 +207,13 @@ def _approach(
     else:
         middle = origin
     if len(fingers) == 1 and len(geoms):
-        other = _fixed_jaw(data, hand, fingers[0], approach, end)
-        if len(other):  # between the moving jaw and the fixed one
-            middle = (middle + data.geom_xpos[other].mean(axis=0)) / 2
+        start = data.xpos[fingers[0]] @ approach
+        fixed = geoms_of(model, fixed_to(model, [hand]))
+        ends = (box_corners(data, fixed) @ approach).max(axis=1)
+        jaw = fixed[ends > start + JAW_SHARE * (end - start)]
+        if len(jaw):  # between the moving jaw and the fixed one
+            middle = (middle + data.geom_xpos[jaw].mean(axis=0)) / 2
     return approach, middle + approach * (end - middle @ approach)
-
-
-def _fixed_jaw(
-    data: MjData, hand: int, finger: int, approach: Floats, end: float
-) -> Integers:
-    """Return the geoms fixed to a hand that reach along a finger, which ends at a height."""
-    start = data.xpos[finger] @ approach
-    fixed = geoms_of(data.model, fixed_to(data.model, [hand]))
-    ends = [extent(data, np.array([g]), approach) for g in fixed]
-    return fixed[np.array(ends) > start + JAW_SHARE * (end - start)]
 
 
 def _across(data: MjData, fingers: Ids, approach: Floats) -> Floats:

@@ -49,12 +49,12 @@ def choose_view(
     Fields of the camera that are given are kept. Return the fields of the camera and a description.
     """
     views = VIEWS
-    if "camera_position_m" in given and "camera_look_at_m" in given:
+    kept = {field: given[field] for field in FIELDS if field in given}
+    if len(kept) == len(FIELDS):
         views = {"as given": VIEWS["right in front and above"]}
     most = -1.0
     for home, (name, direction) in product(homes, views.items()):
-        frame = _frame(scene, home, np.array(direction), given["camera_fovy_deg"])
-        view = frame | {field: given[field] for field in FIELDS if field in given}
+        view = _frame(scene, home, np.array(direction), given["camera_fovy_deg"]) | kept
         pixels, robot = _shown(scene, home, view)
         score = min(pixels / ENOUGH_PIXELS, robot / ENOUGH_ROBOT, 1.0)
         if score > most:
