@@ -2,9 +2,8 @@
 
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
-from functools import partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -53,10 +52,6 @@ COMPILER = {
 """Options of MuJoCo's compiler that keep visuals and fixed links."""
 
 
-FindPackage = Callable[[str], Path]
-"""Returns the folder of a ROS package."""
-
-
 def as_mjcf(
     path: Path,
     folder: Path,
@@ -72,7 +67,7 @@ def as_mjcf(
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
-    find = partial(_find_package, path, _folders(_pairs("--package", packages, "=")))
+    ros = _Packages(path, packages)
     root = None
     refuse_pointer(path)
     if path.suffix != XACRO and path.is_file():
@@ -83,7 +78,7 @@ def as_mjcf(
             raise UserError(f"{path} is not valid XML: {one_line(error)}.") from None
         _refuse_nested(root, path)
     if path.suffix == XACRO or (root is not None and _is_xacro(root)):
-        root = _expand(path, find, _pairs("--xacro", arguments, ":="))
+        root = _expand(ros, _pairs("--xacro", arguments, ":="))
     elif arguments:
         raise UserError(f"--xacro needs a {XACRO} file, got {path}.")
     if root is None or root.tag != "robot":
@@ -98,7 +93,7 @@ def as_mjcf(
         file = Path(temporary) / name
         _remove(root, "mujoco")
         SubElement(SubElement(root, "mujoco"), "compiler", COMPILER)
-        textured = _convert_meshes(root, path, file.with_name(MESHES), find)
+        textured = _convert_meshes(root, file.with_name(MESHES), ros)
         ElementTree.ElementTree(root).write(file)
         try:
             spec = mujoco.MjSpec.from_file(str(file))
@@ -151,19 +146,6 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
     return pairs
 
 
-def _folders(packages: Mapping[str, str]) -> dict[str, Path]:
-    """Return the folders of packages that are given by name."""
-    folders = {}
-    for name, text in packages.items():
-        folder = Path(text).expanduser().resolve()
-        if not folder.is_dir():
-            raise UserError(
-                f"--package {name}={text}: there is no folder {folder}. Give that of the package."
-            )
-        folders[name] = folder
-    return folders
-
-
 def _refuse_nested(root: Element, path: Path) -> None:
     """Refuse XML whose elements lie so deep in each other that no robot is described so."""
     level = [root]
@@ -183,34 +165,56 @@ def _is_xacro(root: Element) -> bool:
     return root.tag == "robot" and bool(XACRO_MARKS.search(text))
 
 
-def _expand(path: Path, find: FindPackage, arguments: Mapping[str, str]) -> Element:
-    """Expand a xacro file."""
-    with packages_of("urdf", f"The xacro file {path}"):
-        import xacro
-    remedy = "Give a xacro file, and --xacro name:=value if it requires arguments."
-    with reading(path, remedy), xacro_packages(lambda name: str(find(name))):
-        try:
-            document = xacro.process_file(
-                str(path.absolute()), mappings=dict(arguments)
+class _Packages:
+    """Files of the ROS packages that a robot's file names: given, above it or beside those."""
+
+    def __init__(self, path: Path, given: Sequence[str]) -> None:
+        self.path = path
+        self.above = path.absolute().parents[:LEVELS]
+        self.given: dict[str, Path] = {}
+        for name, text in _pairs("--package", given, "=").items():
+            folder = Path(text).expanduser().resolve()
+            if not folder.is_dir():
+                raise UserError(
+                    f"--package {name}={text}: there is no folder {folder}. Give that of the "
+                    "package."
+                )
+            self.given[name] = folder
+
+    def folder(self, name: str) -> Path:
+        """Return the folder of a package."""
+        if name in self.given:
+            return self.given[name]
+        for above in self.above:
+            beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
+            for folder in (above, *beside):
+                if name == _package_name(folder):
+                    return folder
+        raise UserError(
+            f"Package {name!r} of {self.path} is not found in the {LEVELS} folders above it, nor "
+            f"beside them. Give its folder: --package {name}=FOLDER."
+        )
+
+    def mesh(self, name: str) -> Path:
+        """Return the file of a mesh."""
+        scheme, separator, place = name.replace("\\", "/").rpartition("://")
+        if separator:
+            place = unquote(place)
+        if scheme in ("package", "model"):
+            package, _, inside = place.partition("/")
+            # A copied folder may have lost its package.xml and its name.
+            folders = [above for above in self.above if (above / inside).is_file()]
+            folder = folders[0] if folders else self.folder(package)
+            file = folder / inside
+        else:
+            if re.match(r"/[A-Za-z]:/", place):
+                place = place[1:]
+            file = self.path.parent / place
+        if not file.is_file():
+            raise UserError(
+                f"Mesh {name!r} of {self.path} is not found: there is no {file}."
             )
-        except xacro.XacroException as error:
-            raise error.exc if isinstance(error.exc, UserError) else error from None
-        return ElementTree.fromstring(document.toxml())
-
-
-def _find_package(path: Path, given: Mapping[str, Path], name: str) -> Path:
-    """Return the folder of a ROS package: given, or above the file or beside such a folder."""
-    if name in given:
-        return given[name]
-    for above in path.absolute().parents[:LEVELS]:
-        beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
-        for folder in (above, *beside):
-            if name == _package_name(folder):
-                return folder
-    raise UserError(
-        f"Package {name!r} of {path} is not found in the {LEVELS} folders above it, nor beside "
-        f"them. Give its folder: --package {name}=FOLDER."
-    )
+        return file.resolve()
 
 
 def _package_name(folder: Path) -> str:
@@ -222,13 +226,27 @@ def _package_name(folder: Path) -> str:
     return (name or folder.name).strip()
 
 
+def _expand(ros: _Packages, arguments: dict[str, str]) -> Element:
+    """Expand a xacro file."""
+    path = ros.path
+    with packages_of("urdf", f"The xacro file {path}"):
+        import xacro
+    remedy = "Give a xacro file, and --xacro name:=value if it requires arguments."
+    with reading(path, remedy), xacro_packages(lambda name: str(ros.folder(name))):
+        try:
+            document = xacro.process_file(str(path.absolute()), mappings=arguments)
+        except xacro.XacroException as error:
+            raise error.exc if isinstance(error.exc, UserError) else error from None
+        return ElementTree.fromstring(document.toxml())
+
+
 def _remove(element: Element, tag: str) -> None:
     """Remove the children of an element that have a tag."""
     for child in element.findall(tag):
         element.remove(child)
 
 
-SOFT_LIMITS = {"soft_lower_limit", "soft_upper_limit"}
+SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit")
 """Attributes of a joint's safety_controller."""
 
 
@@ -244,33 +262,38 @@ def _set_limits(root: Element, path: Path) -> list[str]:
         limit = joint.find("limit")
         if limit is None or joint.get("type") not in ("revolute", "prismatic"):
             continue
-        low = _number(limit, "lower", path, name)
-        high = _number(limit, "upper", path, name)
+        low, high = _numbers(limit, ("lower", "upper"), name, path)
         if low > high:
             raise UserError(
                 f"Joint {name!r} of {path} has a lower limit of {low:g} and an upper one of "
                 f"{high:g}. Exchange or correct them in the file."
             )
         soft = joint.find("safety_controller")
-        if soft is None or not set(soft.attrib) >= SOFT_LIMITS:
+        if soft is None or not set(soft.attrib) >= {*SOFT_LIMITS}:
             continue
-        soft_low = max(low, _number(soft, "soft_lower_limit", path, name))
-        soft_high = min(high, _number(soft, "soft_upper_limit", path, name))
-        if (soft_low, soft_high) != (low, high) and soft_low < soft_high:
-            limit.attrib.update(lower=str(soft_low), upper=str(soft_high))
+        soft_low, soft_high = _numbers(soft, SOFT_LIMITS, name, path)
+        ends = (max(low, soft_low), min(high, soft_high))
+        if ends != (low, high) and ends[0] < ends[1]:
+            limit.attrib.update(lower=str(ends[0]), upper=str(ends[1]))
             softened.append(name)
     return softened
 
 
-def _number(element: Element, key: str, path: Path, joint: str) -> float:
-    """Return a number among the attributes of a joint's element, by default 0."""
-    text = element.get(key, "0")
-    try:
-        return float(text)
-    except ValueError:
-        raise UserError(
-            f"Joint {joint!r} of {path}: {key} is {text!r}, which is no number. Correct the file."
-        ) from None
+def _numbers(
+    element: Element, keys: Sequence[str], joint: str, path: Path
+) -> list[float]:
+    """Return numbers among the attributes of a joint's element, by default 0."""
+    numbers = []
+    for key in keys:
+        text = element.get(key, "0")
+        try:
+            numbers.append(float(text))
+        except ValueError:
+            raise UserError(
+                f"Joint {joint!r} of {path}: {key} is {text!r}, which is no number. Correct the "
+                "file."
+            ) from None
+    return numbers
 
 
 def _repair_inertias(spec: mujoco.MjSpec) -> tuple[list[str], list[str]]:
@@ -318,9 +341,7 @@ BELOW = np.tril_indices(3, -1)
 """Rows and columns of a matrix below its diagonal."""
 
 
-def _convert_meshes(
-    root: Element, path: Path, folder: Path, find: FindPackage
-) -> list[str]:
+def _convert_meshes(root: Element, folder: Path, ros: _Packages) -> list[str]:
     """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them.
 
     Return the names of textures and textured meshes.
@@ -337,7 +358,7 @@ def _convert_meshes(
             mesh = shape.find("geometry/mesh")
             if mesh is None:
                 continue
-            source = _mesh_file(mesh.get("filename", ""), path, find)
+            source = ros.mesh(mesh.get("filename", ""))
             key = (source, shape.tag)
             if key not in known:
                 stem = re.sub("[^A-Za-z0-9]+", "_", source.stem)
@@ -354,32 +375,6 @@ def _convert_meshes(
                     SubElement(material, "color", rgba=rgba)
                 link.append(part)
     return list(dict.fromkeys(textured))
-
-
-def _mesh_file(name: str, path: Path, find: FindPackage) -> Path:
-    """Return the file of a mesh of a URDF."""
-    scheme, separator, place = name.replace("\\", "/").rpartition("://")
-    if separator:
-        place = unquote(place)
-    if scheme in ("package", "model"):
-        file = _package_file(place, path, find)
-    else:
-        if re.match(r"/[A-Za-z]:/", place):
-            place = place[1:]
-        file = path.parent / place
-    if not file.is_file():
-        raise UserError(f"Mesh {name!r} of {path} is not found: there is no {file}.")
-    return file.resolve()
-
-
-def _package_file(place: str, path: Path, find: FindPackage) -> Path:
-    """Return a file of a package from its place after the scheme."""
-    package, _, inside = place.partition("/")
-    # A copied folder may have lost its package.xml and its name.
-    for folder in path.absolute().parents[:LEVELS]:
-        if (folder / inside).is_file():
-            return folder / inside
-    return find(package) / inside
 
 
 def _convert_mesh(
