@@ -98,7 +98,7 @@ def find_layout(
                 if best.cost < (TOLERANCES_DEG[False][0], True):
                     return best
             for target, count in zip(scene.targets, counts, strict=True):
-                most[f"{target.name} at {height:.2f} m"] = count
+                most[f"{target.name} at {height:.2f} m"] = int(count)
         if best is not None:
             return best
     raise UserError(
