@@ -5,8 +5,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import mujoco
 import numpy as np
+from mujoco import MjData
+from numpy.linalg import norm
 from PIL import Image, ImageOps
 
 from knowarm.arrays import Floats
@@ -83,7 +84,7 @@ def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
     )
 
 
-def named_points(scene: Scene, data: mujoco.MjData) -> dict[str, Floats]:
+def named_points(scene: Scene, data: MjData) -> dict[str, Floats]:
     """Return points (3,) [m], world, by name: gripper, origins of joints, rectangle."""
     points = {"gripper": data.site_xpos[scene.tcp_site].copy()}
     for name in scene.robot.joints:
@@ -129,7 +130,7 @@ def _compare(
     free = most_free(len(places), robot)
     camera = fit_camera(start, seen, places, free)
     away = camera.see(places) - seen
-    worst = int(np.linalg.norm(away, axis=1).argmax()) + 1
+    worst = int(norm(away, axis=1).argmax()) + 1
     residual = _rms(away)
     fit = Check(
         "fit",

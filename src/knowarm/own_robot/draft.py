@@ -10,8 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import mujoco
 import numpy as np
+from mujoco import MjModel, mjtJoint
+from numpy.linalg import norm
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
@@ -230,7 +231,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
             f"{best:.4f} rad from their targets; {lag:.4f} rad at the usual 7 Hz"
         )
     robot = _robot(path, values)
-    distance_m = round(SCALE * float(np.linalg.norm(robot.rectangle_half_size_m)), 2)
+    distance_m = round(SCALE * float(norm(robot.rectangle_half_size_m)), 2)
     most_m = EVALUATION_M
     if layout.angle_deg > EASY_DEG:
         most_m = SUCCESS_DISTANCE_M
@@ -256,7 +257,7 @@ def _robot(path: Path, values: Fields) -> Robot:
     return from_dict(Robot, fields, where=str(path))
 
 
-def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
+def _arm(model: MjModel, overrides: Fields, how: Choices) -> Fields:
     """Return the fields of arm and TCP, and all that are given."""
     values: Fields = {}
     joints = overrides.get("joints", [])
@@ -279,10 +280,10 @@ def _arm(model: mujoco.MjModel, overrides: Fields, how: Choices) -> Fields:
     return values
 
 
-def _is_free(model: mujoco.MjModel, joint: str) -> bool:
+def _is_free(model: MjModel, joint: str) -> bool:
     """Return whether the body on which all others before a joint hang moves freely."""
     root = model.body_rootid[model.joint(joint).bodyid[0]]
-    return mujoco.mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
+    return mjtJoint.mjJNT_FREE in model.jnt_type[model.jnt_bodyid == root]
 
 
 def _add_rectangle(layout: Layout, values: Fields, how: Choices) -> None:

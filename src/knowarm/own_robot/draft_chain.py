@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from mujoco import MjData, MjModel
+from mujoco import MjData, MjModel, mjtEq, mjtJoint, mjtWrap
 from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers
@@ -51,7 +50,7 @@ JAW_SHARE = 0.5
 """A fixed part that reaches at least so far along a moving one is its other jaw."""
 
 JAW_TRAVEL_M = 0.1  # The last part of an arm slides farther than a jaw
-_MOVABLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_MOVABLE = (int(mjtJoint.mjJNT_HINGE), int(mjtJoint.mjJNT_SLIDE))
 
 Ids = list[int]
 """Ids of joints, bodies or sites of a model."""
@@ -251,7 +250,7 @@ def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
 
 def is_slide(model: MjModel, joint: int) -> bool:
     """Return whether a joint slides."""
-    return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
+    return bool(model.jnt_type[joint] == mjtJoint.mjJNT_SLIDE)
 
 
 def polyline_m(points: Sequence[Floats] | Floats) -> float:
@@ -280,17 +279,17 @@ def joint_names(model: MjModel, joints: Sequence[int]) -> list[str]:
 
 def joint_name(model: MjModel, joint: int) -> str:
     """Return a joint's name, or its kind and body if it has none."""
-    kind = mujoco.mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
+    kind = mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
     body = model.body(model.jnt_bodyid[joint]).name
     return model.joint(joint).name or f"unnamed {kind} joint of body {body!r}"
 
 
 def couplings(model: MjModel) -> list[Ids]:
     """Return the joints that move together, by joint equality or fixed tendon."""
-    is_equality = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    is_equality = model.eq_type == mjtEq.mjEQ_JOINT
     pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[is_equality]
     # What a tendon wraps is joints, or none at all.
-    is_joint = model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT
+    is_joint = model.wrap_type == mjtWrap.mjWRAP_JOINT
     wrapped = np.where(is_joint, model.wrap_objid, -1)
     tendons = np.split(wrapped, model.tendon_adr[1:])
     groups = [group.tolist() for group in (*pairs, *tendons)]

@@ -4,9 +4,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
-from mujoco import MjData, MjModel
+from mujoco import MjData, MjModel, mj_kinematics, mj_name2id, mjtObj, mju_mat2Quat
 from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers
@@ -57,7 +56,7 @@ def find_gripper(model: MjModel, given: Sequence[str] = ()) -> Gripper:
     ``given`` are the joints of the arm where the file has several, base to tip.
     """
     data = MjData(model)
-    mujoco.mj_kinematics(model, data)
+    mj_kinematics(model, data)
     others: Ids = []
     if given:
         chain = follow_joints(model, given)
@@ -113,9 +112,9 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         source = f"{TOOL_M} m in front of the last body"
     to_hand = data.xmat[hand].reshape(3, 3).T
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
+    mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
     position = to_hand @ (point - data.xpos[hand])
-    is_taken = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tcp") >= 0
+    is_taken = mj_name2id(model, mjtObj.mjOBJ_SITE, "tcp") >= 0
     fields = {
         "tcp_site": "knowarm_tcp" if is_taken else "tcp",
         "tcp_body": model.body(hand).name,
@@ -161,10 +160,11 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
         joints = " and ".join(joint_names(model, slides))
         return {}, f"; no fingers, as {joints} have no range"
     both = " and ".join(names)
-    if opening.gap_m < LEAST_M:
+    gap_m, values = opening
+    if gap_m < LEAST_M:
         return {}, f"; no fingers, as {both} overlap at all their ends"
-    text = f"; fingers: {both}, open by {100 * opening.gap_m:.1f} cm"
-    return {"fingers": names, "held_joints": dict(opening.values)}, text
+    text = f"; fingers: {both}, open by {100 * gap_m:.1f} cm"
+    return {"fingers": names, "held_joints": values}, text
 
 
 def _tip(data: MjData, finger: int, approach: Floats) -> int:

@@ -50,7 +50,11 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     that inverse kinematics reaches from them in time, as the checks of a description do.
     """
     solutions = np.concatenate([branch.joints for branch in layout.branches])
-    poses = _candidates(scene, solutions)
+    middle = (solutions.max(axis=0) + solutions.min(axis=0)) / 2
+    signed = 2 * sample_shares(scene, HOME_CANDIDATES) - 1
+    slack = 0.1 * (scene.joint_upper - scene.joint_lower)  # To the limits
+    poses = middle + HOME_OFFSET_RAD * signed
+    poses = poses.clip(scene.joint_lower + slack, scene.joint_upper - slack)
     simulation = MujocoSimulator(scene, len(poses))
     contacts = simulation.batch.bind("ncon").reshape(-1)
     simulation.set_joints(poses)
@@ -92,15 +96,6 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
             )
             homes.append(Home(poses[i], float(travel[i]), text))
     return sorted(homes, key=lambda home: -_reached(scene, layout, home))
-
-
-def _candidates(scene: Scene, solutions: Floats) -> Floats:
-    """Return joint angles around the middle of the grasps' solutions, not near a limit."""
-    middle = (solutions.max(axis=0) + solutions.min(axis=0)) / 2
-    signed = 2 * sample_shares(scene, HOME_CANDIDATES) - 1
-    slack = 0.1 * (scene.joint_upper - scene.joint_lower)
-    poses = middle + HOME_OFFSET_RAD * signed
-    return np.clip(poses, scene.joint_lower + slack, scene.joint_upper - slack)
 
 
 def _reached(scene: Scene, layout: Layout, home: Home) -> float:

@@ -117,16 +117,19 @@ def _layouts(
     reach = reach_m(scene)
     if not reach:
         return
-    cases = _cases(scene, given)
+    turned = given.get("target_yaws_deg", {})
+    cases: list[
+        tuple[int, float]
+    ] = []  # Targets with a direction that is given or tried
+    for k, target in enumerate(scene.targets):
+        yaw = turned.get(target.name, given.get("target_yaw_deg"))
+        cases += product([k], YAWS_DEG if yaw is None else [yaw])
     for size, distance in RECTANGLES:
         centre = np.array(given.get("rectangle_centre_m", (distance * reach, 0.0)))
         half = np.array(given.get("rectangle_half_size_m", size * LARGEST * reach))
         branches = _branches(scene, ignore_roll, centre + NODES * half, cases, counts)
         for angle in TOLERANCES_DEG[ignore_roll]:
-            fitting = []
-            for alternatives in branches:
-                most = angle - MARGIN_DEG
-                fitting.append([one for one in alternatives if one.angle_deg < most])
+            fitting = [_within(alternatives, angle) for alternatives in branches]
             if all(fitting):
                 yield Layout(
                     scene=scene,
@@ -139,14 +142,9 @@ def _layouts(
                 break
 
 
-def _cases(scene: Scene, given: Fields) -> list[tuple[int, float]]:
-    """Return the indices of targets, each with a direction [deg] that is given or tried."""
-    turned = given.get("target_yaws_deg", {})
-    cases: list[tuple[int, float]] = []
-    for k, target in enumerate(scene.targets):
-        yaw = turned.get(target.name, given.get("target_yaw_deg"))
-        cases += product([k], YAWS_DEG if yaw is None else [yaw])
-    return cases
+def _within(branches: Sequence[Branch], angle_deg: float) -> list[Branch]:
+    """Return the branches within a success angle."""
+    return [branch for branch in branches if branch.angle_deg < angle_deg - MARGIN_DEG]
 
 
 def _branches(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
-import mujoco
 import numpy as np
+from mujoco import mju_mat2Quat
 
 from knowarm.arrays import Floats
 from knowarm.own_robot.draft_chain import box_corners
@@ -98,7 +98,7 @@ def _shown(scene: Scene, home: Home, view: Fields) -> tuple[float, float]:
     axes = level_axes(position - view["camera_look_at_m"])
     model.cam_pos[scene.camera] = position
     model.cam_fovy[scene.camera] = view["camera_fovy_deg"]
-    mujoco.mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
+    mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
     simulation = place_targets(scene, home.joints, NODES)
     images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
     drawn = [images.targets([k]) for k in range(len(scene.targets))]

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import mujoco
+from mujoco import mjtJoint
 
 from knowarm.arrays import Floats
 from knowarm.check import Check
@@ -55,7 +55,7 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
     moved: dict[str, list[float]] = {}
     for joint, change, unit in rows:
         told = COMMANDED_DEG * PER_DEGREE[unit]
-        if part.joint(joint).type == mujoco.mjtJoint.mjJNT_SLIDE:
+        if part.joint(joint).type == mjtJoint.mjJNT_SLIDE:
             told = COMMANDED_M
         moved.setdefault(joint, []).append(change / told)
     missing = [name for name in description.joints if name not in moved]

@@ -1,13 +1,11 @@
 """Opening of two fingers: the gap between their tips, and the joint values that make it widest."""
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
-from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from mujoco import MjData, MjModel
+from mujoco import MjData, MjModel, mj_kinematics, mj_name2id, mjtEq, mjtObj
 from numpy.linalg import norm
 
 from knowarm.arrays import Floats
@@ -27,13 +25,6 @@ TIP_M = 0.03  # Length of a finger's tip
 SAME_M = 0.001  # Gaps that differ by less are equal
 LEAST_M = 0.005  # Of a gripper that is open
 LEAST_SHARE = 0.5  # Of the widest gap, at which fingers count as drawn open
-
-
-class Opening(NamedTuple):
-    """A gap between two fingers."""
-
-    gap_m: float  # Between the tips, negative where they overlap [m]
-    values: Mapping[str, float]  # Of the fingers' joints, by name [m]
 
 
 def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
@@ -61,9 +52,10 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
 
 def widest_opening(
     drawn: MjData, joints: Ids, fingers: list[Ids], frame: Floats
-) -> Opening | None:
-    """Return the widest opening at the ends of two fingers' slides; None if one has no end.
+) -> tuple[float, dict[str, float]] | None:
+    """Return the widest gap at the ends of two fingers' slides [m], and their values by name.
 
+    None if a slide has no end. The gap is negative where the tips overlap.
     Where fingers could pass through each other, the one counts in which each is on the side on
     which its slide begins.
     """
@@ -79,19 +71,21 @@ def widest_opening(
     for ends in _ends(model, joints):
         values = np.round(ends, 5)
         data.qpos[address] = values
-        mujoco.mj_kinematics(model, data)
+        mj_kinematics(model, data)
         gap = finger_gap(data, fingers, frame)
         apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
         is_apart = norm(between) < SAME_M or apart @ across * (between @ across) > 0
-        by_name = dict(zip(joint_names(model, joints), values.tolist(), strict=True))
-        openings.append((round(gap / SAME_M), is_apart, Opening(gap, by_name)))
-    return max(openings, key=lambda row: row[:2])[2] if openings else None
+        openings.append((round(gap / SAME_M), is_apart, gap, values.tolist()))
+    if not openings:
+        return None
+    *_, gap, ends = max(openings, key=lambda row: row[:2])
+    return gap, dict(zip(joint_names(model, joints), ends, strict=True))
 
 
 def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
     """Return the values of two joints at the ends of their ranges; coupled ones go together."""
     at_zero = model.qpos0[model.jnt_qposadr]
-    for row in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+    for row in np.flatnonzero(model.eq_type == mjtEq.mjEQ_JOINT):
         follower = int(model.eq_obj1id[row])
         leader = int(model.eq_obj2id[row])
         if {follower, leader} == {*joints} and model.jnt_limited[leader]:
@@ -113,11 +107,11 @@ def check_fingers(robot: Robot) -> Check:
     data = MjData(model)
     for name, value in robot.held_joints.items():
         data.joint(name).qpos = value
-    mujoco.mj_kinematics(model, data)
+    mj_kinematics(model, data)
     fingers: list[Ids] = []
     slides: Ids = []
     for name in robot.fingers:
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        body = mj_name2id(model, mjtObj.mjOBJ_BODY, name)
         if body >= 0:
             fingers.append(geoms_of(model, [body]).tolist())
             joints = joints_of(model, [model.body_weldid[body]])
@@ -138,13 +132,14 @@ def check_fingers(robot: Robot) -> Check:
     best = None
     if len(slides) == 2:
         best = widest_opening(data, slides, fingers, frame)
-    if best is None or drawn >= min(LEAST_SHARE * best.gap_m, best.gap_m - SAME_M):
+    widest, values = best or (drawn, {})
+    if drawn >= min(LEAST_SHARE * widest, widest - SAME_M):
         remedy = "Open them in the file, or with held_joints."
         return Check("fingers", drawn >= LEAST_M, found, remedy)
-    values = ", ".join(f"{name} = {value:g}" for name, value in best.values.items())
+    held = ", ".join(f"{name} = {value:g}" for name, value in values.items())
     return Check(
         "fingers",
         False,
-        f"{found}, and {100 * best.gap_m:.1f} cm at the other end",
-        f"Draw them open: held_joints = {{ {values} }}.",
+        f"{found}, and {100 * widest:.1f} cm at the other end",
+        f"Draw them open: held_joints = {{ {held} }}.",
     )

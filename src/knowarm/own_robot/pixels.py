@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import mujoco
 import numpy as np
+from mujoco import MjData
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -60,7 +60,7 @@ class SceneImages:
 def draw_once(
     scene: Scene,
     config: EnvConfig,
-    data: mujoco.MjData,
+    data: MjData,
     colours: Colours,
     side: int,
 ) -> Image.Image:
@@ -73,7 +73,7 @@ def draw_once(
 def draw_large(
     scene: Scene,
     config: EnvConfig,
-    data: mujoco.MjData,
+    data: MjData,
     colours: Colours,
     side: int,
 ) -> Image.Image:

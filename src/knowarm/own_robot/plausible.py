@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import MjData, MjModel, MjsBody, mj_kinematics, mj_ray, mjtGeom, mjtJoint
 
 from knowarm.arrays import Floats
 from knowarm.own_robot.draft_chain import box_corners
@@ -47,7 +47,7 @@ def question_ranges(scene: Scene) -> tuple[str, str]:
     limits = np.column_stack([scene.joint_lower, scene.joint_upper])
     for name, ends in zip(scene.joint_names, limits, strict=True):
         joint = scene.model.joint(ROBOT_PREFIX + name)
-        is_slide = joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+        is_slide = joint.type[0] == mjtJoint.mjJNT_SLIDE
         kind = SLIDE if is_slide else HINGE
         largest = np.abs(ends).max()
         if largest > kind.most:
@@ -79,7 +79,7 @@ def fixed_parts_above(scene: Scene) -> list[str]:
     names = {}
     for place in support_places(scene, list(product(line, line))):
         start = np.array([*place[:2], data.xanchor[:, 2].max()])
-        way = mujoco.mj_ray(model, data, start, down, looked_at, 1, -1, hit)
+        way = mj_ray(model, data, start, down, looked_at, 1, -1, hit)
         if 0 <= way < start[2] - place[2] - CLEARANCE_M:
             geom = model.geom(hit[0])
             body = model.body(geom.bodyid[0]).name.removeprefix(ROBOT_PREFIX)
@@ -92,17 +92,17 @@ def stands_on(robot: Robot, low_m: float) -> bool:
     """Return whether something of a robot's file that is left out bears it at a height [m]."""
     part = robot_file(robot)
     model = part.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = MjData(model)
+    mj_kinematics(model, data)
     geoms = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
-        if isinstance(element, mujoco.MjsBody):
+        if isinstance(element, MjsBody):
             geoms += element.find_all("geom")
         else:
             geoms.append(element)
     for geom in geoms:
         top = data.geom_xpos[geom.id][2]
-        if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
+        if geom.type != mjtGeom.mjGEOM_PLANE:
             top = box_corners(data, [geom.id])[..., 2].max()
         if -RESTING_M < top - low_m < SUNK_M:
             return True
@@ -110,7 +110,7 @@ def stands_on(robot: Robot, low_m: float) -> bool:
 
 
 def ranges_of(
-    model: mujoco.MjModel, given: Mapping[str, Sequence[float]]
+    model: MjModel, given: Mapping[str, Sequence[float]]
 ) -> dict[str, Floats]:
     """Return the ranges of a file's joints by name, in place of some those that are given."""
     ranges = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-import mujoco
 import numpy as np
 import scipy
+from mujoco import MjSpec
 
 from knowarm.arrays import Floats
 from knowarm.world.backend import MujocoSimulator
@@ -25,7 +25,7 @@ CORNERS = (
 """Corners of a rectangle in order, relative to its centre and half-sizes."""
 
 
-def robot_file(robot: Robot) -> mujoco.MjSpec:
+def robot_file(robot: Robot) -> MjSpec:
     """Read the MJCF file of a description."""
     return read_mjcf(robot.mjcf, f"Robot {robot.name!r}")
 

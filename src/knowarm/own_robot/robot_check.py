@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import MjsGeom
 from scipy.spatial.distance import cdist
 
 from knowarm.arrays import Floats, Mask
@@ -114,7 +114,7 @@ def _check_scene(scene: Scene) -> Check:
     names = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         kind = "body"
-        if isinstance(element, mujoco.MjsGeom):
+        if isinstance(element, MjsGeom):
             kind = "floor" if element.type in FLOORS else "geom"
         names.append(
             f"{kind} {element.name!r}" if element.name else f"an unnamed {kind}"

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
+from mujoco import MjData, mj_kinematics
 from PIL import Image, ImageDraw
 
 from knowarm.arrays import Floats
@@ -25,7 +25,7 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     corners = support_places(scene, CORNERS)
     for k, mocap in enumerate(scene.target_mocap):
         data.mocap_pos[mocap] = corners[k % len(corners)]
-    mujoco.mj_kinematics(scene.model, data)
+    mj_kinematics(scene.model, data)
     targets = np.arange(len(scene.targets))[None]
     colours = TargetColours(scene)(targets, np.zeros_like(targets))
     large = draw_large(scene, config, data, colours, SIDE)
@@ -40,7 +40,7 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
 
 
 def _draw_lines(
-    scene: Scene, data: mujoco.MjData, corners: Floats, image: Image.Image
+    scene: Scene, data: MjData, corners: Floats, image: Image.Image
 ) -> None:
     """Draw the rectangle and the gripper's approach over an image of the scene."""
     tip = data.site_xpos[scene.tcp_site]

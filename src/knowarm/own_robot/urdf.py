@@ -13,8 +13,8 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import mujoco
 import numpy as np
+from mujoco import FatalError, MjsBody, MjSpec, mjtMeshInertia
 
 from knowarm.errors import UserError, packages_of
 from knowarm.private_apis import xacro_packages
@@ -96,10 +96,10 @@ def as_mjcf(
         textured = _convert_meshes(root, file.with_name(MESHES), ros)
         ElementTree.ElementTree(root).write(file)
         try:
-            spec = mujoco.MjSpec.from_file(str(file))
+            spec = MjSpec.from_file(str(file))
             missing, repaired = _repair_inertias(spec)
             file.write_text(_compile(spec), encoding="utf-8")
-        except (ValueError, mujoco.FatalError) as error:
+        except (ValueError, FatalError) as error:
             raise UserError(
                 f"{path} cannot be converted: {one_line(error)}. Correct it."
             ) from None
@@ -117,11 +117,11 @@ def as_mjcf(
     return folder / name, "; ".join(notes)
 
 
-def _compile(spec: mujoco.MjSpec) -> str:
+def _compile(spec: MjSpec) -> str:
     """Return the MJCF of a URDF whose meshes MuJoCo reads."""
     for mesh in spec.meshes:  # a visual has no mass, and may have no volume
         if mesh.name.startswith("visual"):
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            mesh.inertia = mjtMeshInertia.mjMESH_INERTIA_SHELL
     # Images show what a viewer of URDF does, and no safety boxes.
     if VISUAL_GROUP in [geom.group for geom in spec.geoms]:
         for geom in spec.geoms:
@@ -296,7 +296,7 @@ def _numbers(
     return numbers
 
 
-def _repair_inertias(spec: mujoco.MjSpec) -> tuple[list[str], list[str]]:
+def _repair_inertias(spec: MjSpec) -> tuple[list[str], list[str]]:
     """Make the inertias of a URDF possible.
 
     Return the links that move and have none, and those whose inertia was not possible.
@@ -318,7 +318,7 @@ def _repair_inertias(spec: mujoco.MjSpec) -> tuple[list[str], list[str]]:
     return missing, repaired
 
 
-def _repair_inertia(body: mujoco.MjsBody) -> bool:
+def _repair_inertia(body: MjsBody) -> bool:
     """Make an inertia possible; return whether it was not."""
     full = np.nan_to_num(body.fullinertia)  # MuJoCo reads no zeros
     matrix = np.diag(full[:3])
