@@ -202,9 +202,8 @@ def _fields(robot: Robot, camera: Camera, free: int, aspect: float) -> str:
         "camera_roll_deg": round(camera.roll_deg, 2),
     }
     if free >= FOVY:
-        # Of the central square, which the policy sees
-        fovy = 2 * np.arctan(min(1.0, aspect) / 2 / camera.focus[1])
-        fields["camera_fovy_deg"] = round(float(np.degrees(fovy)), 2)
+        square = min(1.0, aspect)  # Which the policy sees
+        fields["camera_fovy_deg"] = round(camera.fovy_deg(square), 2)
     if free >= LENS:
         fields["camera_intrinsics"] = camera.focus.round(5).tolist()
         fields["camera_distortion"] = camera.lens.round(5).tolist()

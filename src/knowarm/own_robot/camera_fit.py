@@ -61,10 +61,9 @@ class Camera:
         points, _ = _cv2().projectPoints(local, *pose, self.matrix, self.lens)
         return np.asarray(points[:, 0])
 
-    @property
-    def fovy_deg(self) -> float:
-        """The vertical field of view of the whole image."""
-        return float(np.degrees(2 * np.arctan(0.5 / self.focus[1])))
+    def fovy_deg(self, side: float = 1.0) -> float:
+        """Return the field of view of a square in the image's middle, by default its height."""
+        return float(np.degrees(2 * np.arctan(side / 2 / self.focus[1])))
 
     @property
     def roll_deg(self) -> float:
@@ -76,7 +75,7 @@ class Camera:
     @property
     def numbers(self) -> Floats:
         """The numbers that are reported, (6,), each with a name and unit of `NUMBERS`."""
-        return np.array([*self.position, self.roll_deg, self.fovy_deg, self.lens[0]])
+        return np.array([*self.position, self.roll_deg, self.fovy_deg(), self.lens[0]])
 
 
 def camera_of(robot: Robot, aspect: float = 1.0) -> Camera:

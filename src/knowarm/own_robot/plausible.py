@@ -76,7 +76,7 @@ def fixed_parts_above(scene: Scene) -> list[str]:
     down = np.array([0.0, 0.0, -1.0])
     hit = np.zeros(1, np.int32)
     line = np.linspace(-1, 1, SIDE)
-    names = {}
+    names = []
     for place in support_places(scene, list(product(line, line))):
         start = np.array([*place[:2], data.xanchor[:, 2].max()])
         way = mj_ray(model, data, start, down, looked_at, 1, -1, hit)
@@ -84,8 +84,8 @@ def fixed_parts_above(scene: Scene) -> list[str]:
             geom = model.geom(hit[0])
             body = model.body(geom.bodyid[0]).name.removeprefix(ROBOT_PREFIX)
             name = geom.name.removeprefix(ROBOT_PREFIX) or f"a geom of body {body!r}"
-            names[geom.id] = name
-    return list(dict.fromkeys(names[geom] for geom in sorted(names)))
+            names.append(name)
+    return list(dict.fromkeys(names))
 
 
 def stands_on(robot: Robot, low_m: float) -> bool:
@@ -94,19 +94,15 @@ def stands_on(robot: Robot, low_m: float) -> bool:
     model = part.compile()
     data = MjData(model)
     mj_kinematics(model, data)
-    geoms = []
+    tops = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
-        if isinstance(element, MjsBody):
-            geoms += element.find_all("geom")
-        else:
-            geoms.append(element)
-    for geom in geoms:
-        top = data.geom_xpos[geom.id][2]
-        if geom.type != mjtGeom.mjGEOM_PLANE:
-            top = box_corners(data, [geom.id])[..., 2].max()
-        if -RESTING_M < top - low_m < SUNK_M:
-            return True
-    return False
+        is_body = isinstance(element, MjsBody)
+        for geom in element.find_all("geom") if is_body else [element]:
+            if geom.type == mjtGeom.mjGEOM_PLANE:
+                tops.append(data.geom_xpos[geom.id][2])
+            else:
+                tops.append(box_corners(data, [geom.id])[..., 2].max())
+    return any(-RESTING_M < top - low_m < SUNK_M for top in tops)
 
 
 def ranges_of(
