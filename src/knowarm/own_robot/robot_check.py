@@ -269,7 +269,7 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     position = env.running.goal_position
     goal = (position, env.running.goal_matrix)
     solution = solver.solve(*goal, env.joint_positions)
-    way = Way(scene, env.config, env.joint_positions, solution)
+    way = JointWay(scene, env.config, env.joint_positions, solution)
     reached = way.reached
     if reached.any():
         # The branch of the nearest place that is reached may also reach the others.
@@ -288,7 +288,7 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     return check_reach(way, 0, episodes.position, f"{remedy}.")
 
 
-class Way(NamedTuple):
+class JointWay(NamedTuple):
     """The way from joint angles (n, J) to solutions for n places, as episodes would go it."""
 
     scene: Scene
@@ -363,7 +363,7 @@ def fixed_list_success(config: EnvConfig, distance_m: float) -> tuple[float, flo
     return float(results.success.mean()), angle_deg
 
 
-def check_reach(way: Way, target: int, places: Floats, remedy: str) -> Check:
+def check_reach(way: JointWay, target: int, places: Floats, remedy: str) -> Check:
     """Check that episodes can reach solutions for a target at places (n, 2).
 
     The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
