@@ -23,8 +23,7 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
     data = scene.at(scene.home)
     corners = support_places(scene, CORNERS)
-    for k, mocap in enumerate(scene.target_mocap):
-        data.mocap_pos[mocap] = corners[k % len(corners)]
+    data.mocap_pos[scene.target_mocap] = np.resize(corners, (len(scene.targets), 3))
     mj_kinematics(scene.model, data)
     targets = np.arange(len(scene.targets))[None]
     colours = TargetColours(scene)(targets, np.zeros_like(targets))
