@@ -199,10 +199,10 @@ def anova_table(tasks: Sequence[TaskData]) -> str:
     rows = []
     for task in tasks:
         pair = [of(task, agent) for agent in ("full", "bm")]
-        rates = [found for group in pair if group and (found := success_rates(group))]
-        if len(rates) < 2:
+        rates = [success_rates(group) for group in pair if group]
+        if len(rates) < 2 or any(found is None for found in rates):
             continue
-        (_, one), (_, other) = rates
+        one, other = rates
         f, p = one_way_anova([one, other])
         paper = published_comparison(task, *(group for group in pair if group))[
             "anova_f"

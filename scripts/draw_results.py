@@ -45,7 +45,7 @@ def choose_curves(study: Path) -> str:
     for key, axis in {"choice": CHOICE_AXIS, "success": SUCCESS_AXIS}.items():
         figure = curve_figure(task, {key: axis}, key, axis.title)
         drawings += [panel.svg for panel in figure.panels if panel.only == "large"]
-    legend = {group.name: task.colours[group.name] for group in task.groups}
+    legend = {group.name: group.colour for group in task.groups}
     return picture(drawings, BOXES["large"], legend)
 
 
@@ -55,7 +55,7 @@ def learned(study: Path, title: str) -> str:
     figure = curve_figure(
         task, {"success": SUCCESS_AXIS}, "success", SUCCESS_AXIS.title
     )
-    legend = {group.name: task.colours[group.name] for group in task.groups}
+    legend = {group.name: group.colour for group in task.groups}
     return picture([figure.panels[0].svg], BOXES["large"], legend)
 
 

@@ -157,7 +157,8 @@ def redraw(study: StudyData, truth: Truth, *, seed: int, size: Size) -> StudyDat
                 evaluation, summary=replace(evaluation.summary, numbers=numbers)
             )
             runs.append(replace(run, interim=interim, evaluations={LABEL: evaluation}))
-        groups[agent] = Group.of(groups[agent].name, runs, LABEL)
+        before = groups[agent]
+        groups[agent] = Group.of(before.name, before.colour, runs, LABEL)
     return replace(study, tasks=(replace(task, groups=tuple(groups.values())),))
 
 

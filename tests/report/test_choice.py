@@ -15,7 +15,8 @@ from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
 from knowarm.report.verdicts.claims import Finding
-from knowarm.report.verdicts.query import query_findings, query_summary
+from knowarm.report.verdicts.knowledge import answer
+from knowarm.report.verdicts.query import query_findings
 from tests.report.synthetic_study import Size, choice_env, write_choice, write_run
 
 LIGHT = Size(points=8, episodes=400, tables=False)
@@ -150,9 +151,8 @@ def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
         ("S1", "understood"),
         ("S3", "not above chance"),
     ]
-    (summary,) = query_summary(findings)
-    assert summary.sentence.endswith(
-        "subgraph: understood on S1; not above chance on S3."
+    assert answer(findings, 1).sentence.endswith(
+        "subgraph: on S1 the query is understood; on S3 choices are not above chance."
     )
 
 

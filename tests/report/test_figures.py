@@ -128,7 +128,7 @@ def drawings():
 def test_long_names_of_rows_fit():
     name = "subgraph-shuffled"
     dot = Dot(name=name, colour="c-blue", value=Interval(0.5, 0.1, 0.9))
-    root = ElementTree.fromstring(dot_chart([dot], "name", Axis(title="x"), left=20))
+    root = ElementTree.fromstring(dot_chart([dot], "name", Axis(title="x")))
     (text,) = (each for each in root.iter() if each.text == name)
     assert float(text.get("x")) > 6.5 * len(name)
     longer = Dot(name=60 * "n", colour="c-blue", value=Interval(0.5, 0.1, 0.9))

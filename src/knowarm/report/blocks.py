@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from knowarm.experiment.summary import find_measure, measure
-from knowarm.report.model import Evaluated, Reference, TaskData
+from knowarm.report.model import Evaluated, Reference, StudyData, TaskData
 from knowarm.statistics import Interval
 
 Row = dict[str, Any]
@@ -53,10 +53,10 @@ class DataTable:
     name: str  # stem of the CSV file; unique in a report
     title: str
     columns: Sequence[Column]  # columns, left to right
-    # Values and intervals; ``_colour`` holds the palette class of a row.
+    # Values and intervals; ``_colour`` holds the palette class of a row. Of rows that a figure
+    # draws, ``_panel`` is the title of the drawing, ``_agent`` an `Evaluated`, ``_name`` its name.
     rows: Sequence[Row]
-    # Files and folders that the numbers were computed from.
-    sources: Sequence[Path] = ()
+    sources: Sequence[Path] = ()  # run folders that the numbers were computed from
     note: str = ""  # how the numbers were computed and what they do not show
 
     @property
@@ -83,28 +83,22 @@ class DataTable:
 
 
 def table_of(
-    task: TaskData,
+    of: TaskData | StudyData,
     name: str,
     title: str,
     columns: Iterable[str | Column],
     rows: Sequence[Row],
-    sources: Sequence[Path] | None = None,
     note: str = "",
     stem: str = "",
 ) -> DataTable:
-    """Return a table of one task, with columns as in `shared`, and a name that ends in the task's.
+    """Return a table of a task or study, with a name that ends in that of the task.
 
-    ``sources`` of None are all run folders of the task; ``stem`` ends the name of the CSV file.
+    Columns are given as they are, by a key of `COLUMNS`, or by that of a measure or text.
+    ``stem`` ends the name of the CSV file.
     """
-    if sources is None:
-        sources = [run.path for run in task.runs]
-    name = f"{name}-{task.name}{stem}"
-    return DataTable(name, title, shared(*columns), rows, sources, note)
-
-
-def shared(*columns: str | Column) -> list[Column]:
-    """Return columns, given as they are, by a key of `COLUMNS`, or by that of a measure or text."""
-    return [_column(column) for column in columns]
+    name = "-".join(filter(None, (name, of.name, stem)))
+    sources = [run.path for run in of.runs]
+    return DataTable(name, title, list(map(_column, columns)), rows, sources, note)
 
 
 def _column(column: str | Column) -> Column:
@@ -115,22 +109,15 @@ def _column(column: str | Column) -> Column:
     return column_of(column) if find_measure(column) else Column(column, column)
 
 
-def row_of(task: TaskData, evaluated: Evaluated, *keys: str) -> Row:
+def row_of(evaluated: Evaluated, *keys: str) -> Row:
     """Return the row of an agent: its name, seeds and colour, and numbers of its summary."""
     row: Row = {key: evaluated.level(key) for key in keys}
     row["agent"] = evaluated.name
-    row["_colour"] = task.colours[evaluated.name]
+    row["_agent"] = evaluated
+    row["_colour"] = evaluated.colour
     if not isinstance(evaluated, Reference):
         row["seeds"] = len(evaluated.evaluations)
     return row
-
-
-def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Path]:
-    """Return the paths of one file of all evaluations, sources of a table."""
-    paths = []
-    for agent in evaluated:
-        paths += [evaluation.folder / name for evaluation in agent.evaluations]
-    return paths
 
 
 Tone = Literal["good", "bad", "open", "note"]

@@ -13,6 +13,7 @@ from knowarm.report.format import number, percent, points, steps
 from knowarm.svg import Point, band, drawing, element, label, path
 
 BINS = 48  # of a density chart
+PIXELS_PER_TICK = 70  # of a horizontal axis, at least
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,9 @@ class Axis:
     def labels(self, ticks: Sequence[float]) -> list[str]:
         """Format ticks so that no label is rounded to another value."""
         values = np.multiply(ticks, self.unit)
-        decimals = self.decimals
-        while decimals < 9 and _is_cut(values, decimals):
-            decimals += 1
+        for decimals in range(self.decimals, 10):
+            if np.allclose(values.round(decimals), values, rtol=1e-9, atol=0.0):
+                break
         return [self.format(tick, decimals) for tick in ticks]
 
     def scale(self, values: Iterable[float], ends: tuple[float, float]) -> Scale:
@@ -114,12 +115,6 @@ class Axis:
         values = scale.ticks(count)
         pixels = map(scale, values)
         return list(zip(pixels, self.labels(values), strict=True))
-
-
-def _is_cut(values: Floats, decimals: int) -> bool:
-    """Return whether a value has more than a number of decimals."""
-    errors = np.abs(values.round(decimals) - values)
-    return bool((errors > 1e-9 * np.abs(values)).any())
 
 
 def percent_axis(title: str, *, whole: bool = True) -> Axis:
@@ -147,6 +142,32 @@ def rule(kind: str, x1: float, x2: float, y1: float, y2: float) -> str:
     return element("line", class_=kind, x1=x1, x2=x2, y1=y1, y2=y2)
 
 
+def tick(x: float, y: float, words: str, anchor: str = "middle") -> str:
+    """Draw the label of a tick."""
+    return label(x, y, words, class_="tick", text_anchor=anchor)
+
+
+def axis_below(box: Box, x: Scale, axis: Axis, *, is_grid: bool) -> list[str]:
+    """Draw ticks and title of a horizontal axis; lines of a grid cross the plot area."""
+    left, right = box.x
+    bottom, top = box.y
+    kind = "grid" if is_grid else "mark"
+    end = top if is_grid else bottom + 4
+    elements = []
+    for at, words in axis.ticks(x, max(2, int((right - left) / PIXELS_PER_TICK))):
+        elements.append(rule(kind, at, at, bottom, end))
+        elements.append(tick(at, bottom + 17, words))
+    title = label(
+        right, bottom + 33, axis.title, class_="axis-title", text_anchor="end"
+    )
+    return [*elements, title]
+
+
+def frame(elements: Sequence[str]) -> str:
+    """Group the elements of axes, which screen readers skip."""
+    return element("g", *elements, class_="axes", aria_hidden="true")
+
+
 def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     """Draw grid lines, tick labels and axis titles; the vertical axis has its title on top."""
     left, right = box.x
@@ -154,20 +175,13 @@ def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     elements = []
     for at, words in y_axis.ticks(y, 4):
         elements.append(rule("grid", left, right, at, at))
-        elements.append(
-            label(left - 6, at + 4, words, class_="tick", text_anchor="end")
-        )
-    for at, words in x_axis.ticks(x, max(4, int((right - left) / 85))):
-        elements.append(rule("mark", at, at, bottom, bottom + 4))
-        elements.append(
-            label(at, bottom + 17, words, class_="tick", text_anchor="middle")
-        )
+        elements.append(tick(left - 6, at + 4, words, "end"))
     elements += [
+        *axis_below(box, x, x_axis, is_grid=False),
         rule("axis", left, right, bottom, bottom),
         label(left - 40, top - 11, y_axis.title, class_="axis-title"),
-        label(right, bottom + 33, x_axis.title, class_="axis-title", text_anchor="end"),
     ]
-    return element("g", *elements, class_="axes", aria_hidden="true")
+    return frame(elements)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,10 +210,9 @@ def line_chart(
     x_axis: Axis,
     y_axis: Axis,
     *,
-    box: Box | None = None,
+    box: Box = BOXES["large"],
 ) -> str:
     """Draw lines over their bands; the page's script shows the values under the pointer."""
-    box = box or Box()
     xs = np.concatenate([line.x for line in series])
     low = float(xs.min())
     high = float(xs.max())
@@ -211,60 +224,52 @@ def line_chart(
     y = y_axis.scale(heights.tolist(), box.y)
     lines = [_line(line, x, y) for line in series]
     plot = (x.start, x.end, x.low, x.high, y.start, y.end)
-    kind = "chart lines many" if len(series) > 3 else "chart lines"
+    many = " many" if len(series) > 3 else ""
     return drawing(
         box.width,
         box.height,
         name,
         axes(box, x, y, x_axis, y_axis),
         *lines,
-        class_=kind,
+        class_=f"chart lines{many}",
         data_plot=" ".join(f"{value:.10g}" for value in plot),
-        data_y=f"{y.low:.10g} {y.high:.10g}",
     )
 
 
 def _line(series: Series, x: Scale, y: Scale) -> str:
     def pixels(xs: Floats, ys: Floats) -> list[Point]:
         if series.stairs:
-            return _pixels(x, y, np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1])
-        return _pixels(x, y, xs, ys)
-
-    def draw(xs: Floats, ys: Floats, kind: str) -> None:
-        for piece in _gapless(xs, ys):
-            corners = pixels(xs[piece], ys[piece])
-            elements.append(path(corners, class_=kind))
-            if len(corners) == 1 and kind != "seed":
-                ((cx, cy),) = corners
-                elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
+            xs = np.repeat(xs, 2)[1:]
+            ys = np.repeat(ys, 2)[:-1]
+        return list(zip(map(x, xs.tolist()), map(y, ys.tolist()), strict=True))
 
     elements: list[str] = []
     for xs, ys in series.faint:
-        draw(xs, ys, "seed")
+        for piece in _gapless(xs, ys):
+            corners = pixels(xs[piece], ys[piece])
+            elements.append(path(corners, class_="seed"))
     if series.band is not None:
         lower, upper = series.band
         for piece in _gapless(series.x, lower + upper):
-            xs = series.x[piece]
-            top = pixels(xs, upper[piece])
-            bottom = pixels(xs, lower[piece])
+            top = pixels(series.x[piece], upper[piece])
+            bottom = pixels(series.x[piece], lower[piece])
             elements.append(band(top, bottom, class_="band"))
-    draw(series.x, series.y, "line dashed" if series.dashed else "line")
-    known = []
-    for step, value in zip(series.x, series.y, strict=True):
-        if np.isfinite(value):
-            known.append(f"{step:.9g},{value:.9g}")
+    for piece in _gapless(series.x, series.y):
+        corners = pixels(series.x[piece], series.y[piece])
+        kind = "line dashed" if series.dashed else "line"
+        elements.append(path(corners, class_=kind))
+        if len(corners) == 1:
+            ((cx, cy),) = corners
+            elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
+    known = np.isfinite(series.y)
+    values = zip(series.x[known], series.y[known], strict=True)
     return element(
         "g",
         *elements,
         class_=f"series {series.colour}",
         data_name=series.name,
-        data_points=";".join(known),
+        data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in values),
     )
-
-
-def _pixels(x: Scale, y: Scale, xs: Floats, ys: Floats) -> list[Point]:
-    """Return the pixels of points, given their values."""
-    return list(zip(map(x, xs.tolist()), map(y, ys.tolist()), strict=True))
 
 
 def _gapless(x: Floats, y: Floats) -> list[slice]:
@@ -276,34 +281,31 @@ def histograms(samples: Sequence[Floats]) -> tuple[Floats, list[Floats]]:
     """Compute densities, (BINS,) each, on (BINS + 1,) edges around all but the outermost 0.1 %."""
     low = min(np.quantile(values, 0.001) for values in samples)
     high = max(np.quantile(values, 0.999) for values in samples)
-    if low == high:
-        high += 1e-3
-    edges = np.linspace(low, high, BINS + 1)
-    width = edges[1] - edges[0]
-    densities = []
-    for values in samples:
-        counts, _ = np.histogram(values, edges)
-        densities.append(counts / (values.size * width))
-    return edges, densities
+    edges = np.linspace(low, max(high, low + 1e-3), BINS + 1)
+    return edges, [np.histogram(values, edges, density=True)[0] for values in samples]
 
 
 def density_chart(
     samples: Mapping[str, Floats], colours: Mapping[str, str], name: str, x_title: str
 ) -> str:
     """Draw distributions, (n_i,) samples by name, as filled steps with a line at each mean."""
-    box = Box(width=320, height=190, left=40, top=26)
     edges, heights = histograms(list(samples.values()))
-    x = Scale(float(edges[0]), float(edges[-1]), *box.x)
-    y = Scale(0.0, 1.08 * float(np.max(heights)) or 1.0, *box.y)
-    x_axis = Axis(title=x_title, decimals=1)
-    y_axis = Axis(title="density", decimals=1)
-    elements = [axes(box, x, y, x_axis, y_axis)]
+    top = 1.08 * float(np.max(heights))
+    lines = []
     for (agent, values), height in zip(samples.items(), heights, strict=True):
-        corners = _pixels(x, y, np.repeat(edges, 2), np.pad(np.repeat(height, 2), 1))
-        mean = x(float(values.mean().clip(x.low, x.high)))
-        line = element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean")
-        area = path(corners, class_="area")
-        elements.append(
-            element("g", area, line, class_=f"series {colours[agent]}", data_name=agent)
+        mean = np.repeat(values.mean().clip(edges[0], edges[-1]), 2)
+        steps = np.append(height, 0.0)
+        line = Series(
+            name=agent,
+            colour=colours[agent],
+            x=edges,
+            y=steps,
+            band=(np.zeros_like(steps), steps),
+            faint=[(mean, np.array([0.0, top]))],
+            stairs=True,
         )
-    return drawing(box.width, box.height, name, *elements, class_="chart density")
+        lines.append(line)
+    x_axis = Axis(title=x_title, decimals=1)
+    y_axis = Axis(title="density", decimals=1, range=(0.0, top))
+    box = Box(width=320, height=190, left=40, top=26)
+    return line_chart(lines, name, x_axis, y_axis, box=box)

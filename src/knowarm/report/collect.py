@@ -9,7 +9,7 @@ from typing import Any
 
 from knowarm.config import flatten
 from knowarm.experiment.agents import AGENTS
-from knowarm.report.format import differing, slugs
+from knowarm.report.format import differing, palette, slugs
 from knowarm.report.model import (
     HELD_OUT,
     LATEST,
@@ -80,12 +80,13 @@ def _task(
 ) -> TaskData:
     label = _label(runs)
     runs = _comparable(runs, label, problems)
-    groups = []
+    by_name: dict[str, list[RunData]] = {}
     for same_agent in _grouped(runs, lambda run: run.config.agent).values():
         for group_name, same_settings in _by_settings(same_agent).items():
-            chosen = _one_run_per_seed(same_settings, problems)
-            groups.append(Group.of(group_name, chosen, label))
-    groups.sort(key=lambda group: rank(group.role, group.agent))
+            by_name[group_name] = _one_run_per_seed(same_settings, problems)
+    by_rank = sorted(by_name.items(), key=lambda item: rank(item[1][0].config))
+    colours = palette((name, runs[0].config.agent) for name, runs in by_rank)
+    groups = [Group.of(name, colours[name], runs, label) for name, runs in by_rank]
     compared = evaluated_runs(runs, label)
     alike: list[Reference] = []
     if compared:
@@ -114,15 +115,14 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     references: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        config = run.config
-        role, *agent = rank(config.role, config.agent)
-        return role, -config.knows.rank, agent, config.seed
+        role, *agent = rank(run.config)
+        return role, -run.config.knows.rank, agent, run.config.seed
 
     for run in sorted(runs, key=order):
         agent = run.config.agent
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {agent}", [evaluation])
+                reference = Reference(f"untrained {agent}", "c-faint", [evaluation])
                 references.setdefault((_task_key(run), agent), reference)
     return list(references.values())
 

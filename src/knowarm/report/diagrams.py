@@ -1,16 +1,19 @@
 """Diagrams with one row per item in SVG: dot charts, confusion matrices."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from knowarm.arrays import Floats
-from knowarm.report.blocks import Panel
-from knowarm.report.charts import Axis, Box, Scale, rule
-from knowarm.report.format import facet, percent
-from knowarm.report.model import Evaluated, TaskData
+from knowarm.report.blocks import DataTable, Panel
+from knowarm.report.charts import Axis, Box, Scale, axis_below, frame, rule, tick
+from knowarm.report.format import percent
+from knowarm.report.model import Evaluated
 from knowarm.statistics import Interval
 from knowarm.svg import drawing, element, hover, label, text_width
 
+LEAST_SPACE = 100.0  # for the names of the rows of a dot chart [px]
 ROW = 34  # height of a row of a dot chart [px]
 WIDTH = 560.0  # of a confusion matrix [px]
 CONFUSION_CELL = 34.0  # largest side of a cell of a confusion matrix [px]
@@ -28,23 +31,35 @@ class Dot:
     ring: float | None = None
 
 
-def group_dot(
-    task: TaskData, group: Evaluated, key: str, ring: float | None = None
-) -> Dot:
-    """Return the row of one number of a summary: the mean over seeds, and each seed."""
-    single = []
-    if len(group.evaluations) > 1:
-        single = group.scores(key).tolist()
-    return Dot(group.name, task.colours[group.name], group.level(key), single, ring)
+def dot_panels(
+    table: DataTable,
+    key: str,
+    axis: Axis,
+    *,
+    seeds: bool = False,
+    zero: bool = False,
+    width: float = 400,
+) -> list[Panel]:
+    """Draw a column of a table: one dot chart per title ``_panel`` of its rows.
 
-
-def part_panels(dots: Mapping[str, Sequence[Dot]], axis: Axis) -> list[Panel]:
-    """Draw one dot chart per target, facet or kind of query."""
+    Rows without such a title are not drawn. ``seeds`` adds the values of the training seeds, and a
+    column ``paper_<key>`` is drawn as a ring.
+    """
+    charts: dict[str, list[Dot]] = {}
+    for row in table.rows:
+        if "_panel" in row:
+            agent: Evaluated = row["_agent"]
+            single = []
+            if seeds and len(agent.evaluations) > 1:
+                single = agent.scores(key).tolist()
+            name = row.get("_name", agent.name)
+            ring = row.get(f"paper_{key}")
+            dot = Dot(name, agent.colour, row[key], single, ring)
+            charts.setdefault(row["_panel"], []).append(dot)
     panels = []
-    for part, rows in dots.items():
-        title = facet(part)
-        svg = dot_chart(rows, f"{axis.title} on {title}", axis, width=340, left=100)
-        panels.append(Panel(svg, title))
+    for title, dots in charts.items():
+        name = f"{table.title}, {title}"
+        panels.append(Panel(dot_chart(dots, name, axis, zero=zero, width=width), title))
     return panels
 
 
@@ -55,10 +70,9 @@ def dot_chart(
     *,
     zero: bool = False,
     width: float = 400,
-    left: float = 96,
 ) -> str:
-    """Draw one row per estimate; ``zero`` adds a line, ``left`` is least space for names [px]."""
-    space = max([left, *(text_width(dot.name) + 14 for dot in dots)])
+    """Draw one row per estimate; ``zero`` adds a line at 0."""
+    space = max(LEAST_SPACE, *(text_width(dot.name) + 14 for dot in dots))
     box = Box(
         width=max(width, space + 184),
         height=ROW * len(dots) + 52,
@@ -67,25 +81,17 @@ def dot_chart(
         top=8,
         bottom=44,
     )
-    start, end = box.x
     bottom, top = box.y
     x = axis.scale(_drawn_values(dots, zero), box.x)
-    elements = []
-    for at, words in axis.ticks(x, max(2, int((end - start) / 70))):
-        elements.append(rule("grid", at, at, top, bottom))
-        elements.append(
-            label(at, bottom + 16, words, class_="tick", text_anchor="middle")
-        )
+    elements = axis_below(box, x, axis, is_grid=True)
     if zero:
         elements.append(rule("zero", x(0), x(0), top, bottom))
-    elements.append(
-        label(end, bottom + 34, axis.title, class_="axis-title", text_anchor="end")
-    )
-    frame = element("g", *elements, class_="axes", aria_hidden="true")
     rows = [
         _dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)
     ]
-    return drawing(box.width, box.height, name, frame, *rows, class_="chart dots")
+    return drawing(
+        box.width, box.height, name, frame(elements), *rows, class_="chart dots"
+    )
 
 
 def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
@@ -104,9 +110,7 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
         elements.append(element("circle", cx=x(value), cy=y, r=r, class_=kind))
 
     words = dot.name
-    elements = [
-        label(box.left - 10, y + 4, words, class_="row-name", text_anchor="end")
-    ]
+    elements = [_row_name(box.left - 10, y + 4, words)]
     for single in dot.single:
         circle(single, y + 9, 2.2, "single")
     value = dot.value
@@ -137,29 +141,29 @@ def confusion_map(
     bottom = len(rows) * size
     elements = []
     for i, row in enumerate(rows):
-        y = i * size
-        elements.append(
-            label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end")
-        )
-        for j, column in enumerate(columns):
-            share = float(shares[i, j])
-            cell = element(
-                "rect",
-                hover(f"{row}, chosen {column}: {percent(share, 0)}"),
-                x=left + j * size,
-                y=y,
-                width=size - 1,
-                height=size - 1,
-                class_="cell",
-                fill_opacity=round(0.06 + 0.94 * share, 3),
-            )
-            elements.append(cell)
-    y = bottom + 6  # of the names below, which are turned
-    for j, column in enumerate(columns):
+        middle = (i + 0.5) * size + 4
+        elements.append(_row_name(left - 6, middle, row))
+    for j, column in enumerate(columns):  # their names are turned
         x = left + (j + 0.5) * size + 4
-        turn = f"rotate(-90 {x:.6g} {y:.6g})"
+        turn = f"rotate(-90 {x:.6g} {bottom + 6:.6g})"
         elements.append(
-            label(x, y, column, class_="tick", transform=turn, text_anchor="end")
+            element("g", tick(x, bottom + 6, column, "end"), transform=turn)
         )
+    for (i, j), share in np.ndenumerate(shares):
+        cell = element(
+            "rect",
+            hover(f"{rows[i]}, chosen {columns[j]}: {percent(share, 0)}"),
+            x=left + j * size,
+            y=i * size,
+            width=size - 1,
+            height=size - 1,
+            class_="cell",
+            fill_opacity=round(0.06 + 0.94 * float(share), 3),
+        )
+        elements.append(cell)
     width = left + len(columns) * size
     return drawing(width, bottom + below, title, *elements, class_="chart heat")
+
+
+def _row_name(x: float, y: float, name: str) -> str:
+    return label(x, y, name, class_="row-name", text_anchor="end")

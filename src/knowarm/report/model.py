@@ -18,7 +18,6 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, Summary, read_table
 from knowarm.knowledge.queries.splits import SPLITS
-from knowarm.report.format import palette
 from knowarm.statistics import Interval, mean_of_runs
 
 # Suffixes of evaluations other than that of the best model on its training task.
@@ -79,6 +78,7 @@ class Evaluated:
     """Evaluations of one agent on the same episodes."""
 
     name: str  # name shown in the report
+    colour: str  # palette class
     evaluations: list[Evaluation]  # one evaluation per training seed
 
     def scores(self, key: str) -> np.ndarray:
@@ -189,11 +189,11 @@ class Group(Evaluated):
     label: str  # label of the evaluation that the task compares; "" if there is none
 
     @classmethod
-    def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
+    def of(cls, name: str, colour: str, runs: Sequence[RunData], label: str) -> "Group":
         """Return the runs as a group."""
         evaluated = evaluated_runs(runs, label)
         evaluations = [run.evaluations[label] for run in evaluated]
-        return cls(name, evaluations, tuple(runs), label)
+        return cls(name, colour, evaluations, tuple(runs), label)
 
     @property
     def config(self) -> ExperimentConfig:
@@ -319,7 +319,7 @@ class TaskData:
                 for label, evaluation in run.evaluations.items():
                     if not label.endswith((UNTRAINED, LATEST)):
                         agents = sets[label, evaluation.rules]
-                        agent = TestedGroup(group.name, [], group)
+                        agent = TestedGroup(group.name, group.colour, [], group)
                         agents.setdefault(group, agent).evaluations.append(evaluation)
         return dict(sorted(sets.items(), key=lambda item: item[0][0]))
 
@@ -338,12 +338,6 @@ class TaskData:
                 most[first.split] = count
                 splits[first.split] = agents
         return {split: splits[split] for split in SPLITS if split in splits}
-
-    @cached_property
-    def colours(self) -> dict[str, str]:
-        """Palette class of every group and reference."""
-        classes = palette((group.name, group.agent) for group in self.groups)
-        return classes | {reference.name: "c-faint" for reference in self.references}
 
     @property
     def horizon(self) -> float:
@@ -365,6 +359,7 @@ class StudyData:
 
     tasks: tuple[TaskData, ...]  # tasks by title
     problems: tuple[FolderProblem, ...] = ()  # defects of the folders, by path
+    name = ""  # in the names of its tables
 
     @property
     def runs(self) -> list[RunData]:
@@ -375,6 +370,7 @@ class StudyData:
         return runs
 
 
-def rank(role: Role, agent: str) -> tuple[int, int, str]:
+def rank(config: ExperimentConfig) -> tuple[int, int, str]:
     """Return the sort key of an agent: by role, then in the registry's order."""
-    return ROLES.index(role), [*AGENTS, agent].index(agent), agent
+    agent = config.agent
+    return ROLES.index(config.role), [*AGENTS, agent].index(agent), agent

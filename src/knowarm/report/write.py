@@ -25,7 +25,6 @@ from knowarm.svg import style_sheet
 DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
-MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
 TEMPLATES = Path(__file__).parent / "templates"
 # Rows of a table that are written into the page; the CSV has all of them.
 LONG_TABLE = 400
@@ -164,20 +163,14 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
         lstrip_blocks=True,
     )
 
-    def source_links(table: DataTable) -> list[tuple[str, str]]:
-        paths = dict.fromkeys(_plain(table.sources, start))
-        return [(quote(path), path) for path in paths]
-
     environment.filters["raw"] = lambda value: _raw(value, start)
     environment.globals.update(
         cell=lambda column, row: _cell(column, row, start),
-        source_links=source_links,
         csv_link=lambda table: quote(f"{out.stem}-data/{table.name}.csv"),
         kind=lambda block: type(block).__name__,
         numeric=lambda column: column.format not in ("text", "path"),
         long_table=LONG_TABLE,
         folded_rows=FOLDED_ROWS,
-        most_sources=MOST_SOURCES,
     )
     title = tasks[0].title
     if len(tasks) > 1:

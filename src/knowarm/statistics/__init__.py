@@ -3,6 +3,7 @@
 from knowarm.statistics.bootstrap import Interval as Interval
 from knowarm.statistics.bootstrap import bootstrap as bootstrap
 from knowarm.statistics.bootstrap import iqm as iqm
+from knowarm.statistics.bootstrap import mean_band as mean_band
 from knowarm.statistics.bootstrap import mean_of_runs as mean_of_runs
 from knowarm.statistics.bootstrap import performance_profile as performance_profile
 from knowarm.statistics.bootstrap import (

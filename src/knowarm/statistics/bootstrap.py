@@ -4,6 +4,7 @@
 """
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -161,14 +162,29 @@ def performance_profile(
         Three (T,) float64 arrays: the fraction, and the ends of its pointwise bootstrap band.
     """
     above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
-    runs = len(above)
-    # How often each run occurs in each resample.
-    chances = np.full(runs, 1 / runs)
-    counts = np.random.default_rng(0).multinomial(runs, chances, REPETITIONS)
-    fractions = counts @ above / runs
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(fractions, [tail, 1 - tail], axis=0)
+    low, high = mean_band(above, REPETITIONS)
     return above.mean(axis=0), low, high
+
+
+def mean_band(table: Floats, repetitions: int) -> tuple[Floats, Floats]:
+    """Bootstrap the means of the columns of a table, (runs, T), over its rows.
+
+    Missing values are NaN, and so are the ends for a column without any.
+
+    Returns:
+        Two (T,) float64 arrays: the ends of the pointwise percentile intervals.
+    """
+    runs = len(table)
+    chances = np.full(runs, 1 / runs)
+    # How often each run occurs in each resample.
+    draws = np.random.default_rng(0).multinomial(runs, chances, repetitions)
+    present = np.isfinite(table)
+    totals = draws @ np.where(present, table, 0.0)
+    with warnings.catch_warnings():  # resamples and columns without any value
+        warnings.simplefilter("ignore", RuntimeWarning)
+        means = totals / (draws @ present.astype(float))
+        low, high = np.nanquantile(means, [0.025, 0.975], axis=0)
+    return low, high
 
 
 def _percentiles(

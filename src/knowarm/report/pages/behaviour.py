@@ -23,7 +23,7 @@ from knowarm.report.blocks import (
 )
 from knowarm.report.charts import density_chart
 from knowarm.report.format import facet, signed
-from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.model import Evaluated, Evaluation, Group, TaskData
 from knowarm.report.pages.paper import published_comparison
 
 STRIP_FRAMES = 8  # frames of a film strip
@@ -54,6 +54,7 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
     one, other = [evaluation.joint_angles() for evaluation in evaluations]
     published = published_comparison(task, first, second).get("std_changes", {})
+    colours = {group.name: group.colour for group in (first, second)}
     names = dict(enumerate(evaluations[0].summary.joints, start=1))
     rows = []
     panels = []
@@ -76,7 +77,7 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         title += f": difference of means {mean}, of std {std}"
         angles = {second.name: other[joint], first.name: one[joint]}
         name = f"Angles of joint {joint}"
-        svg = density_chart(angles, task.colours, name, "angle [rad]")
+        svg = density_chart(angles, colours, name, "angle [rad]")
         panels.append(Panel(svg, title))
     columns = [Column("joint", "joint", "integer")]
     for statistic in STATISTICS:
@@ -86,15 +87,14 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
             Column(f"{statistic}_change", "difference", "signed"),
         ]
     columns.append(Column("paper_std_change", "paper", "signed"))
-    sources = [evaluation.folder / "steps.parquet" for evaluation in evaluations]
     title = f"Joint angles of {first.name} and {second.name} [rad]"
     return Figure(
-        table_of(task, "joints", title, columns, rows, sources),
+        table_of(task, "joints", title, columns, rows),
         f"Differences: {first.name} minus {second.name} [rad]; std: standard deviation. "
-        "Dashed: means. One trained network per agent: another training seed may change them as "
-        "much as the knowledge does.",
+        "Vertical lines: means. One trained network per agent: another training seed may change "
+        "them as much as the knowledge does.",
         panels,
-        legend=[(group.name, task.colours[group.name]) for group in (first, second)],
+        legend=list(colours.items()),
     )
 
 
@@ -106,15 +106,15 @@ def film_blocks(task: TaskData) -> list[Films]:
     """Show agents on the same episodes: the policy's images as a strip and as an animation."""
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
-    filmed: dict[str, Evaluation] = {}
+    filmed: dict[Evaluated, Evaluation] = {}
     for group in groups:
         best = group.best
         if best and best.films() and len(filmed) < MOST_AGENTS:
-            filmed[group.name] = best
+            filmed[group] = best
     for reference in task.references:
         (evaluation,) = reference.evaluations
         if evaluation.films():
-            filmed[reference.name] = evaluation
+            filmed[reference] = evaluation
     if not filmed:
         return []
     common = set.intersection(*(set(best.films()) for best in filmed.values()))
@@ -122,10 +122,7 @@ def film_blocks(task: TaskData) -> list[Films]:
     with suppress(UserError):
         first_filmed = next(iter(filmed.values()))
         for number, words in _first_of_each_target(first_filmed, sorted(common)):
-            films = []
-            for name, best in filmed.items():
-                film = _film(name, task.colours[name], best, number)
-                films.append(film)
+            films = [_film(agent, best, number) for agent, best in filmed.items()]
             blocks.append(Films(f"Episode {number}, {words}", films))
     return blocks
 
@@ -150,20 +147,20 @@ def query_words(text: str) -> str:
     return " ".join(label_of(word, {}) for word in text.split(" "))
 
 
-def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
+def _film(agent: Evaluated, evaluation: Evaluation, number: int) -> Film:
     path = evaluation.films()[number]
     frames = read_film(path)
     last = len(frames) - 1
     places = np.linspace(0, last, min(STRIP_FRAMES, len(frames))).round().astype(int)
     height, width = frames.shape[1:3]
     return Film(
-        name,
+        agent.name,
         strip=[(_png(frames[step]), f"step {step}") for step in places.tolist()],
         moving=data_uri("WEBP", read_bytes(path)),
         poster=_png(frames[last]),
         size=(width, height),
         text=_outcome(evaluation, number),
-        colour=colour,
+        colour=agent.colour,
     )
 
 

@@ -18,10 +18,10 @@ from knowarm.report.blocks import (
     table_of,
 )
 from knowarm.report.charts import SUCCESS_AXIS, Series, near, percent_axis
-from knowarm.report.model import Evaluation, Group, TaskData
-from knowarm.report.pages.knowledge import forest_figure
+from knowarm.report.model import Group, TaskData
+from knowarm.report.pages.knowledge import claim_row, forest_figure
 from knowarm.report.pages.paper import published_comparison
-from knowarm.report.pages.training import sized_panels
+from knowarm.report.pages.training import line_figure, line_rows
 from knowarm.report.verdicts.claims import (
     ALPHA,
     FEW_SEEDS,
@@ -135,27 +135,22 @@ def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
     rows = [_comparison_row(claim) for claim in claims]
     title = "Differences between agents"
     table = table_of(
-        task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE
+        task, "comparisons", title, COMPARISON_COLUMNS, rows, COMPARISON_NOTE
     )
-    panels: dict[str, list[Claim]] = {words: [] for words in OUTCOMES.values()}
-    for claim in claims:
-        panels[OUTCOMES[claim.outcome]].append(claim)
-    return forest_figure(table, COMPARISON_CAPTION, panels)
+    return forest_figure(table, COMPARISON_CAPTION)
 
 
 def _comparison_row(claim: Claim) -> Row:
-    row: Row = {
-        "outcome": OUTCOMES[claim.outcome],
+    outcome = OUTCOMES[claim.outcome]
+    row = claim_row(claim, outcome) | {
+        "outcome": outcome,
         "first": claim.first.name,
         "second": claim.against,
         "seeds": str(claim.seeds),
-        "verdict": claim.verdict,
-        "adjusted_p": claim.adjusted_p,
     }
     compared = claim.comparison
     if compared:
         row |= {
-            "difference": compared.difference,
             "seeds": f"{compared.first_count} / {compared.second_count}",
             "effect_size": compared.effect_size,
             "p": compared.p_value,
@@ -172,7 +167,7 @@ def _scores(task: TaskData) -> DataTable:
     rows = []
     for group in task.groups:
         final = scores(task, group, "success")
-        row = row_of(task, group) | {
+        row = row_of(group) | {
             "seeds": len(final),
             "mean": _with_interval(final, np.mean),
             "iqm": _with_interval(final, iqm),
@@ -190,7 +185,7 @@ def _scores(task: TaskData) -> DataTable:
         estimate_column("area", "mean during training"),
     )
     title = "Success over training seeds"
-    return table_of(task, "scores", title, columns, rows, note=SCORES_NOTE)
+    return table_of(task, "scores", title, columns, rows, SCORES_NOTE)
 
 
 def _with_interval(
@@ -208,51 +203,38 @@ def _profile(task: TaskData) -> Figure | None:
     for group in task.groups:
         final = scores(task, group, "success")
         if final.size >= FEWEST_SEEDS:
-            finals[group.name] = final
+            finals[group] = final
     if not finals:
         return None
     axis = near(SUCCESS_AXIS, np.concatenate([*finals.values()]).tolist())
-    drawn = min(axis.range or (0.0,)) <= PROFILE_LEVELS
-    series = []
-    rows = []
-    for agent, final in finals.items():
-        colour = task.colours[agent]
-        profile = np.stack(performance_profile(final, PROFILE_LEVELS))
-        share, low, high = profile[:, drawn]
+    start, _ = axis.range or (0.0, 1.0)
+    levels = PROFILE_LEVELS[start <= PROFILE_LEVELS]
+    lines = []
+    for group, final in finals.items():
+        share, low, high = performance_profile(final, levels)
         line = Series(
-            name=agent,
-            colour=colour,
-            x=PROFILE_LEVELS[drawn],
+            name=group.name,
+            colour=group.colour,
+            x=levels,
             y=share,
             band=(low, high),
             stairs=True,
         )
-        series.append(line)
-        for level, values in zip(
-            PROFILE_LEVELS.tolist(), profile.T.tolist(), strict=True
-        ):
-            row = {"agent": agent, "level": level, "share": Interval(*values)}
-            rows.append(row | {"_colour": colour})
-    name = f"Share of runs above each level of success on {task.title}"
-    return Figure(
-        table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows),
-        PROFILE_CAPTION,
-        sized_panels(series, name, axis, percent_axis("runs above")),
-        legend=[(line.name, line.colour) for line in series],
-    )
+        lines.append(line)
+    rows = line_rows({"share": lines}, "level")
+    table = table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows)
+    axes = {"share": percent_axis("runs above")}
+    return line_figure(table, PROFILE_CAPTION, {"share": lines}, axis, axes)
 
 
 def _variance(task: TaskData) -> DataTable | None:
     """Run the paper's one-way ANOVA (section 5.3) on success rates over evaluation seeds."""
     rows = []
-    sources = []
     for first, second, _ in pairs(task):
-        evaluated = success_rates(first)
-        other_evaluated = success_rates(second)
-        if not evaluated or not other_evaluated:
+        rates = success_rates(first)
+        other_rates = success_rates(second)
+        if rates is None or other_rates is None:
             continue
-        evaluation, rates = evaluated
-        other_evaluation, other_rates = other_evaluated
         f_value, p_value = one_way_anova([rates, other_rates])
         row = {
             "first": first.name,
@@ -265,17 +247,13 @@ def _variance(task: TaskData) -> DataTable | None:
             "paper_f": published_comparison(task, first, second).get("anova_f"),
         }
         rows.append(row)
-        sources.append(evaluation.folder / "episodes.parquet")
-        sources.append(other_evaluation.folder / "episodes.parquet")
     if not rows:
         return None
     title = "The paper's analysis of variance over evaluation seeds"
-    return table_of(
-        task, "anova", title, VARIANCE_COLUMNS, rows, sources, VARIANCE_NOTE
-    )
+    return table_of(task, "anova", title, VARIANCE_COLUMNS, rows, VARIANCE_NOTE)
 
 
-def success_rates(group: Group) -> tuple[Evaluation, Floats] | None:
+def success_rates(group: Group) -> Floats | None:
     """Return the success rate per evaluation seed of the best run, where there are enough seeds."""
     if group.best_run is None:
         return None
@@ -288,5 +266,5 @@ def success_rates(group: Group) -> tuple[Evaluation, Floats] | None:
             continue
         seeds = episodes["evaluation_seed"]
         rates = [episodes["success"][seeds == seed].mean() for seed in np.unique(seeds)]
-        return (evaluation, np.array(rates)) if len(rates) > 1 else None
+        return np.array(rates) if len(rates) > 1 else None
     return None

@@ -1,7 +1,6 @@
 """Page "Inputs": the knowledge vector of each agent, its sentences, and network sizes."""
 
 from contextlib import suppress
-from pathlib import Path
 
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
@@ -94,16 +93,10 @@ def input_blocks(task: TaskData) -> list[Block]:
             ]
             title = f"Sentence of each slot: {group.name}"
             columns = ("slot", "sentence")
-            stem = f"-{stems[group.name]}"
-            table = table_of(
-                task, "sentences", title, columns, rows, [_source(group)], stem=stem
-            )
+            stem = stems[group.name]
+            table = table_of(task, "sentences", title, columns, rows, stem=stem)
             blocks.append(table)
     return [*blocks, *_parameters(task)]
-
-
-def _source(group: Group) -> Path:
-    return group.runs[0].path / "provenance.json"
 
 
 def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
@@ -186,20 +179,17 @@ def _overview(task: TaskData, vectors: Vectors) -> DataTable:
                 row["coverage"] = knowledge.coverage["share"]
         rows.append(row)
     title = "Knowledge vectors"
-    sources = list(map(_source, task.groups))
-    return table_of(task, "knowledge", title, COLUMNS, rows, sources, note)
+    return table_of(task, "knowledge", title, COLUMNS, rows, note)
 
 
 def _parameters(task: TaskData) -> list[Block]:
     """List the trainable parameters by part; nothing if no run stored its counts."""
     rows = []
-    sources = []
     columns = {"agent": Column("agent", "agent")}
     for group in task.groups:
         counts = group.runs[0].provenance.parameter_counts
         if counts:
             rows.append({"agent": group.name, **counts})
-            sources.append(_source(group))
         for part, count in counts.items():
             if count:
                 columns[part] = Column(part, part, "integer")
@@ -207,7 +197,5 @@ def _parameters(task: TaskData) -> list[Block]:
         return []
     title = "Trainable parameters by part of the network"
     return [
-        table_of(
-            task, "parameters", title, columns.values(), rows, sources, PARAMETERS_NOTE
-        )
+        table_of(task, "parameters", title, columns.values(), rows, PARAMETERS_NOTE)
     ]

@@ -1,7 +1,6 @@
 """Page "Knowledge": each subject against the controls, and under other conditions."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report.blocks import (
@@ -9,15 +8,13 @@ from knowarm.report.blocks import (
     Column,
     DataTable,
     Figure,
-    Panel,
     Row,
     estimate_column,
-    files,
     row_of,
     table_of,
 )
 from knowarm.report.charts import POINTS_AXIS
-from knowarm.report.diagrams import Dot, dot_chart
+from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import integer, slugs
 from knowarm.report.model import Group, TaskData
 from knowarm.report.pages.results import conditions
@@ -58,7 +55,7 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     stem = ""
     for subject in task.subjects:
         if blocks:
-            stem = f"-{slugs([subject.name])[subject.name]}"
+            stem = slugs([subject.name])[subject.name]
         for outcome in OUTCOMES:
             found = finding(task, decided, outcome, subject)
             blocks.append(found.verdict())
@@ -70,26 +67,21 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
 def _controls(task: TaskData, subject: Group, decided: list[Claim], stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
     name = subject.name
-    final = claims_on(decided, task, subject, "success")
     size = size_of(subject, "parameters")
     rows = []
-    for claim in final:
+    for claim in claims_on(decided, task, subject, "success"):
         other = claim.second
         if other is None:
             continue
         parameters = size_of(other, "parameters")
-        row: Row = {
+        row = claim_row(claim, "") | {
             "control": other.name,
             "role": other.role.replace("_", " "),
             "parameters": parameters,
             "equal": size and parameters and abs(parameters / size - 1) <= TOLERANCE,
-            "adjusted_p": claim.adjusted_p,
-            "verdict": claim.verdict,
         }
         if other.agent in AGENTS:
             row["about"] = AGENTS[other.agent].about
-        if claim.comparison:
-            row["difference"] = claim.comparison.difference
         rows.append(row)
     columns = (
         Column("control", "agent"),
@@ -103,42 +95,38 @@ def _controls(task: TaskData, subject: Group, decided: list[Claim], stem: str) -
     )
     note = f"{name} has {integer(size)} trainable parameters."
     title = f"{name} against each other agent"
-    table = table_of(task, "controls", title, columns, rows, note=note, stem=stem)
-    return forest_figure(table, CONTROLS_CAPTION.format(subject=name), {"": final})
+    table = table_of(task, "controls", title, columns, rows, note, stem)
+    return forest_figure(table, CONTROLS_CAPTION.format(subject=name))
 
 
-def forest_figure(
-    table: DataTable, caption: str, panels: Mapping[str, Sequence[Claim]]
-) -> Block:
-    """Draw the intervals of the claims around zero, by title; the table alone if there are none."""
-    drawn = []
-    for title, claims in panels.items():
-        dots = []
-        for claim in claims:
-            if claim.comparison:
-                pair = f"{claim.first.name} \u2212 {claim.against}"
-                colour = claim.task.colours[claim.against]
-                dots.append(Dot(pair, colour, claim.comparison.difference))
-        if dots:
-            name = f"{table.title}, {title}" if title else table.title
-            svg = dot_chart(dots, name, POINTS_AXIS, zero=True, width=390, left=132)
-            drawn.append(Panel(svg, title))
-    if not drawn:
+def claim_row(claim: Claim, panel: str) -> Row:
+    """Return the difference that a claim decides on, drawn in the panel of a title."""
+    row: Row = {"verdict": claim.verdict, "adjusted_p": claim.adjusted_p}
+    if claim.comparison and claim.second:
+        row["difference"] = claim.comparison.difference
+        row["_panel"] = panel
+        row["_name"] = f"{claim.first.name} \u2212 {claim.against}"
+        row["_agent"] = claim.second
+    return row
+
+
+def forest_figure(table: DataTable, caption: str) -> Block:
+    """Draw the intervals of differences around zero; the table alone if there are none."""
+    panels = dot_panels(table, "difference", POINTS_AXIS, zero=True, width=390)
+    if not panels:
         return table
-    return Figure(table, caption, drawn, open_table=True)
+    return Figure(table, caption, panels, open_table=True)
 
 
 def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTable]:
     """Show the evaluations under other labels, such as held-out colours or sampled actions."""
     labels = Counter(label for label, _ in task.evaluation_sets)
     rows = []
-    tested = []
     for (label, _), agents in task.evaluation_sets.items():
         if label == task.label:
             continue
         for group, agent in agents.items():
-            tested.append(agent)
-            row = row_of(task, agent)
+            row = row_of(agent)
             row["label"] = label
             if labels[label] > 1:
                 row["label"] += f": {conditions(agent.evaluations[0])}"
@@ -159,7 +147,4 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
         estimate_column("difference", f"{subject.name} minus it [points]", "points"),
     )
     title = "Other conditions"
-    sources = files(tested, "")
-    return [
-        table_of(task, "elsewhere", title, columns, rows, sources, ELSEWHERE_NOTE, stem)
-    ]
+    return [table_of(task, "elsewhere", title, columns, rows, ELSEWHERE_NOTE, stem)]

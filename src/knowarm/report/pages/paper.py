@@ -13,16 +13,14 @@ from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
     Column,
-    DataTable,
     Figure,
-    Panel,
     Text,
     estimate_column,
     row_of,
-    shared,
+    table_of,
 )
 from knowarm.report.charts import percent_axis
-from knowarm.report.diagrams import dot_chart, group_dot
+from knowarm.report.diagrams import dot_panels
 from knowarm.report.model import Group, StudyData, TaskData, evaluated_runs
 from knowarm.statistics import Interval, bootstrap
 
@@ -31,7 +29,7 @@ RESULTS = Path(__file__).parents[1] / "paper_results.json"
 
 ACCURACY_AXIS = percent_axis("accuracy")
 
-COLUMNS = shared(
+COLUMNS = (
     "task",
     "agent",
     "seeds",
@@ -104,31 +102,23 @@ def time_saved(steps: float | None, baseline_steps: float | None) -> float | Non
 def paper_blocks(study: StudyData) -> list[Block]:
     """Show accuracy, step of the best model and learning time, measured and published."""
     rows = []
-    panels = []
-    sources = []
     for task in study.tasks:
-        dots = []
         for group in task.groups:
             published = published_result(task, group.agent)
             if published:
-                accuracy = published["accuracy"]
-                row = row_of(task, group, "accuracy") | {
+                row = row_of(group, "accuracy") | {
                     "task": task.title,
-                    "paper_accuracy": accuracy,
+                    "_panel": task.title,
+                    "paper_accuracy": published["accuracy"],
                     "best_step": _best_steps(group),
                     "paper_step": published["best_step"],
                 }
                 rows.append(row)
-                dots.append(group_dot(task, group, "accuracy", accuracy))
-        if dots:
-            name = f"Accuracy on {task.title}, measured and published"
-            panels.append(Panel(dot_chart(dots, name, ACCURACY_AXIS), task.title))
-            sources += [run.path for run in task.runs]
-    if not panels:
+    if not rows:
         return []
-    table = DataTable(
-        "paper", "Accuracy and learning time", COLUMNS, rows, sources, NOTE
-    )
+    title = "Accuracy and learning time"
+    table = table_of(study, "paper", title, COLUMNS, rows, NOTE)
+    panels = dot_panels(table, "accuracy", ACCURACY_AXIS, seeds=True)
     return [Figure(table, CAPTION, panels, open_table=True), Text([EXPLANATION])]
 
 

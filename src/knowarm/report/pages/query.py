@@ -1,6 +1,5 @@
 """Page "Query": which object each agent chose, by split, by kind of query and by object."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 from itertools import chain
 
@@ -19,19 +18,11 @@ from knowarm.report.blocks import (
     Row,
     Verdict,
     column_of,
-    files,
     row_of,
-    shared,
     table_of,
 )
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
-from knowarm.report.diagrams import (
-    Dot,
-    confusion_map,
-    dot_chart,
-    group_dot,
-    part_panels,
-)
+from knowarm.report.diagrams import confusion_map, dot_panels
 from knowarm.report.format import facet
 from knowarm.report.model import TaskData, TestedGroup
 from knowarm.report.pages.training import curve_figure
@@ -51,12 +42,6 @@ EXPLANATION = (
 
 BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)
 
-SPLIT_COLUMNS = shared("split", "agent", "seeds")
-CHOICE_COLUMNS = (
-    Column("chance", "chance", "percent"),
-    *shared("choice", "choice_corrected"),
-)
-REACH_COLUMNS = shared("success", "success_if_chosen", "success_corrected")
 MEASURE_NOTE = (
     "95 % intervals: over five or more training seeds (bootstrap of the mean), "
     "over episodes where there is one."
@@ -70,30 +55,54 @@ BINDING_NOTE = (
     "another visible object. 100 points: it always goes where it is told; 0: the question changes "
     "nothing."
 )
-SWITCH_COLUMNS = (
-    column_of("choice", "new answer"),
-    *shared("chose_old_answer", "switched"),
-)
 SWITCH_NOTE = (
     "Shares of episodes that ended at the object that the query means in the edited graph "
     "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
     "not visible in every episode, so compare with the controls rather than with one half."
 )
-FURTHER_TABLES: tuple[tuple[str, str, Sequence[Column], str], ...] = (
+MEASURES = (
+    "choice",
+    "choice_corrected",
+    "success",
+    "success_if_chosen",
+    "success_corrected",
+    "binding",
+    "chose_old_answer",
+    "switched",
+)
+CHANCE = Column("chance", "chance", "percent")
+TABLES: tuple[tuple[str, str, str, Sequence[str | Column], str], ...] = (
+    (
+        "choice",
+        "choice",
+        "Choice by split",
+        (CHANCE, "choice", "choice_corrected"),
+        MEASURE_NOTE,
+    ),
+    (
+        "reach",
+        "success",
+        "Reach by split",
+        ("success", "success_if_chosen", "success_corrected"),
+        MEASURE_NOTE,
+    ),
     (
         "binding",
+        "binding",
         "Does the arm follow its question?",
-        shared("choice", "binding"),
+        ("choice", "binding"),
         BINDING_NOTE,
     ),
     (
         "switched",
+        "switched",
         "Does the arm follow the edited graph?",
-        SWITCH_COLUMNS,
+        (column_of("choice", "new answer"), "chose_old_answer", "switched"),
         SWITCH_NOTE,
     ),
 )
-"""Tables of agents that have a measure: it, title, columns and note."""
+"""Tables of agents that have a measure: name, measure, title, columns and note. The measure is
+drawn where it can be corrected for chance."""
 TYPE_COLUMNS = ("split", Column("type", "kind of query"), "agent", "choice", "success")
 TYPE_CAPTION = (
     "Kind: the relations that the query names. Dot: mean over training seeds; line: "
@@ -120,12 +129,13 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     blocks: list[Block] = [
         finding.verdict() for finding in findings if finding.task is task
     ]
-    blocks.append(_measure(task, agents, "choice", "Choice", CHOICE_COLUMNS))
-    blocks.append(_measure(task, agents, "success", "Reach", REACH_COLUMNS))
-    for key, title, columns, note in FURTHER_TABLES:
-        measured = [agent for agent in agents if agent.level(key)]
-        if measured:
-            blocks.append(_table(task, key, title, columns, measured, note))
+    rows = [_row(agent, *MEASURES) for agent in agents]
+    for name, key, title, columns, note in TABLES:
+        known = [row for row in rows if row[key]]
+        if known:
+            columns = ("split", "agent", "seeds", *columns)
+            table = table_of(task, name, title, columns, known, note)
+            blocks.append(_figure(table, f"{key}_corrected"))
     if any("choice" in run.interim for run in task.runs):
         measures = {"choice": CHOICE_AXIS}
         title = "Learning to choose"
@@ -133,40 +143,20 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     return [*blocks, _by_type(task, agents), _confusion(task, agents)]
 
 
-def _table(
-    task: TaskData,
-    name: str,
-    title: str,
-    columns: Sequence[Column],
-    agents: Sequence[TestedGroup],
-    note: str,
-) -> DataTable:
-    keys = [column.key for column in columns if column.interval]
-    rows = [_row(task, agent, *keys) for agent in agents]
-    columns = [*SPLIT_COLUMNS, *columns]
-    return table_of(task, name, title, columns, rows, files(agents), note)
+def _row(agent: TestedGroup, *keys: str) -> Row:
+    row = row_of(agent, *keys) | {"split": agent.split, "chance": agent.chance}
+    return row | {"_panel": _split_title(agent)}
 
 
-def _row(task: TaskData, agent: TestedGroup, *keys: str) -> Row:
-    return row_of(task, agent, *keys) | {"split": agent.split, "chance": agent.chance}
+def _split_title(agent: TestedGroup) -> str:
+    return f"{agent.split}: {SPLITS[agent.split]}"
 
 
-def _measure(
-    task: TaskData,
-    agents: Sequence[TestedGroup],
-    key: str,
-    title: str,
-    columns: Sequence[Column],
-) -> Figure:
-    """Draw one number of every agent, corrected for chance, one drawing per split."""
-    panels = []
-    for split, asked in task.splits.items():
-        dots = [group_dot(task, agent, f"{key}_corrected") for agent in asked]
-        name = f"{title} on {split}, corrected for chance: {task.title}"
-        svg = dot_chart(dots, name, BEYOND_CHANCE, zero=True, left=150)
-        panels.append(Panel(svg, f"{split}: {SPLITS[split]}"))
-    heading = f"{title} by split"
-    table = _table(task, title.lower(), heading, columns, agents, MEASURE_NOTE)
+def _figure(table: DataTable, key: str) -> Block:
+    """Draw a column of a table, one drawing per split; the table alone if it has no such column."""
+    if key not in table.csv_columns():
+        return table
+    panels = dot_panels(table, key, BEYOND_CHANCE, seeds=True, zero=True)
     return Figure(table, MEASURE_CAPTION, panels, open_table=True)
 
 
@@ -174,24 +164,22 @@ def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
     """Show the choice by the relations that a query names; draw it for the first split."""
     first = next(iter(task.splits))
     rows = []
-    dots = defaultdict(list)
     for agent in agents:
         kinds: set[str] = set()
         for evaluation in agent.evaluations:
             kinds |= evaluation.summary.groups["query_type"].keys()
         for kind in sorted(kinds):
-            choice = agent.level("choice", "query_type", kind)
-            row = _row(task, agent)
-            row["type"] = kind
-            row["choice"] = choice
-            row["success"] = agent.level("success", "query_type", kind)
-            rows.append(row)
+            row = row_of(agent) | {"split": agent.split, "type": kind}
+            for key in ("choice", "success"):
+                row[key] = agent.level(key, "query_type", kind)
             if agent.split == first:
-                dots[kind].append(Dot(agent.name, row["_colour"], choice))
+                row["_panel"] = facet(kind)
+            rows.append(row)
     title = f"Right choices by kind of query, {first}"
-    table = table_of(task, "query-types", title, TYPE_COLUMNS, rows, files(agents))
-    panels = part_panels(dict(sorted(dots.items())), CHOICE_AXIS)
-    return Figure(table, TYPE_CAPTION, panels)
+    table = table_of(task, "query-types", title, TYPE_COLUMNS, rows)
+    return Figure(
+        table, TYPE_CAPTION, dot_panels(table, "choice", CHOICE_AXIS, width=340)
+    )
 
 
 def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
@@ -209,7 +197,7 @@ def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
             svg = confusion_map(
                 shares, list(map(facet, asked)), list(map(facet, chosen)), name
             )
-            panels.append(Panel(svg, f"{agent.split}: {SPLITS[agent.split]}"))
+            panels.append(Panel(svg, _split_title(agent)))
             for i, j in np.argwhere(counts):
                 row = {
                     "split": agent.split,
@@ -222,8 +210,7 @@ def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
     except UserError as error:
         return Verdict(str(error), tone="bad")
     title = f"Chosen against wanted object, {first.name}"
-    sources = files(agents, "episodes.parquet")
-    table = table_of(task, "confusion", title, CONFUSION_COLUMNS, rows, sources)
+    table = table_of(task, "confusion", title, CONFUSION_COLUMNS, rows)
     return Figure(table, CONFUSION_CAPTION, panels)
 
 

@@ -1,6 +1,5 @@
 """Page "Results": the evaluation after training, in total and by target."""
 
-from collections import defaultdict
 from collections.abc import Iterable
 
 from knowarm.report.blocks import (
@@ -10,29 +9,25 @@ from knowarm.report.blocks import (
     Figure,
     column_of,
     estimate_column,
-    files,
     row_of,
-    shared,
     table_of,
 )
 from knowarm.report.charts import SUCCESS_AXIS
-from knowarm.report.diagrams import Dot, part_panels
-from knowarm.report.format import integer
+from knowarm.report.diagrams import dot_panels
+from knowarm.report.format import facet, integer
 from knowarm.report.model import HELD_OUT, Evaluated, Evaluation, TaskData
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks import report_tables
 from knowarm.world.tasks.probe import ReportTable
 
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
-COLUMNS = shared(
-    "agent",
-    "seeds",
-    "return_mean",
+COLUMNS = (
+    column_of("return_mean"),
     column_of("return_std", interval=False),
-    "success",
-    "accuracy",
-    "success_wide",
-    "length_mean",
+    column_of("success"),
+    column_of("accuracy"),
+    column_of("success_wide"),
+    column_of("length_mean"),
     column_of("length_std", interval=False),
     column_of("failure_distance_mean", interval=False),
     column_of("failure_distance_std", interval=False),
@@ -69,11 +64,11 @@ def result_blocks(task: TaskData) -> list[Block]:
 
 
 def _table(task: TaskData) -> DataTable:
-    measures = [column.key for column in COLUMNS[2:]]
-    rows = [row_of(task, agent, *measures) for agent in task.agents]
+    measures = [column.key for column in COLUMNS]
+    rows = [row_of(agent, *measures) for agent in task.agents]
     title = conditions(first_evaluation(task.agents))
-    sources = files(task.agents)
-    return table_of(task, "evaluation", title, COLUMNS, rows, sources, NOTE)
+    columns = ("agent", "seeds", *COLUMNS)
+    return table_of(task, "evaluation", title, columns, rows, NOTE)
 
 
 def _vision(task: TaskData) -> DataTable | None:
@@ -81,7 +76,7 @@ def _vision(task: TaskData) -> DataTable | None:
     groups = [group for group in task.groups if group.level("vision_gain")]
     if not groups:
         return None
-    columns = shared("agent", "seeds", "success")
+    columns: list[str | Column] = ["agent", "seeds", "success"]
     differences = [
         estimate_column("vision_gain", "depends on vision [points]", "points")
     ]
@@ -95,7 +90,7 @@ def _vision(task: TaskData) -> DataTable | None:
     rows = []
     most = 0.0
     for group in groups:
-        row = row_of(task, group, "success", "vision_gain")
+        row = row_of(group, "success", "vision_gain")
         for name in BLIND_AGENTS:
             row[name] = group.level("success", "blind", name)
             row[f"minus {name}"] = group.level("difference", "blind", name)
@@ -106,32 +101,27 @@ def _vision(task: TaskData) -> DataTable | None:
     columns += differences
     note = VISION_NOTE.format(count=integer(most), agents="; ".join(abouts))
     title = "How much of the success depends on vision"
-    return table_of(task, "vision", title, columns, rows, files(groups), note)
+    return table_of(task, "vision", title, columns, rows, note)
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
     """Show a table that a part of a task brings, by agent and conditions of the episodes."""
-    tested = []
     rows = []
     for group in task.groups:
         for (label, _), agents in task.evaluation_sets.items():
             agent = agents.get(group)
-            first = first_evaluation([agent]) if agent else None
-            if not agent or not first or table.measures[0] not in first.summary:
+            if not agent or not agent.level(table.measures[0]):
                 continue
-            tested.append(agent)
-            row = row_of(task, agent, "success", *table.measures)
-            row["rules"] = conditions(first)
+            row = row_of(agent, "success", *table.measures)
+            row["rules"] = conditions(agent.evaluations[0])
             if label.endswith(HELD_OUT):
                 row["rules"] += " (held out)"
             rows.append(row)
-    if not tested:
+    if not rows:
         return None
-    columns = shared(
-        "agent", "seeds", Column("rules", "episodes"), "success", *table.measures
-    )
-    sources = files(tested)
-    return table_of(task, table.name, table.title, columns, rows, sources, table.note)
+    rules = Column("rules", "episodes")
+    columns = ("agent", "seeds", rules, "success", *table.measures)
+    return table_of(task, table.name, table.title, columns, rows, table.note)
 
 
 def first_evaluation(agents: Iterable[Evaluated]) -> Evaluation | None:
@@ -156,25 +146,24 @@ def conditions(evaluation: Evaluation | None) -> str:
 def _parts(task: TaskData, part: str, title: str) -> Block | None:
     """Show the success by the values of a column of the episodes."""
     names: set[str] = set()
-    sources = []
     for group in task.groups:
         for evaluation in group.evaluations:
             names |= evaluation.summary.groups.get(part, {}).keys()
-            sources.append(evaluation.folder)
     if part == "facet" and len({name.split("/")[0] for name in names}) == len(names):
         return None  # one colour per target: the same as per target
     rows = []
-    dots = defaultdict(list)
     for name in sorted(names):
         for group in task.groups:
             success = group.level("success", part, name)
             if success:
-                rows.append(row_of(task, group) | {"part": name, "success": success})
-                dots[name].append(Dot(group.name, task.colours[group.name], success))
-    if not dots:
+                row = row_of(group) | {"part": name, "success": success}
+                rows.append(row | {"_panel": facet(name)})
+    if not rows:
         return None
     columns = (Column("part", title), "agent", "success")
-    table = table_of(task, f"per-{part}", f"Success by {title}", columns, rows, sources)
-    if len(dots) > MOST_PANELS:
+    table = table_of(task, f"per-{part}", f"Success by {title}", columns, rows)
+    if len(names) > MOST_PANELS:
         return table
-    return Figure(table, PARTS_CAPTION, part_panels(dots, SUCCESS_AXIS))
+    return Figure(
+        table, PARTS_CAPTION, dot_panels(table, "success", SUCCESS_AXIS, width=340)
+    )

@@ -1,33 +1,31 @@
 """Pages "Summary" and "Runs": verdicts and success in total; the run folders and their defects."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report.blocks import (
     Block,
     Column,
-    DataTable,
     Figure,
     Folded,
-    Panel,
     Row,
     Text,
     Verdict,
     row_of,
-    shared,
+    table_of,
 )
 from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS, near
-from knowarm.report.diagrams import dot_chart, group_dot
+from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import counted
 from knowarm.report.model import Evaluated, RunData, StudyData
 from knowarm.report.pages.results import conditions, first_evaluation
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
-from knowarm.report.verdicts.query import query_summary
 
 VERSIONS = ("knowarm", "torch", "mujoco")
-RUN_COLUMNS = shared(
+RUN_COLUMNS = (
     "task",
     "agent",
     "seed",
@@ -56,18 +54,16 @@ SUMMARY_CAPTION = (
 def run_blocks(study: StudyData) -> list[Block]:
     """List every remark on a folder, and every run with its versions and machine."""
     rows = []
-    sources = []
     for task in study.tasks:
         for group in task.groups:
-            for run in group.runs:
-                rows.append({"task": task.title, "agent": group.name} | _origin(run))
-                sources.append(run.path / "provenance.json")
-    runs = DataTable("runs", "Runs", RUN_COLUMNS, rows, sources)
+            origin = {"task": task.title, "agent": group.name}
+            rows += [origin | _origin(run) for run in group.runs]
+    runs = table_of(study, "runs", "Runs", RUN_COLUMNS, rows)
     if not study.problems:
         return [Text(["Nothing is missing or damaged in the folders."]), runs]
     remarks = [problem._asdict() for problem in study.problems]
     title = "Remarks on the folders"
-    return [DataTable("problems", title, PROBLEM_COLUMNS, remarks), runs]
+    return [table_of(study, "problems", title, PROBLEM_COLUMNS, remarks), runs]
 
 
 def _origin(run: RunData) -> Row:
@@ -92,16 +88,14 @@ def summary_blocks(
     reasons: list[Block] = []
     doubts: list[Block] = []
     for task in study.tasks:
-        tested = tested_findings(task, decided)
-        findings += tested
-        reasons += [finding.verdict(shown_reasons=1) for finding in tested]
-        reasons += query_summary(
-            [finding for finding in understood if finding.task is task]
-        )
+        of_task = [finding for finding in understood if finding.task is task]
+        of_task = tested_findings(task, decided) + of_task
+        findings += of_task
+        reasons += [finding.verdict(shown_reasons=1) for finding in of_task]
         for verdict in (learning_verdict(task), vision_verdict(task)):
             if verdict:
                 (reasons if verdict.tone == "good" else doubts).append(verdict)
-    blocks = [answer([*findings, *understood], len(study.tasks)), *doubts]
+    blocks = [answer(findings, len(study.tasks)), *doubts]
     if any(task.label for task in study.tasks):
         blocks.append(_results(study))
     if study.problems:
@@ -116,39 +110,28 @@ def summary_blocks(
 
 def _results(study: StudyData) -> Figure:
     scores: list[float] = []
-    rows = []
+    rows: list[Row] = []
     agents: list[Evaluated] = []
     abouts: dict[str, str] = {}
-    known: set[str] = set()
     for task in study.tasks:
         agents += task.agents
         for agent in task.agents:
-            row = row_of(task, agent, *MEASURES, "vision_gain")
-            rows.append(row | {"task": task.title})
-            known |= {key for key in MEASURES if row[key]}
+            row = row_of(agent, *MEASURES, "vision_gain")
+            rows.append(row | {"task": task.title, "_panel": task.title})
             scores += agent.scores("success").tolist()
         for group in task.groups:
             if group.agent in AGENTS:
                 abouts[group.agent] = f"{group.agent}: {AGENTS[group.agent].about}"
-    keys = ["agent", *(key for key in MEASURES if key in known), "vision_gain", "seeds"]
-    axes = {"success": near(SUCCESS_AXIS, scores)}
-    several = len(study.tasks) > 1
-    if several:
-        keys.insert(0, "task")
-    else:
-        axes["return_mean"] = RETURN_AXIS
-    panels = []
-    for task in study.tasks:
-        for key, axis in axes.items():
-            dots = [group_dot(task, agent, key) for agent in task.agents]
-            name = f"{axis.title} of each agent on {task.title}"
-            svg = dot_chart(dots, name, axis, left=124)
-            panels.append(Panel(svg, task.title if several else axis.title))
+    known = [key for key in MEASURES if any(map(itemgetter(key), rows))]
+    several = ["task"] if len(study.tasks) > 1 else []
+    columns = [*several, "agent", *known, "vision_gain", "seeds"]
     note = SUMMARY_NOTE.format(
         conditions=conditions(first_evaluation(agents)),
         agents="; ".join(abouts.values()),
     )
     title = "Success, accuracy and return after training"
-    sources = [run.path for run in study.runs]
-    table = DataTable("summary", title, shared(*keys), rows, sources, note)
+    table = table_of(study, "summary", title, columns, rows, note)
+    panels = dot_panels(table, "success", near(SUCCESS_AXIS, scores), seeds=True)
+    if not several:
+        panels += dot_panels(table, "return_mean", RETURN_AXIS, seeds=True)
     return Figure(table, SUMMARY_CAPTION, panels, open_table=True)

@@ -1,7 +1,6 @@
 """Page "Training": learning curves, steps to fixed levels of success, time and speed."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from knowarm.report.blocks import (
     Row,
     estimate_column,
     row_of,
-    shared,
     table_of,
 )
 from knowarm.report.charts import (
@@ -34,6 +32,7 @@ from knowarm.report.pages.paper import time_saved
 from knowarm.statistics import (
     Interval,
     first_crossing,
+    mean_band,
     median_steps,
     restricted_mean_steps,
     trend,
@@ -90,26 +89,51 @@ def curve_figure(
     task: TaskData, measures: Mapping[str, Axis], name: str, title: str
 ) -> Figure:
     """Draw columns of ``evaluations.csv``, names of measures by axis, over the steps."""
-    rows: dict[tuple[str, float], Row] = {}
-    panels: list[Panel] = []
-    legend: dict[str, str] = {}
-    for key, axis in measures.items():
-        lines = []
+    lines: dict[str, list[Series]] = {}
+    for key in measures:
         for group in task.groups:
             curves = [_extended(run) for run in group.runs if key in run.interim]
             if curves:
-                line = group_series(group, curves, key, task.colours[group.name])
-                lines.append(line)
-                legend[line.name] = line.colour
-                _add_rows(rows, line, key)
-        if lines:
-            words = f"{axis.title} over environment steps on {task.title}"
-            panels += sized_panels(lines, words, STEPS_AXIS, axis)
-    columns = shared("agent", "seeds", Column("step", "steps", "steps"), *measures)
-    table = table_of(
-        task, name, title, columns, list(rows.values()), _logs(task), CURVE_NOTE
-    )
-    return Figure(table, CAPTION, panels, legend=list(legend.items()))
+                line = group_series(group, curves, key)
+                lines.setdefault(key, []).append(line)
+    columns = ("agent", "seeds", Column("step", "steps", "steps"), *measures)
+    rows = line_rows(lines, "step")
+    table = table_of(task, name, title, columns, rows, CURVE_NOTE)
+    return line_figure(table, CAPTION, lines, STEPS_AXIS, measures)
+
+
+def line_rows(lines: Mapping[str, Sequence[Series]], x: str) -> list[Row]:
+    """Return the values of lines by the column of each: a row per agent and value of ``x``."""
+    rows: dict[tuple[str, float], Row] = {}
+    for key, series in lines.items():
+        for line in series:
+            columns = [line.x, line.y, *(line.band or ())]
+            for at, value, *ends in np.transpose(columns).tolist():
+                new = {"agent": line.name, "_colour": line.colour, x: at}
+                row = rows.setdefault((line.name, at), new)
+                row[key] = Interval(value, *ends) if ends else value
+                reaching = sum(bool(xs[0] <= at <= xs[-1]) for xs, _ in line.faint)
+                row.setdefault("seeds", reaching)
+    return list(rows.values())
+
+
+def line_figure(
+    table: DataTable,
+    caption: str,
+    lines: Mapping[str, Sequence[Series]],
+    x_axis: Axis,
+    axes: Mapping[str, Axis],
+) -> Figure:
+    """Draw the lines of each column, in a chart for large and in one for small screens."""
+    panels = []
+    legend = {}
+    for key, series in lines.items():
+        name = f"{axes[key].title} over {x_axis.title}: {table.title}"
+        for only, box in BOXES.items():
+            svg = line_chart(series, name, x_axis, axes[key], box=box)
+            panels.append(Panel(svg, only=only))
+        legend |= {line.name: line.colour for line in series}
+    return Figure(table, caption, panels, legend=list(legend.items()))
 
 
 def _extended(run: RunData) -> Curve:
@@ -123,24 +147,7 @@ def _extended(run: RunData) -> Curve:
     return curve
 
 
-def _logs(task: TaskData) -> list[Path]:
-    return [run.path / "evaluations.csv" for run in task.runs if run.interim]
-
-
-def sized_panels(
-    series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis
-) -> list[Panel]:
-    """Draw one line chart for large and one for small screens."""
-    panels = []
-    for only, box in BOXES.items():
-        svg = line_chart(series, name, x_axis, y_axis, box=box)
-        panels.append(Panel(svg, only=only))
-    return panels
-
-
-def group_series(
-    group: Group, curves: Sequence[Curve], key: str, colour: str
-) -> Series:
+def group_series(group: Group, curves: Sequence[Curve], key: str) -> Series:
     """Compute the mean trend of a group's runs on a common grid, with a band over seeds."""
     steps = np.concatenate([curve["step"] for curve in curves])
     grid = np.unique(np.linspace(steps.min(), steps.max(), GRID))
@@ -152,7 +159,7 @@ def group_series(
     known = np.ma.masked_invalid(table)
     return Series(
         name=group.name,
-        colour=colour,
+        colour=group.colour,
         x=grid,
         y=known.mean(axis=0).filled(np.nan),
         band=_band(table) if len(curves) > 1 else None,
@@ -163,20 +170,9 @@ def group_series(
 
 def _band(table: Floats) -> tuple[Floats, Floats]:
     """Bootstrap the mean over seeds pointwise, (G,) each; NaN below two seeds."""
-    seeds, points = table.shape
-    generator = np.random.default_rng(0)
-    draws = generator.multinomial(seeds, np.full(seeds, 1 / seeds), 1_000)
-    present = np.isfinite(table)
-    totals = draws @ np.where(present, table, 0.0)
-    counts = draws @ present.astype(float)
-    with np.errstate(invalid="ignore"):  # NaN of resamples without any value
-        means = totals / counts
-    enough = present.sum(axis=0) > 1
-    ends = np.full((2, points), np.nan)
-    if enough.any():
-        ends[:, enough] = np.nanquantile(means[:, enough], [0.025, 0.975], axis=0)
-    low, high = ends
-    return low, high
+    low, high = mean_band(table, 1_000)
+    enough = np.isfinite(table).sum(axis=0) > 1
+    return np.where(enough, low, np.nan), np.where(enough, high, np.nan)
 
 
 def _thinned(curve: Curve, key: str) -> tuple[Floats, Floats]:
@@ -184,20 +180,6 @@ def _thinned(curve: Curve, key: str) -> tuple[Floats, Floats]:
     count = len(curve["step"])
     places = np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)
     return curve["step"][places], curve[key][places]
-
-
-def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> None:
-    """Add the values of a line to the rows of its agent and steps."""
-    columns = [line.x, line.y, *(line.band or ())]
-    for step, value, *ends in np.transpose(columns).tolist():
-        row = rows.setdefault(
-            (line.name, step), {"agent": line.name, "_colour": line.colour}
-        )
-        row["step"] = step
-        row.setdefault(
-            "seeds", sum(bool(xs[0] <= step <= xs[-1]) for xs, _ in line.faint)
-        )
-        row[key] = Interval(value, *ends) if ends else value
 
 
 def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
@@ -214,7 +196,7 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
             first_steps, reached = _crossings(group, level)
             middle, low, high = median_steps(first_steps, reached)
             mean = restricted_mean_steps(first_steps, reached, until)
-            row = row_of(task, group) | {
+            row = row_of(group) | {
                 "level": level,
                 "reached": f"{reached.sum()} of {len(reached)}",
                 "median": middle,
@@ -235,7 +217,7 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
     )
     note = THRESHOLDS_NOTE.format(until=steps(until))
     title = "Steps to a level of success"
-    return table_of(task, "thresholds", title, columns, rows, _logs(task), note)
+    return table_of(task, "thresholds", title, columns, rows, note)
 
 
 def _crossings(group: Group, level: float) -> tuple[Floats, Mask]:
@@ -252,7 +234,7 @@ def _speed(task: TaskData) -> DataTable:
     rows = []
     for group in task.groups:
         for run in group.runs:
-            row = row_of(task, group) | {
+            row = row_of(group) | {
                 "seed": run.config.seed,
                 "steps": run.steps_done,
                 "best_step": run.best_step,
@@ -265,9 +247,8 @@ def _speed(task: TaskData) -> DataTable:
             if speed.size:
                 row["steps_per_s"] = float(np.median(speed))
             rows.append(row)
-    logs = [run.path / "metrics.csv" for run in task.runs]
     return table_of(
-        task, "training-runs", "Training runs", SPEED_COLUMNS, rows, logs, SPEED_NOTE
+        task, "training-runs", "Training runs", SPEED_COLUMNS, rows, SPEED_NOTE
     )
 
 

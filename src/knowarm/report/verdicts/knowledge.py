@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from knowarm.experiment.agents import Role
 from knowarm.report.blocks import Verdict
 from knowarm.report.format import listed
-from knowarm.report.model import CONTROLS, Group, TaskData
+from knowarm.report.model import CONTROLS, ROLES, Group, TaskData
 from knowarm.report.verdicts.claims import (
     FEW_SEEDS,
     OUTCOMES,
@@ -55,39 +54,43 @@ def finding(
     Controls of another size (`claims.mismatch`) do not count; the sentence names them.
     """
     subject = subject or next(iter(task.subjects), None)
+    if subject is None:
+        sentence = f"{task.title}: no agent with knowledge among these runs."
+        return Finding(task, None, outcome, "nothing to compare", sentence)
     compared = claims_on(decided, task, subject, outcome)
     tested = [claim for claim in compared if claim.stage != "described"]
-    if subject is None or not tested:
-        missing = "no agent with knowledge"
-        if subject:
-            missing = f"nothing to compare {subject.name} with"
-        sentence = f"{task.title}: {missing} among these runs."
-        return Finding(task, subject, outcome, "nothing to compare", sentence)
-    start = f"{task.title}, {OUTCOMES[outcome]}: "
-    if all(claim.verdict == "too few seeds" for claim in tested):
-        seeds = few_seeds(min(claim.seeds for claim in tested))
-        sentence = f"{start}whether the knowledge of {subject.name} helps {seeds}"
-        return Finding(
-            task, subject, outcome, "too few seeds", sentence, compared, [FEW_SEEDS]
-        )
-    baseline = _against("baseline", tested)
-    capacity = _against("capacity_control", tested)
-    content = _against("content_control", tested)
+    by_role: dict[str, list[Claim]] = {role: [] for role in ROLES}
+    for claim in tested:
+        if claim.second:
+            by_role[claim.second.role].append(claim)
+    baseline = by_role["baseline"][:1]
+    capacity = by_role["capacity_control"]
+    content = by_role["content_control"]
     kind = _judge(baseline, capacity, content)
+    if not tested:
+        kind = "nothing to compare"
+    elif all(claim.verdict == "too few seeds" for claim in tested):
+        kind = "too few seeds"
     words = SENTENCES[kind].format(
         name=subject.name,
-        baseline=_names(baseline[:1]),
+        baseline=_names(baseline),
         capacity=_names(capacity),
         content=_names(content),
         not_beaten=_not_beaten(capacity) or _not_beaten(content),
         capacity_hint=hint("capacity_control", subject),
         content_hint=hint("content_control", subject),
+        few_seeds=few_seeds(min((claim.seeds for claim in tested), default=0)),
     )
-    sentence = f"{start}{words}{_not_counted(task, subject)}"
-    return Finding(task, subject, outcome, kind, sentence, compared)
+    sentence = (
+        f"{task.title}, {OUTCOMES[outcome]}: {words}{_not_counted(task, subject)}"
+    )
+    notes = [FEW_SEEDS] if kind == "too few seeds" else []
+    return Finding(task, subject, outcome, kind, sentence, compared, notes)
 
 
 SENTENCES: dict[Kind, str] = {
+    "nothing to compare": "nothing to compare {name} with among these runs.",
+    "too few seeds": "whether the knowledge of {name} helps {few_seeds}",
     "no baseline": "there is no baseline to compare {name} with.",
     "worse": "{name} was worse than the baseline {baseline}.",
     "no advantage": "no advantage of {name} over the baseline {baseline} is shown.",
@@ -132,11 +135,6 @@ def _judge(
     if not content:
         return "meaning not tested"
     return "input without meaning" if _not_beaten(content) else "knowledge matters"
-
-
-def _against(role: Role, claims: Sequence[Claim]) -> list[Claim]:
-    """Return the comparisons with agents of a role."""
-    return [claim for claim in claims if claim.second and claim.second.role == role]
 
 
 def _names(claims: Sequence[Claim]) -> str:

@@ -1,5 +1,7 @@
 """Findings on training: whether agents learned, and how much of their success depends on vision."""
 
+from collections.abc import Mapping, Sequence
+
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.format import ends, listed, percent, points
 from knowarm.report.model import Evaluated, Group, TaskData
@@ -29,47 +31,38 @@ def learned(task: TaskData, group: Group) -> bool | None:
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
     untrained = [policy for policy in task.references if policy.level("success")]
-    better: list[str] = []
-    others: list[str] = []
-    evaluated = []
+    evaluated = {}
     for group in task.groups:
         has_learned = learned(task, group)
         if has_learned is not None:
-            evaluated.append(group)
-            (better if has_learned else others).append(group.name)
+            evaluated[group] = has_learned
     if not untrained or not evaluated:
         return None
     more = "succeeded clearly more often than an untrained policy"
     if any(group.level("vision_gain") for group in evaluated):
         more += " and policies without vision"
-    tone: Tone
-    if not better:
-        tone = "bad"
-        sentence = f"training did not succeed: none of {listed(others)} {more}."
-    elif others:
-        tone = "open"
-        sentence = (
-            f"training succeeded: {listed(better)} {more}; {listed(others)} did not."
-        )
-    else:
-        tone = "good"
-        sentence = f"training succeeded: {listed(better)} {more}."
     successes = "; ".join(map(_named_success, (*evaluated, *untrained)))
-    reason = f"Success on the same episodes: {successes}."
-    return Verdict(f"{task.title}: {sentence}", [reason], tone=tone)
+    return _verdict(
+        task,
+        evaluated,
+        f"training succeeded: {{}} {more}",
+        "; {} did not",
+        f"training did not succeed: none of {{}} {more}",
+        [f"Success on the same episodes: {successes}."],
+        none_tone="bad",
+    )
 
 
 def vision_verdict(task: TaskData) -> Verdict | None:
     """State how much of each agent's success depends on vision."""
-    seeing: list[str] = []
-    others: list[str] = []
+    depends = {}
     reasons = []
     for group in task.groups:
         vision = group.level("vision_gain")
         success = group.level("success")
         if not vision or not success:
             continue
-        (seeing if vision.low > 0 else others).append(group.name)
+        depends[group] = vision.low > 0
         blind = percent(success.estimate - vision.estimate)
         gain = f"difference {points(vision.estimate)} points, {ends(vision, points)}"
         reasons.append(
@@ -78,17 +71,39 @@ def vision_verdict(task: TaskData) -> Verdict | None:
         )
     if not reasons:
         return None
-    tone: Tone = "open" if others else "good"
-    if not seeing:
-        sentence = f"the success of {listed(others)} is not shown to depend on vision."
-    elif others:
-        sentence = (
-            f"the success of {listed(seeing)} depends on vision; "
-            f"for {listed(others)} this is not shown."
-        )
+    return _verdict(
+        task,
+        depends,
+        "the success of {} depends on vision",
+        "; for {} this is not shown",
+        "the success of {} is not shown to depend on vision",
+        reasons,
+        none_tone="open",
+    )
+
+
+def _verdict(
+    task: TaskData,
+    held: Mapping[Group, bool],
+    some: str,
+    others: str,
+    none: str,
+    reasons: Sequence[str],
+    none_tone: Tone,
+) -> Verdict:
+    """State for which agents something holds: some, which the ``others`` follow, or none."""
+    positive = listed([group.name for group in held if held[group]])
+    negative = listed([group.name for group in held if not held[group]])
+    tone: Tone = "open"
+    sentence = some.format(positive)
+    if not positive:
+        tone = none_tone
+        sentence = none.format(negative)
+    elif negative:
+        sentence += others.format(negative)
     else:
-        sentence = f"the success of {listed(seeing)} depends on vision."
-    return Verdict(f"{task.title}: {sentence}", reasons, tone=tone)
+        tone = "good"
+    return Verdict(f"{task.title}: {sentence}.", reasons, tone=tone)
 
 
 def _success(agent: Evaluated) -> Interval | None:

@@ -1,13 +1,11 @@
 """Findings on queries: whether an agent of the choose task understood what the query means."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
 
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.knowledge.queries.splits import SPLITS
-from knowarm.report.blocks import Verdict
 from knowarm.report.format import ends, listed, p_value, percent, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData, TestedGroup
 from knowarm.report.verdicts.claims import (
@@ -19,7 +17,6 @@ from knowarm.report.verdicts.claims import (
     few_seeds,
     hint,
     mismatch,
-    tone_of,
 )
 from knowarm.statistics import holm, paired
 
@@ -157,18 +154,3 @@ def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -
     if adjusted_p > ALPHA:
         return "not above the best control"
     return "understood" if "content_control" in roles else "meaning not tested"
-
-
-def query_summary(findings: Sequence[Finding]) -> list[Verdict]:
-    """Return one sentence per task and agent: on which splits it understood the query."""
-    by_agent: dict[str, dict[Kind, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for finding in findings:
-        name = finding.subject.name if finding.subject else ""
-        start = f"{finding.task.title}, the query received by {name}"
-        by_agent[start][finding.kind].append(finding.outcome)
-    verdicts = []
-    for start, kinds in by_agent.items():
-        phrases = [f"{kind} on {listed(splits)}" for kind, splits in kinds.items()]
-        tone = tone_of(kinds)
-        verdicts.append(Verdict(f"{start}: {'; '.join(phrases)}.", tone=tone))
-    return verdicts
