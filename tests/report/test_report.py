@@ -11,11 +11,11 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.report import write_report
 from knowarm.report.blocks import Column
-from knowarm.report.charts import SUCCESS_AXIS
+from knowarm.report.charts import SUCCESS_AXIS, TEMPLATES
 from knowarm.report.collect import collect
+from knowarm.report.format import FORMATS
 from knowarm.report.pages.knowledge import _other_conditions
 from knowarm.report.pages.training import curve_figure
-from knowarm.report.write import _cell
 from knowarm.statistics import Interval
 from tests.report.synthetic_study import (
     LABEL,
@@ -165,11 +165,13 @@ def test_files_of_others_are_not_overwritten(tmp_path):
 
 def test_a_number_without_an_interval_is_shown_alone():
     column = Column("success", "success", "percent", interval=True)
-    several = _cell(column, Interval(0.5, 0.25, 0.75).named("success"), Path())
+    template = TEMPLATES.get_template("blocks.html.j2")
+    cell = template.make_module({"formats": FORMATS}).cell
+    several = cell(column, Interval(0.5, 0.25, 0.75).named("success"))
     assert several == '50.0 % <span class="ci">25.0 % to 75.0 %</span>'.replace(
         " %", "\u202f%"
     )
-    assert "to" not in _cell(column, Interval(0.5, 0.5, 0.5).named("success"), Path())
+    assert "to" not in cell(column, Interval(0.5, 0.5, 0.5).named("success"))
 
 
 def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):

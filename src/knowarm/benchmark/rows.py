@@ -4,15 +4,13 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import knowarm
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Mask
 from knowarm.benchmark.policies import Entrant
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, by_table, read_suite
 from knowarm.config import differences
@@ -103,9 +101,9 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
     """Return what a row says about a policy."""
     first = entrants[0]
     return {
-        "specs": list(map(attrgetter("spec"), entrants)),
-        "digests": list(map(attrgetter("digest"), entrants)),
-        "seeds": list(map(attrgetter("seed"), entrants)),
+        "specs": [entrant.spec for entrant in entrants],
+        "digests": [entrant.digest for entrant in entrants],
+        "seeds": [entrant.seed for entrant in entrants],
         "inputs": list(first.inputs),
         "training": first.training,
     }
@@ -114,17 +112,14 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
 def _check_seeds(entrants: Sequence[Entrant]) -> None:
     """Check that the policies of a row are different training seeds of one policy."""
     for name in ("inputs", "training"):
-        values = dict.fromkeys(map(attrgetter(name), entrants))
+        values = dict.fromkeys(str(getattr(entrant, name)) for entrant in entrants)
         if len(values) > 1:
-            listed = " | ".join(map(str, values))
             raise UserError(
-                f"The seeds of one policy must have equal {name}, got {listed}."
+                f"The seeds of one policy must have equal {name}, got {' | '.join(values)}."
             )
-    different = set[str]()
-    for entrant in entrants:
-        different.add(entrant.digest or f"{entrant.spec}/{entrant.seed}")
+    different = {e.digest or f"{e.spec}/{e.seed}" for e in entrants}
     if len(different) < len(entrants):
-        specs = ", ".join(map(attrgetter("spec"), entrants))
+        specs = ", ".join(entrant.spec for entrant in entrants)
         raise UserError(f"Give each seed once, got {specs}.")
 
 
@@ -154,15 +149,13 @@ def _required_controls(cell: Cell, inputs: Sequence[str]) -> list[str]:
 def _controls(
     cell: Cell, entrant: Entrant, env: ArmVectorEnv
 ) -> dict[str, AgentProtocol]:
-    def policy() -> AgentProtocol:
-        return entrant.make(cell, env)
-
+    own_graph = replace(cell, graph=None)
     makers: dict[str, Callable[[], AgentProtocol]] = {
         "open-loop": lambda: OpenLoopAgent(cell.open_loop),
-        "black": lambda: BlindAgent(policy()),
-        "frozen": lambda: FrozenAgent(policy()),
-        "shuffled query": lambda: InformedAgent(policy(), shuffled),
-        "intact graph": lambda: entrant.make(replace(cell, graph=None), env),
+        "black": lambda: BlindAgent(entrant.make(cell, env)),
+        "frozen": lambda: FrozenAgent(entrant.make(cell, env)),
+        "shuffled query": lambda: InformedAgent(entrant.make(cell, env), shuffled),
+        "intact graph": lambda: entrant.make(own_graph, env),
     }
     agents = {name: makers[name]() for name in _required_controls(cell, entrant.inputs)}
     for name, make_control in entrant.controls.items():
@@ -187,20 +180,24 @@ def _play(
     return {name: np.packbits(bits).tobytes().hex() for name, bits in measures.items()}
 
 
-def _bits(text: str, count: int | None = None) -> Mask:
+def _bits(text: str) -> Mask:
     data = np.frombuffer(bytes.fromhex(text), np.uint8)
-    if count is not None and len(data) != -(-count // 8):
-        raise ValueError(f"outcomes of {8 * len(data)} instead of {count} episodes")
-    return np.unpackbits(data)[:count].astype(bool)
+    return np.unpackbits(data).astype(bool)
 
 
-def _decoded(
-    suite: Suite, row: Row, cell: str, who: str, measure: str
-) -> NDArray[np.bool_]:
-    """Return the outcomes of a policy or control in a cell, (seeds, episodes)."""
+def _decoded(suite: Suite, row: Row, cell: str, who: str, measure: str) -> Mask:
+    """Return the outcomes of a policy or control in a cell, (seeds, episodes).
+
+    Raises:
+        ValueError: they are those of another number of episodes.
+    """
     count = suite.episodes_played(cell, who)
     outcomes = row["cells"][cell]["outcomes"]
-    return np.array([_bits(outcome[who][measure], count) for outcome in outcomes])
+    seeds = np.array([_bits(outcome[who][measure]) for outcome in outcomes])
+    stored = seeds.shape[1]
+    if stored != -(-count // 8) * 8:
+        raise ValueError(f"outcomes of {stored} instead of {count} episodes")
+    return seeds[:, :count]
 
 
 def _figures(suite: Suite, row: Row) -> dict[str, Any]:
@@ -232,7 +229,7 @@ def _figures(suite: Suite, row: Row) -> dict[str, Any]:
     return {"cells": cells, "summary": summary}
 
 
-def _share(seeds: NDArray[np.bool_], episodes: int) -> dict[str, Any]:
+def _share(seeds: Mask, episodes: int) -> dict[str, Any]:
     """Return a share with its interval, over training seeds if they differ, else over episodes.
 
     Args:
@@ -264,25 +261,15 @@ def query_gain(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
     """
     by_cell = []
     for name in names:
-        gains = []
-        count = suite.episodes_played(name, "shuffled query")
-        for outcome in row["cells"][name]["outcomes"]:
-            if "right" not in outcome.get("shuffled query", {}):
-                return None
-            gains.append(_gain(outcome)[:count])
-        by_cell.append(gains)
-    seeds = list(map(np.concatenate, zip(*by_cell, strict=True)))
-    means = np.array(list(map(np.mean, seeds)))
-    values = seeds[0]
-    if len(set(means)) > 1:
-        values = means
-    return bootstrap(values, repetitions=2_000)
-
-
-def _gain(outcome: Outcome) -> Floats:
-    """Return by how much each choice is better with the own query: -1, 0 or 1."""
-    other = _bits(outcome["shuffled query"]["right"])
-    return _bits(outcome["policy"]["right"])[: len(other)].astype(float) - other
+        first = row["cells"][name]["outcomes"][0]
+        if "right" not in first.get("shuffled query", {}):
+            return None
+        other = _decoded(suite, row, name, "shuffled query", "right")
+        own = _decoded(suite, row, name, "policy", "right")[:, : other.shape[1]]
+        by_cell.append(own.astype(float) - other)  # -1, 0 or 1 per choice
+    gains = np.concatenate(by_cell, axis=1)
+    means = gains.mean(axis=1)
+    return bootstrap(means if np.ptp(means) else gains[0], repetitions=2_000)
 
 
 def read_row(path: Path) -> Row:
@@ -394,23 +381,20 @@ def verify(
     cells = list(row["cells"])
     again = run_suite(suite, entrants, name=row["name"], cells=cells, report=report)
     for name, cell in row["cells"].items():
-        pairs = zip(cell["outcomes"], again["cells"][name]["outcomes"], strict=True)
-        for seed, (stored, played) in enumerate(pairs):
-            where = f"cells.{name}.outcomes[{seed}]"
-            if other := stored.keys() ^ played.keys():
-                raise UserError(
-                    f"{where}: the row and this policy do not have the same controls "
-                    f"({', '.join(sorted(other))})."
-                )
-            for who in stored:
-                count = suite.episodes_played(name, who)
-                for measure, bits in stored[who].items():
-                    old = _bits(bits, count)
-                    new = _bits(played[who][measure], count)
-                    different = old != new
-                    if different.mean() > tolerance:
-                        raise UserError(
-                            f"{where}.{who}.{measure}: the row says {old.sum()} of {count} "
-                            f"episodes, playing gives {new.sum()}; {different.sum()} episodes end "
-                            "otherwise."
-                        )
+        first = cell["outcomes"][0]
+        if other := first.keys() ^ again["cells"][name]["outcomes"][0].keys():
+            raise UserError(
+                f"cells.{name}: the row and this policy do not have the same controls "
+                f"({', '.join(sorted(other))})."
+            )
+        for who, measures in first.items():
+            for measure in measures:
+                old = _decoded(suite, row, name, who, measure)
+                new = _decoded(suite, again, name, who, measure)
+                for seed in np.flatnonzero((old != new).mean(axis=1) > tolerance):
+                    raise UserError(
+                        f"cells.{name}.outcomes[{seed}].{who}.{measure}: the row says "
+                        f"{old[seed].sum()} of {old.shape[1]} episodes, playing gives "
+                        f"{new[seed].sum()}; {(old[seed] != new[seed]).sum()} episodes end "
+                        "otherwise."
+                    )

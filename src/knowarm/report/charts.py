@@ -4,14 +4,28 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from knowarm import svg
 from knowarm.arrays import Floats
 from knowarm.report.format import number, percent, points, steps
-from knowarm.svg import Point, band, drawing, element, label, path
+from knowarm.svg import Point, band, path
 
+TEMPLATES = Environment(
+    loader=PackageLoader("knowarm.report"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+"""Templates of a report, with the formats of numbers that they use."""
+TEMPLATES.filters["px"] = svg.number
+TEMPLATES.filters["percent"] = partial(percent, decimals=0)
+CHARTS: Any = TEMPLATES.get_template("charts.svg.j2").module  # its macros
 BINS = 48  # of a density chart
 PIXELS_PER_TICK = 70  # of a horizontal axis, at least
 
@@ -70,6 +84,12 @@ class Box:
     def y(self) -> tuple[float, float]:
         """First and last pixel of the plot area, from bottom to top."""
         return self.height - self.bottom, self.top
+
+    @property
+    def ticks_below(self) -> int:
+        """Wanted number of ticks of the horizontal axis."""
+        start, end = self.x
+        return max(2, int((end - start) / PIXELS_PER_TICK))
 
 
 BOXES: Mapping[Literal["large", "small"], Box] = {
@@ -137,53 +157,6 @@ RETURN_AXIS = Axis(title="mean return")
 POINTS_AXIS = Axis(title="difference [points]", format=points, unit=100)
 
 
-def rule(kind: str, x1: float, x2: float, y1: float, y2: float) -> str:
-    """Draw a line of the frame of a chart."""
-    return element("line", class_=kind, x1=x1, x2=x2, y1=y1, y2=y2)
-
-
-def tick(x: float, y: float, words: str, anchor: str = "middle") -> str:
-    """Draw the label of a tick."""
-    return label(x, y, words, class_="tick", text_anchor=anchor)
-
-
-def axis_below(box: Box, x: Scale, axis: Axis, *, is_grid: bool) -> list[str]:
-    """Draw ticks and title of a horizontal axis; lines of a grid cross the plot area."""
-    left, right = box.x
-    bottom, top = box.y
-    kind = "grid" if is_grid else "mark"
-    end = top if is_grid else bottom + 4
-    elements = []
-    for at, words in axis.ticks(x, max(2, int((right - left) / PIXELS_PER_TICK))):
-        elements.append(rule(kind, at, at, bottom, end))
-        elements.append(tick(at, bottom + 17, words))
-    title = label(
-        right, bottom + 33, axis.title, class_="axis-title", text_anchor="end"
-    )
-    return [*elements, title]
-
-
-def frame(elements: Sequence[str]) -> str:
-    """Group the elements of axes, which screen readers skip."""
-    return element("g", *elements, class_="axes", aria_hidden="true")
-
-
-def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
-    """Draw grid lines, tick labels and axis titles; the vertical axis has its title on top."""
-    left, right = box.x
-    bottom, top = box.y
-    elements = []
-    for at, words in y_axis.ticks(y, 4):
-        elements.append(rule("grid", left, right, at, at))
-        elements.append(tick(left - 6, at + 4, words, "end"))
-    elements += [
-        *axis_below(box, x, x_axis, is_grid=False),
-        rule("axis", left, right, bottom, bottom),
-        label(left - 40, top - 11, y_axis.title, class_="axis-title"),
-    ]
-    return frame(elements)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Series:
     """One line of a line chart."""
@@ -202,6 +175,41 @@ class Series:
         """All drawn values."""
         faint = [thin for _, thin in self.faint]
         return np.concatenate([self.y, *(self.band or ()), *faint])
+
+    @property
+    def points(self) -> str:
+        """The known values, as the page's script reads them."""
+        known = np.isfinite(self.y)
+        pairs = zip(self.x[known], self.y[known], strict=True)
+        return ";".join(f"{step:.9g},{value:.9g}" for step, value in pairs)
+
+    def markup(self, x: Scale, y: Scale) -> str:
+        """Draw thin lines, the band and the line, each with its gaps."""
+
+        def pixels(xs: Floats, ys: Floats) -> list[Point]:
+            if self.stairs:
+                xs = np.repeat(xs, 2)[1:]
+                ys = np.repeat(ys, 2)[:-1]
+            return list(zip(map(x, xs.tolist()), map(y, ys.tolist()), strict=True))
+
+        elements: list[str] = []
+        for xs, ys in self.faint:
+            for piece in _gapless(xs, ys):
+                corners = pixels(xs[piece], ys[piece])
+                elements.append(path(corners, class_="seed"))
+        if self.band is not None:
+            lower, upper = self.band
+            for piece in _gapless(self.x, lower + upper):
+                top = pixels(self.x[piece], upper[piece])
+                bottom = pixels(self.x[piece], lower[piece])
+                elements.append(band(top, bottom, class_="band"))
+        kind = "line dashed" if self.dashed else "line"
+        for piece in _gapless(self.x, self.y):
+            corners = pixels(self.x[piece], self.y[piece])
+            elements.append(path(corners, class_=kind))
+            if len(corners) == 1:
+                elements.append(CHARTS.circle("dot", *corners[0], 3))
+        return "".join(elements)
 
 
 def line_chart(
@@ -222,54 +230,9 @@ def line_chart(
     x = Scale(low, high, *box.x)
     heights = np.concatenate([line.heights for line in series])
     y = y_axis.scale(heights.tolist(), box.y)
-    lines = [_line(line, x, y) for line in series]
-    plot = (x.start, x.end, x.low, x.high, y.start, y.end)
-    many = " many" if len(series) > 3 else ""
-    return drawing(
-        box.width,
-        box.height,
-        name,
-        axes(box, x, y, x_axis, y_axis),
-        *lines,
-        class_=f"chart lines{many}",
-        data_plot=" ".join(f"{value:.10g}" for value in plot),
-    )
-
-
-def _line(series: Series, x: Scale, y: Scale) -> str:
-    def pixels(xs: Floats, ys: Floats) -> list[Point]:
-        if series.stairs:
-            xs = np.repeat(xs, 2)[1:]
-            ys = np.repeat(ys, 2)[:-1]
-        return list(zip(map(x, xs.tolist()), map(y, ys.tolist()), strict=True))
-
-    elements: list[str] = []
-    for xs, ys in series.faint:
-        for piece in _gapless(xs, ys):
-            corners = pixels(xs[piece], ys[piece])
-            elements.append(path(corners, class_="seed"))
-    if series.band is not None:
-        lower, upper = series.band
-        for piece in _gapless(series.x, lower + upper):
-            top = pixels(series.x[piece], upper[piece])
-            bottom = pixels(series.x[piece], lower[piece])
-            elements.append(band(top, bottom, class_="band"))
-    for piece in _gapless(series.x, series.y):
-        corners = pixels(series.x[piece], series.y[piece])
-        kind = "line dashed" if series.dashed else "line"
-        elements.append(path(corners, class_=kind))
-        if len(corners) == 1:
-            ((cx, cy),) = corners
-            elements.append(element("circle", cx=cx, cy=cy, r=3, class_="dot"))
-    known = np.isfinite(series.y)
-    values = zip(series.x[known], series.y[known], strict=True)
-    return element(
-        "g",
-        *elements,
-        class_=f"series {series.colour}",
-        data_name=series.name,
-        data_points=";".join(f"{step:.9g},{value:.9g}" for step, value in values),
-    )
+    ends = (x.start, x.end, x.low, x.high, y.start, y.end)
+    plot = " ".join(f"{value:.10g}" for value in ends)
+    return CHARTS.line_chart(box, name, x, y, x_axis, y_axis, series, plot)
 
 
 def _gapless(x: Floats, y: Floats) -> list[slice]:

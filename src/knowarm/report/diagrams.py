@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from knowarm.arrays import Floats
 from knowarm.report.blocks import DataTable, Panel
-from knowarm.report.charts import Axis, Box, Scale, axis_below, frame, rule, tick
-from knowarm.report.format import percent
+from knowarm.report.charts import CHARTS, Axis, Box
 from knowarm.report.model import Evaluated
 from knowarm.statistics import Interval
-from knowarm.svg import drawing, element, hover, label, text_width
+from knowarm.svg import text_width
 
 LEAST_SPACE = 100.0  # for the names of the rows of a dot chart [px]
 ROW = 34  # height of a row of a dot chart [px]
@@ -81,17 +78,8 @@ def dot_chart(
         top=8,
         bottom=44,
     )
-    bottom, top = box.y
     x = axis.scale(_drawn_values(dots, zero), box.x)
-    elements = axis_below(box, x, axis, is_grid=True)
-    if zero:
-        elements.append(rule("zero", x(0), x(0), top, bottom))
-    rows = [
-        _dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)
-    ]
-    return drawing(
-        box.width, box.height, name, frame(elements), *rows, class_="chart dots"
-    )
+    return CHARTS.dot_chart(box, name, x, axis, dots, zero, ROW)
 
 
 def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
@@ -105,32 +93,6 @@ def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
     return values
 
 
-def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
-    def circle(value: float, y: float, r: float, kind: str) -> None:
-        elements.append(element("circle", cx=x(value), cy=y, r=r, class_=kind))
-
-    words = dot.name
-    elements = [_row_name(box.left - 10, y + 4, words)]
-    for single in dot.single:
-        circle(single, y + 9, 2.2, "single")
-    value = dot.value
-    if value:
-        words += f": {axis.text(value.estimate)}"
-        if value.low < value.high:
-            start = x(max(value.low, x.low))
-            end = x(min(value.high, x.high))
-            elements.append(
-                element("line", x1=start, x2=end, y1=y, y2=y, class_="whisker")
-            )
-            words += f" ({axis.text(value.low)} to {axis.text(value.high)})"
-        circle(value.estimate, y, 5, "dot")
-    if dot.ring is not None:
-        circle(dot.ring, y, 5, "ring")
-    return element(
-        "g", hover(words), *elements, class_=f"row {dot.colour}", data_name=dot.name
-    )
-
-
 def confusion_map(
     shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str
 ) -> str:
@@ -138,32 +100,4 @@ def confusion_map(
     left = 8 + max(map(text_width, rows))
     below = 8 + max(map(text_width, columns))
     size = min(CONFUSION_CELL, (WIDTH - left) / len(columns))
-    bottom = len(rows) * size
-    elements = []
-    for i, row in enumerate(rows):
-        middle = (i + 0.5) * size + 4
-        elements.append(_row_name(left - 6, middle, row))
-    for j, column in enumerate(columns):  # their names are turned
-        x = left + (j + 0.5) * size + 4
-        turn = f"rotate(-90 {x:.6g} {bottom + 6:.6g})"
-        elements.append(
-            element("g", tick(x, bottom + 6, column, "end"), transform=turn)
-        )
-    for (i, j), share in np.ndenumerate(shares):
-        cell = element(
-            "rect",
-            hover(f"{rows[i]}, chosen {columns[j]}: {percent(share, 0)}"),
-            x=left + j * size,
-            y=i * size,
-            width=size - 1,
-            height=size - 1,
-            class_="cell",
-            fill_opacity=round(0.06 + 0.94 * float(share), 3),
-        )
-        elements.append(cell)
-    width = left + len(columns) * size
-    return drawing(width, bottom + below, title, *elements, class_="chart heat")
-
-
-def _row_name(x: float, y: float, name: str) -> str:
-    return label(x, y, name, class_="row-name", text_anchor="end")
+    return CHARTS.confusion(shares.tolist(), rows, columns, title, left, below, size)

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from knowarm.errors import UserError
 from knowarm.escapes import csv_cell
 from knowarm.reading import read_json, replacing, write_json, writing
-from knowarm.report.blocks import Column, DataTable, Page, Row, Verdict, flat
+from knowarm.report.blocks import DataTable, Page, Row, Verdict, flat
+from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
-from knowarm.report.format import FORMATS, MISSING, counted
+from knowarm.report.format import FORMATS, counted
 from knowarm.report.model import StudyData
 from knowarm.report.pages import build_pages
 from knowarm.svg import style_sheet
@@ -25,7 +25,6 @@ from knowarm.svg import style_sheet
 DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
-TEMPLATES = Path(__file__).parent / "templates"
 # Rows of a table that are written into the page; the CSV has all of them.
 LONG_TABLE = 400
 FOLDED_ROWS = 16  # rows above which a table is folded at first
@@ -155,56 +154,27 @@ def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
     """Fill the HTML template; links are relative to the page."""
     start = out.parent
     tasks = study.tasks
-    environment = Environment(
-        loader=PackageLoader("knowarm.report"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-    environment.filters["raw"] = lambda value: _raw(value, start)
-    environment.globals.update(
-        cell=lambda column, row: _cell(column, row, start),
-        csv_link=lambda table: quote(f"{out.stem}-data/{table.name}.csv"),
-        kind=lambda block: type(block).__name__,
-        numeric=lambda column: column.format not in ("text", "path"),
-        long_table=LONG_TABLE,
-        folded_rows=FOLDED_ROWS,
-    )
     title = tasks[0].title
     if len(tasks) > 1:
         title = f"{len(tasks)} tasks, {counted(len(study.runs), 'run')}"
-    return environment.get_template("report.html.j2").render(
+    script = Path(__file__).parent / "templates" / "script.js"
+    return TEMPLATES.get_template("report.html.j2").render(
         title=title,
         pages=pages,
         tasks=tasks,
         many_tasks=len(tasks) > 1,
         style=Markup(style_sheet()),
-        script=Markup((TEMPLATES / "script.js").read_text(encoding="utf-8")),
+        script=Markup(script.read_text(encoding="utf-8")),
         version=version("knowarm"),
         json_link=quote(out.with_suffix(".json").name),
+        raw=lambda value: _raw(value, start),
+        quote=quote,
+        formats=FORMATS,
+        data_folder=f"{out.stem}-data",
+        kind=lambda block: type(block).__name__,
+        long_table=LONG_TABLE,
+        folded_rows=FOLDED_ROWS,
     )
-
-
-def _cell(column: Column, row: Row, start: Path) -> Markup:
-    """Return one formatted cell, with its interval, or few runs, in smaller type."""
-    value = row.get(column.key)
-    if isinstance(value, Path):
-        path = _plain(value, start)
-        return Markup('<a href="{}">{}</a>').format(quote(path), path)
-    form = FORMATS[column.format]
-    text = form(value)
-    low: Any = row.get(f"{column.key}_low")
-    high: Any = row.get(f"{column.key}_high")
-    is_known = column.interval and text != MISSING and None not in (low, high)
-    if not (is_known and low < high):
-        return escape(text)
-    runs = row.get(f"{column.key}_runs")
-    ends = f"{form(low)} to {form(high)}"
-    if runs:
-        ends = f"seeds: {', '.join(map(form, runs))}"
-    return Markup('{} <span class="ci">{}</span>').format(text, ends)
 
 
 def _plain(value: Any, start: Path) -> Any:
