@@ -12,8 +12,8 @@ import numpy as np
 from knowarm.report.format import p_value
 from knowarm.report.model import CONTROLS, Group, RunData, StudyData, TaskData
 from knowarm.report.pages.paper import published_comparison
-from knowarm.report.verdicts.claims import OUTCOMES, Claim, Finding, claims
-from knowarm.report.verdicts.knowledge import WORDS, findings
+from knowarm.report.verdicts.claims import KINDS, OUTCOMES, Claim, Finding, claims
+from knowarm.report.verdicts.knowledge import findings
 from knowarm.statistics import first_crossing, one_way_anova, welch
 from scripts.answer_cells import LEVEL, SIGNIFICANT, signed, table, title_of
 
@@ -109,7 +109,7 @@ def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
     rows = []
     for (title, name, outcome), finding in found.items():
         gate = gate_of(finding)
-        verdict = WORDS[finding.kind]
+        verdict = KINDS[finding.kind]["words"]
         rows.append(
             [
                 title,

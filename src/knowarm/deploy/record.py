@@ -55,26 +55,26 @@ _COLUMNS = {
     "task_index": "int64",
 }
 """Types of all columns but the image; the first three hold a number per joint."""
-TASKS_FRAME = {
-    "index_columns": ["task"],
-    "column_indexes": [],
-    "columns": [
-        {
-            "name": "task_index",
-            "field_name": "task_index",
-            "pandas_type": "int64",
-            "numpy_type": "int64",
-            "metadata": None,
-        },
-        {
-            "name": "task",
-            "field_name": "task",
-            "pandas_type": "unicode",
-            "numpy_type": "object",
-            "metadata": None,
-        },
-    ],
-}
+TASKS_FRAME = """{
+  "index_columns": ["task"],
+  "column_indexes": [],
+  "columns": [
+    {
+      "name": "task_index",
+      "field_name": "task_index",
+      "pandas_type": "int64",
+      "numpy_type": "int64",
+      "metadata": null
+    },
+    {
+      "name": "task",
+      "field_name": "task",
+      "pandas_type": "unicode",
+      "numpy_type": "object",
+      "metadata": null
+    }
+  ]
+}"""
 """Data frame of the tasks that LeRobot reads: the text is its index."""
 
 _Columns = dict[str, Any]
@@ -260,7 +260,7 @@ class _Writer:
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.Table.from_pylist(self.rows), path)
         tasks = pa.table({"task_index": [*self.tasks.values()], "task": [*self.tasks]})
-        tasks = tasks.replace_schema_metadata({"pandas": json.dumps(TASKS_FRAME)})
+        tasks = tasks.replace_schema_metadata({"pandas": TASKS_FRAME})
         pq.write_table(tasks, self.folder / "meta/tasks.parquet")
         write_json(self.folder / "meta/stats.json", self._statistics())
         info = {

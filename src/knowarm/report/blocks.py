@@ -1,15 +1,19 @@
 """Building blocks of a report page: text, verdicts, figures, films, tables."""
 
-from collections.abc import Iterable, Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from knowarm.experiment.summary import find_measure, measure
+from knowarm.experiment.summary import find_measure
 from knowarm.report.model import Evaluated, Reference, StudyData, TaskData
 from knowarm.statistics import Interval
 
 Row = dict[str, Any]
+TABLES: Row = tomllib.loads(
+    (Path(__file__).parent / "tables.toml").read_text(encoding="utf-8")
+)
 
 
 @dataclass(frozen=True)
@@ -21,29 +25,6 @@ class Column:
     format: str = "text"  # key of `format.FORMATS`
     interval: bool = False  # whether values may be intervals, whose ends are shown, too
     hint: str = ""  # explanation of the heading, one sentence
-
-
-COLUMNS = {
-    "seed": Column("seed", "seed", "integer"),
-    "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
-    "episodes": Column("episodes", "episodes", "integer"),
-    "parameters": Column("parameters", "parameters", "integer"),
-    "level": Column("level", "success", "percent"),
-}
-"""Columns of several tables that are no measures, by key."""
-
-
-def estimate_column(
-    key: str, label: str, format: str = "percent", hint: str = ""
-) -> Column:
-    """Return the column of a number whose values may be intervals."""
-    return Column(key, label, format, interval=True, hint=hint)
-
-
-def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
-    """Return the column of a measure, with its title unless another one is given."""
-    of = measure(key)
-    return Column(key, label or of.title, of.format, interval, of.about)
 
 
 @dataclass(frozen=True)
@@ -58,6 +39,7 @@ class DataTable:
     rows: Sequence[Row]
     sources: Sequence[Path] = ()  # run folders that the numbers were computed from
     note: str = ""  # how the numbers were computed and what they do not show
+    caption: str = ""  # how to read the drawings of its numbers
 
     @property
     def flat_rows(self) -> list[Row]:
@@ -85,28 +67,50 @@ class DataTable:
 def table_of(
     of: TaskData | StudyData,
     name: str,
-    title: str,
-    columns: Iterable[str | Column],
     rows: Sequence[Row],
-    note: str = "",
+    *,
+    like: str = "",
+    more: Iterable[str | Column] = (),
     stem: str = "",
+    **words: str,
 ) -> DataTable:
-    """Return a table of a task or study, with a name that ends in that of the task.
+    """Return a table of a task or study as ``tables.toml`` describes it.
 
-    Columns are given as they are, by a key of `COLUMNS`, or by that of a measure or text.
-    ``stem`` ends the name of the CSV file.
+    Args:
+        of: the task, in whose name that of the CSV file ends, or the study.
+        name: of the table in ``tables.toml``, unless ``like`` is.
+        rows: of the table.
+        like: the table of which this is one of several.
+        more: columns after those of ``tables.toml``.
+        stem: the end of the name of the CSV file.
+        words: for the names in braces.
     """
+    table = TABLES[like or name]
+    columns = [_column(column, words) for column in (*table["columns"], *more)]
+    texts = [table.get(part, "").format(**words) for part in ("note", "caption")]
     name = "-".join(filter(None, (name, of.name, stem)))
     sources = [run.path for run in of.runs]
-    return DataTable(name, title, list(map(_column, columns)), rows, sources, note)
+    return DataTable(
+        name, table["title"].format(**words), columns, rows, sources, *texts
+    )
 
 
-def _column(column: str | Column) -> Column:
+def _column(column: str | Row | Column, words: Mapping[str, str]) -> Column:
     if isinstance(column, Column):
         return column
-    if column in COLUMNS:
-        return COLUMNS[column]
-    return column_of(column) if find_measure(column) else Column(column, column)
+    changes = {"key": column} if isinstance(column, str) else column
+    key = changes["key"]
+    measure = find_measure(key)
+    fields: Row = {"label": key}
+    if key in TABLES["columns"]:
+        fields |= TABLES["columns"][key]
+    elif measure:
+        fields = {"label": measure.title, "hint": measure.about, "interval": True}
+        fields["format"] = measure.format
+    fields |= changes
+    for field in ("label", "hint"):
+        fields[field] = fields.get(field, "").format(**words)
+    return Column(**fields)
 
 
 def row_of(evaluated: Evaluated, *keys: str) -> Row:
@@ -139,7 +143,6 @@ class Figure:
     """Drawings with a table of the values they show."""
 
     table: DataTable  # the drawn values; its title is the figure's
-    caption: str  # how to read the drawings
     panels: Sequence[Panel]  # drawings, side by side where there is room
     # Names, which toggle their series, and classes.
     legend: Sequence[tuple[str, str]] = ()
@@ -161,7 +164,7 @@ class Verdict:
     reasons: Sequence[str] = ()  # what it follows from, one sentence each
     shown_reasons: int = 99  # reasons shown at first; the others are folded
     tone: Tone = "note"  # how it is coloured
-    kind: str = ""  # one of `claims.Kind`, for programs; "" for other statements
+    kind: str = ""  # one of `claims.KINDS`, for programs; "" for other statements
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from knowarm.pictures import data_uri, encode
 from knowarm.reading import read_bytes
 from knowarm.report.blocks import (
     Block,
-    Column,
     Figure,
     Film,
     Films,
@@ -79,23 +78,8 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         name = f"Angles of joint {joint}"
         svg = density_chart(angles, colours, name, "angle [rad]")
         panels.append(Panel(svg, title))
-    columns = [Column("joint", "joint", "integer")]
-    for statistic in STATISTICS:
-        columns += [
-            Column(f"first_{statistic}", f"{first.name} {statistic}", "number"),
-            Column(f"second_{statistic}", f"{second.name} {statistic}", "number"),
-            Column(f"{statistic}_change", "difference", "signed"),
-        ]
-    columns.append(Column("paper_std_change", "paper", "signed"))
-    title = f"Joint angles of {first.name} and {second.name} [rad]"
-    return Figure(
-        table_of(task, "joints", title, columns, rows),
-        f"Differences: {first.name} minus {second.name} [rad]; std: standard deviation. "
-        "Vertical lines: means. One trained network per agent: another training seed may change "
-        "them as much as the knowledge does.",
-        panels,
-        legend=list(colours.items()),
-    )
+    table = table_of(task, "joints", rows, first=first.name, second=second.name)
+    return Figure(table, panels, legend=list(colours.items()))
 
 
 def _statistics(angles: Floats) -> dict[str, float]:

@@ -8,12 +8,10 @@ from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.report.blocks import (
     Block,
-    Column,
     DataTable,
     Figure,
     Row,
     Verdict,
-    estimate_column,
     row_of,
     table_of,
 )
@@ -56,62 +54,8 @@ EXPLANATION = (
     "narrow below about ten seeds), the probability that one run beats another.",
 )
 
-COMPARISON_COLUMNS = (
-    "outcome",
-    Column("first", "agent"),
-    Column("second", "against"),
-    estimate_column("difference", "difference [points]", "points"),
-    Column("seeds", "seeds"),
-    Column("effect_size", "effect size", "signed", hint="Cohen's d"),
-    Column("p", "p", "p", hint="Welch's t, two-sided"),
-    Column(
-        "adjusted_p",
-        "adjusted p",
-        "p",
-        hint="baseline: Holm; others: times its comparisons",
-    ),
-    "verdict",
-    Column(
-        "needed",
-        "seeds needed",
-        "integer",
-        hint="per agent, for the observed difference",
-    ),
-)
-COMPARISON_CAPTION = "Difference of means in percentage points, with its 95 % interval."
-COMPARISON_NOTE = (
-    "Interval: Welch's t, 95 %, not corrected. Seeds needed: for a difference as large as the "
-    "observed one, 80 % power, two-sided 5 %, one comparison; too small for a difference that was "
-    "selected because it is large. Undecided is no evidence of equality: the interval shows which "
-    "differences remain possible. Described: not tested."
-)
-SCORES_NOTE = (
-    "P: probability that a run of the agent beats a run of the other. Mean during "
-    "training: area under the curve of interim success, divided by its length. Intervals: 95 % "
-    "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed."
-)
 PROFILE_LEVELS = np.linspace(0, 1, 101)  # of success, of the performance profile
-PROFILE_COLUMNS = ("agent", "level", estimate_column("share", "runs above"))
-PROFILE_CAPTION = (
-    "Share of training runs that end above each level of success; further right is "
-    "better. Band: 95 % bootstrap over seeds, pointwise."
-)
 FEWEST_RATES = 5  # evaluation seeds below which the analysis of variance is not shown
-VARIANCE_COLUMNS = (
-    Column("first", "network of"),
-    Column("second", "against that of"),
-    Column("rates", "evaluation seeds", "integer"),
-    Column("first_mean", "success", "percent"),
-    Column("second_mean", "success", "percent"),
-    Column("f", "F"),
-    Column("p", "p", "p"),
-    Column("paper_f", "paper's F", "number"),
-)
-VARIANCE_NOTE = (
-    "Tests whether these two trained networks differ over random episodes, and says nothing "
-    "about another training seed of the same method: with more evaluation seeds any two "
-    "networks differ significantly."
-)
 
 
 def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
@@ -133,11 +77,7 @@ def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
     if not any(claim.comparison for claim in claims):
         return Verdict("No differences are computed from single seeds.", [FEW_SEEDS])
     rows = [_comparison_row(claim) for claim in claims]
-    title = "Differences between agents"
-    table = table_of(
-        task, "comparisons", title, COMPARISON_COLUMNS, rows, COMPARISON_NOTE
-    )
-    return forest_figure(table, COMPARISON_CAPTION)
+    return forest_figure(table_of(task, "comparisons", rows))
 
 
 def _comparison_row(claim: Claim) -> Row:
@@ -176,16 +116,7 @@ def _scores(task: TaskData) -> DataTable:
         if group is not baseline and min(final.size, base.size) > 1:
             row["improvement"] = probability_of_improvement(final, base)
         rows.append(row)
-    columns = (
-        "agent",
-        "seeds",
-        estimate_column("mean", "mean"),
-        estimate_column("iqm", "interquartile mean"),
-        estimate_column("improvement", f"P(better than {baseline.name})"),
-        estimate_column("area", "mean during training"),
-    )
-    title = "Success over training seeds"
-    return table_of(task, "scores", title, columns, rows, SCORES_NOTE)
+    return table_of(task, "scores", rows, baseline=baseline.name)
 
 
 def _with_interval(
@@ -222,9 +153,9 @@ def _profile(task: TaskData) -> Figure | None:
         )
         lines.append(line)
     rows = line_rows({"share": lines}, "level")
-    table = table_of(task, "profile", "Performance profile", PROFILE_COLUMNS, rows)
+    table = table_of(task, "profile", rows)
     axes = {"share": percent_axis("runs above")}
-    return line_figure(table, PROFILE_CAPTION, {"share": lines}, axis, axes)
+    return line_figure(table, {"share": lines}, axis, axes)
 
 
 def _variance(task: TaskData) -> DataTable | None:
@@ -249,8 +180,7 @@ def _variance(task: TaskData) -> DataTable | None:
         rows.append(row)
     if not rows:
         return None
-    title = "The paper's analysis of variance over evaluation seeds"
-    return table_of(task, "anova", title, VARIANCE_COLUMNS, rows, VARIANCE_NOTE)
+    return table_of(task, "anova", rows)
 
 
 def success_rates(group: Group) -> Floats | None:

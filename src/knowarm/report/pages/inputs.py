@@ -59,21 +59,6 @@ PRIVILEGED_NOTE = (
 )
 
 
-COLUMNS = (
-    "agent",
-    "source",
-    Column("slots", "slots", "integer"),
-    Column("numbers", "dimensions", "integer"),
-    Column("norm", "norm", "number"),
-    Column("coverage", "words with a vector", "percent"),
-    "constant",
-    "privileged",
-    Column("training", "simulator's state in training"),
-    "note",
-)
-PARAMETERS_NOTE = "A longer vector makes a larger LSTM: compare agents of equal size."
-
-
 def input_blocks(task: TaskData) -> list[Block]:
     """Show what each agent's vector says, and how many parameters receive it."""
     vectors = {group.name: _knowledge_of(group.runs[0]) for group in task.groups}
@@ -91,10 +76,8 @@ def input_blocks(task: TaskData) -> list[Block]:
             rows = [
                 {"slot": slot, "sentence": words} for slot, words in sentences.items()
             ]
-            title = f"Sentence of each slot: {group.name}"
-            columns = ("slot", "sentence")
             stem = stems[group.name]
-            table = table_of(task, "sentences", title, columns, rows, stem=stem)
+            table = table_of(task, "sentences", rows, stem=stem, agent=group.name)
             blocks.append(table)
     return [*blocks, *_parameters(task)]
 
@@ -178,24 +161,18 @@ def _overview(task: TaskData, vectors: Vectors) -> DataTable:
                 row["source"] = knowledge.source
                 row["coverage"] = knowledge.coverage["share"]
         rows.append(row)
-    title = "Knowledge vectors"
-    return table_of(task, "knowledge", title, COLUMNS, rows, note)
+    return table_of(task, "knowledge", rows, note=note)
 
 
 def _parameters(task: TaskData) -> list[Block]:
     """List the trainable parameters by part; nothing if no run stored its counts."""
     rows = []
-    columns = {"agent": Column("agent", "agent")}
+    parts: dict[str, Column] = {}
     for group in task.groups:
         counts = group.runs[0].provenance.parameter_counts
         if counts:
             rows.append({"agent": group.name, **counts})
         for part, count in counts.items():
             if count:
-                columns[part] = Column(part, part, "integer")
-    if len(columns) == 1:
-        return []
-    title = "Trainable parameters by part of the network"
-    return [
-        table_of(task, "parameters", title, columns.values(), rows, PARAMETERS_NOTE)
-    ]
+                parts[part] = Column(part, part, "integer")
+    return [table_of(task, "parameters", rows, more=parts.values())] if parts else []

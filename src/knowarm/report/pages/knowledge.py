@@ -5,11 +5,9 @@ from collections import Counter
 from knowarm.experiment.agents import AGENTS
 from knowarm.report.blocks import (
     Block,
-    Column,
     DataTable,
     Figure,
     Row,
-    estimate_column,
     row_of,
     table_of,
 )
@@ -34,16 +32,6 @@ EXPLANATION = (
     "because its weights have a gradient of their own. An advantage over the baseline alone is "
     "therefore no evidence for knowledge. What counts is the advantage over controls that differ "
     "in the knowledge only.",
-)
-
-
-CONTROLS_CAPTION = (
-    "Success after training in percentage points, with the 95 % interval over training seeds. "
-    "Right of the line: {subject} is ahead."
-)
-ELSEWHERE_NOTE = (
-    "Evaluations stored under another label: held-out colours, other thresholds, sampled "
-    "actions. 95 % intervals over training seeds, not corrected."
 )
 
 
@@ -83,20 +71,12 @@ def _controls(task: TaskData, subject: Group, decided: list[Claim], stem: str) -
         if other.agent in AGENTS:
             row["about"] = AGENTS[other.agent].about
         rows.append(row)
-    columns = (
-        Column("control", "agent"),
-        "role",
-        "about",
-        "parameters",
-        Column("equal", f"as many as {name}", hint=f"within {TOLERANCE:.0%}"),
-        estimate_column("difference", "success [points]", "points"),
-        Column("adjusted_p", "adjusted p", "p"),
-        Column("verdict", f"{name} is"),
-    )
-    note = f"{name} has {integer(size)} trainable parameters."
-    title = f"{name} against each other agent"
-    table = table_of(task, "controls", title, columns, rows, note, stem)
-    return forest_figure(table, CONTROLS_CAPTION.format(subject=name))
+    words = {
+        "subject": name,
+        "size": integer(size),
+        "tolerance": f"{TOLERANCE:.0%}",
+    }
+    return forest_figure(table_of(task, "controls", rows, stem=stem, **words))
 
 
 def claim_row(claim: Claim, panel: str) -> Row:
@@ -110,12 +90,12 @@ def claim_row(claim: Claim, panel: str) -> Row:
     return row
 
 
-def forest_figure(table: DataTable, caption: str) -> Block:
+def forest_figure(table: DataTable) -> Block:
     """Draw the intervals of differences around zero; the table alone if there are none."""
     panels = dot_panels(table, "difference", POINTS_AXIS, zero=True, width=390)
     if not panels:
         return table
-    return Figure(table, caption, panels, open_table=True)
+    return Figure(table, panels, open_table=True)
 
 
 def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTable]:
@@ -139,12 +119,4 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
             rows.append(row)
     if not rows:
         return []
-    columns = (
-        Column("label", "evaluation"),
-        "agent",
-        "seeds",
-        Column("success", "success", "percent"),
-        estimate_column("difference", f"{subject.name} minus it [points]", "points"),
-    )
-    title = "Other conditions"
-    return [table_of(task, "elsewhere", title, columns, rows, ELSEWHERE_NOTE, stem)]
+    return [table_of(task, "elsewhere", rows, stem=stem, subject=subject.name)]

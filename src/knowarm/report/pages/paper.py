@@ -12,10 +12,8 @@ from knowarm.config import to_dict
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
-    Column,
     Figure,
     Text,
-    estimate_column,
     row_of,
     table_of,
 )
@@ -28,24 +26,6 @@ from knowarm.statistics import Interval, bootstrap
 RESULTS = Path(__file__).parents[1] / "paper_results.json"
 
 ACCURACY_AXIS = percent_axis("accuracy")
-
-COLUMNS = (
-    "task",
-    "agent",
-    "seeds",
-    "accuracy",
-    Column("paper_accuracy", "paper", "percent"),
-    estimate_column("best_step", "best model at", "steps"),
-    Column("paper_step", "paper", "steps"),
-)
-NOTE = (
-    "Paper: Boosting Deep Reinforcement Learning with Semantic Knowledge for Robotic "
-    "Manipulators, Robotics 2025, 14, 86, doi.org/10.3390/robotics14070086, section 5.2."
-)
-CAPTION = (
-    "Dot and line: this report, with its 95 % interval. Small dots: training seeds. "
-    "Ring: the paper, with another simulator, other start poses and another algorithm."
-)
 
 EXPLANATION = (
     "Accuracy is defined as in the paper: the fraction of episodes whose final distance is within "
@@ -116,10 +96,9 @@ def paper_blocks(study: StudyData) -> list[Block]:
                 rows.append(row)
     if not rows:
         return []
-    title = "Accuracy and learning time"
-    table = table_of(study, "paper", title, COLUMNS, rows, NOTE)
+    table = table_of(study, "paper", rows)
     panels = dot_panels(table, "accuracy", ACCURACY_AXIS, seeds=True)
-    return [Figure(table, CAPTION, panels, open_table=True), Text([EXPLANATION])]
+    return [Figure(table, panels, open_table=True), Text([EXPLANATION])]
 
 
 def _best_steps(group: Group) -> Interval | None:

@@ -11,13 +11,11 @@ from knowarm.errors import UserError
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.blocks import (
     Block,
-    Column,
     DataTable,
     Figure,
     Panel,
     Row,
     Verdict,
-    column_of,
     row_of,
     table_of,
 )
@@ -41,25 +39,6 @@ EXPLANATION = (
 )
 
 BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)
-
-MEASURE_NOTE = (
-    "95 % intervals: over five or more training seeds (bootstrap of the mean), "
-    "over episodes where there is one."
-)
-MEASURE_CAPTION = (
-    "Line at 0: a choice at random. Dot: mean over training seeds; line: 95 % interval "
-    "over seeds. Small dots: single seeds."
-)
-BINDING_NOTE = (
-    "Follows its question: right choices, minus those when the agent is told the question of "
-    "another visible object. 100 points: it always goes where it is told; 0: the question changes "
-    "nothing."
-)
-SWITCH_NOTE = (
-    "Shares of episodes that ended at the object that the query means in the edited graph "
-    "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
-    "not visible in every episode, so compare with the controls rather than with one half."
-)
 MEASURES = (
     "choice",
     "choice_corrected",
@@ -70,55 +49,13 @@ MEASURES = (
     "chose_old_answer",
     "switched",
 )
-CHANCE = Column("chance", "chance", "percent")
-TABLES: tuple[tuple[str, str, str, Sequence[str | Column], str], ...] = (
-    (
-        "choice",
-        "choice",
-        "Choice by split",
-        (CHANCE, "choice", "choice_corrected"),
-        MEASURE_NOTE,
-    ),
-    (
-        "reach",
-        "success",
-        "Reach by split",
-        ("success", "success_if_chosen", "success_corrected"),
-        MEASURE_NOTE,
-    ),
-    (
-        "binding",
-        "binding",
-        "Does the arm follow its question?",
-        ("choice", "binding"),
-        BINDING_NOTE,
-    ),
-    (
-        "switched",
-        "switched",
-        "Does the arm follow the edited graph?",
-        (column_of("choice", "new answer"), "chose_old_answer", "switched"),
-        SWITCH_NOTE,
-    ),
-)
-"""Tables of agents that have a measure: name, measure, title, columns and note. The measure is
-drawn where it can be corrected for chance."""
-TYPE_COLUMNS = ("split", Column("type", "kind of query"), "agent", "choice", "success")
-TYPE_CAPTION = (
-    "Kind: the relations that the query names. Dot: mean over training seeds; line: "
-    "95 % interval. The table has all splits."
-)
-CONFUSION_COLUMNS = (
-    "split",
-    Column("asked", "wanted object"),
-    Column("chosen", "chosen object"),
-    "episodes",
-    Column("share", "share of the wanted", "percent"),
-)
-CONFUSION_CAPTION = (
-    "Row: the wanted object. Column: the chosen one. The darker a cell, the larger its share "
-    "of the row's episodes, over all training seeds."
-)
+TABLES = {
+    "choice": "choice",
+    "reach": "success",
+    "binding": "binding",
+    "switched": "switched",
+}
+"""Tables of agents that have a measure, which is drawn where it can be corrected for chance."""
 
 
 def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
@@ -130,11 +67,10 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
         finding.verdict() for finding in findings if finding.task is task
     ]
     rows = [_row(agent, *MEASURES) for agent in agents]
-    for name, key, title, columns, note in TABLES:
+    for name, key in TABLES.items():
         known = [row for row in rows if row[key]]
         if known:
-            columns = ("split", "agent", "seeds", *columns)
-            table = table_of(task, name, title, columns, known, note)
+            table = table_of(task, name, known)
             blocks.append(_figure(table, f"{key}_corrected"))
     if any("choice" in run.interim for run in task.runs):
         measures = {"choice": CHOICE_AXIS}
@@ -157,7 +93,7 @@ def _figure(table: DataTable, key: str) -> Block:
     if key not in table.csv_columns():
         return table
     panels = dot_panels(table, key, BEYOND_CHANCE, seeds=True, zero=True)
-    return Figure(table, MEASURE_CAPTION, panels, open_table=True)
+    return Figure(table, panels, open_table=True)
 
 
 def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
@@ -175,11 +111,8 @@ def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
             if agent.split == first:
                 row["_panel"] = facet(kind)
             rows.append(row)
-    title = f"Right choices by kind of query, {first}"
-    table = table_of(task, "query-types", title, TYPE_COLUMNS, rows)
-    return Figure(
-        table, TYPE_CAPTION, dot_panels(table, "choice", CHOICE_AXIS, width=340)
-    )
+    table = table_of(task, "query-types", rows, split=first)
+    return Figure(table, dot_panels(table, "choice", CHOICE_AXIS, width=340))
 
 
 def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
@@ -209,9 +142,7 @@ def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
                 rows.append(row)
     except UserError as error:
         return Verdict(str(error), tone="bad")
-    title = f"Chosen against wanted object, {first.name}"
-    table = table_of(task, "confusion", title, CONFUSION_COLUMNS, rows)
-    return Figure(table, CONFUSION_CAPTION, panels)
+    return Figure(table_of(task, "confusion", rows, agent=first.name), panels)
 
 
 def _counts(agent: TestedGroup) -> tuple[list[str], list[str], Integers]:

@@ -7,8 +7,6 @@ from knowarm.report.blocks import (
     Column,
     DataTable,
     Figure,
-    column_of,
-    estimate_column,
     row_of,
     table_of,
 )
@@ -20,33 +18,19 @@ from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks import report_tables
 from knowarm.world.tasks.probe import ReportTable
 
+MEASURES = (
+    "return_mean",
+    "return_std",
+    "success",
+    "accuracy",
+    "success_wide",
+    "length_mean",
+    "length_std",
+    "failure_distance_mean",
+    "failure_distance_std",
+    "failure_distance_max",
+)
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
-COLUMNS = (
-    column_of("return_mean"),
-    column_of("return_std", interval=False),
-    column_of("success"),
-    column_of("accuracy"),
-    column_of("success_wide"),
-    column_of("length_mean"),
-    column_of("length_std", interval=False),
-    column_of("failure_distance_mean", interval=False),
-    column_of("failure_distance_std", interval=False),
-    column_of("failure_distance_max", interval=False),
-)
-NOTE = (
-    "95 % intervals: over five or more training seeds (bootstrap of the mean); of two to four "
-    "the values of each are shown, and charts and CSV have Student's t, no narrower than the "
-    "intervals over episodes; over episodes where there is one seed (Wilson for success and "
-    "accuracy), which then describe that one network. Failure distance: final distance of "
-    "unsuccessful episodes. Standard deviations are within an evaluation, averaged over seeds."
-)
-VISION_NOTE = (
-    "Success of blind agents on the first {count} of the same episodes; {agents}. Depends on "
-    "vision: the agent's success minus that of the better agent that sees nothing. 95 % "
-    "intervals: over training seeds where there are several, otherwise over episodes "
-    "(Newcombe). A better fixed list may exist than the one that the search found."
-)
-PARTS_CAPTION = "Dot: mean over training seeds; line: 95 % interval."
 
 
 def result_blocks(task: TaskData) -> list[Block]:
@@ -64,11 +48,9 @@ def result_blocks(task: TaskData) -> list[Block]:
 
 
 def _table(task: TaskData) -> DataTable:
-    measures = [column.key for column in COLUMNS]
-    rows = [row_of(agent, *measures) for agent in task.agents]
-    title = conditions(first_evaluation(task.agents))
-    columns = ("agent", "seeds", *COLUMNS)
-    return table_of(task, "evaluation", title, columns, rows, NOTE)
+    rows = [row_of(agent, *MEASURES) for agent in task.agents]
+    played = conditions(first_evaluation(task.agents))
+    return table_of(task, "evaluation", rows, conditions=played)
 
 
 def _vision(task: TaskData) -> DataTable | None:
@@ -76,17 +58,15 @@ def _vision(task: TaskData) -> DataTable | None:
     groups = [group for group in task.groups if group.level("vision_gain")]
     if not groups:
         return None
-    columns: list[str | Column] = ["agent", "seeds", "success"]
-    differences = [
-        estimate_column("vision_gain", "depends on vision [points]", "points")
-    ]
+    columns: list[str | Column] = []
+    differences: list[str | Column] = ["vision_gain"]
     abouts = []
     for name, entry in BLIND_AGENTS.items():
-        columns.append(estimate_column(name, name, hint=entry.about))
+        columns.append(Column(name, name, "percent", True, entry.about))
         abouts.append(f"{name}: {entry.about}")
         if not entry.sees_nothing:
             label = f"success minus {name} [points]"
-            differences.append(estimate_column(f"minus {name}", label, "points"))
+            differences.append(Column(f"minus {name}", label, "points", True))
     rows = []
     most = 0.0
     for group in groups:
@@ -99,9 +79,8 @@ def _vision(task: TaskData) -> DataTable | None:
                 most = max(most, played.estimate)
         rows.append(row)
     columns += differences
-    note = VISION_NOTE.format(count=integer(most), agents="; ".join(abouts))
-    title = "How much of the success depends on vision"
-    return table_of(task, "vision", title, columns, rows, note)
+    words = {"count": integer(most), "agents": "; ".join(abouts)}
+    return table_of(task, "vision", rows, more=columns, **words)
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
@@ -119,9 +98,9 @@ def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
             rows.append(row)
     if not rows:
         return None
-    rules = Column("rules", "episodes")
-    columns = ("agent", "seeds", rules, "success", *table.measures)
-    return table_of(task, table.name, table.title, columns, rows, table.note)
+    words = {"title": table.title, "note": table.note}
+    more = table.measures
+    return table_of(task, table.name, rows, like="of-the-task", more=more, **words)
 
 
 def first_evaluation(agents: Iterable[Evaluated]) -> Evaluation | None:
@@ -160,10 +139,7 @@ def _parts(task: TaskData, part: str, title: str) -> Block | None:
                 rows.append(row | {"_panel": facet(name)})
     if not rows:
         return None
-    columns = (Column("part", title), "agent", "success")
-    table = table_of(task, f"per-{part}", f"Success by {title}", columns, rows)
+    table = table_of(task, f"per-{part}", rows, like="parts", part=title)
     if len(names) > MOST_PANELS:
         return table
-    return Figure(
-        table, PARTS_CAPTION, dot_panels(table, "success", SUCCESS_AXIS, width=340)
-    )
+    return Figure(table, dot_panels(table, "success", SUCCESS_AXIS, width=340))

@@ -6,7 +6,6 @@ from operator import itemgetter
 from knowarm.experiment.agents import AGENTS
 from knowarm.report.blocks import (
     Block,
-    Column,
     Figure,
     Folded,
     Row,
@@ -25,30 +24,7 @@ from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 
 VERSIONS = ("knowarm", "torch", "mujoco")
-RUN_COLUMNS = (
-    "task",
-    "agent",
-    "seed",
-    Column("folder", "folder", "path"),
-    "commit",
-    *VERSIONS,
-    "machine",
-)
-PROBLEM_COLUMNS = (
-    Column("path", "folder or file", "path"),
-    Column("what", "found"),
-    Column("done", "handled as"),
-)
 MEASURES = ("success", "choice", "accuracy", "return_mean")  # of the table, where known
-SUMMARY_NOTE = (
-    "{conditions}. {agents}. Success: distance and angle within the "
-    "thresholds at once. Accuracy: final distance within the threshold, as in the paper. "
-    "Depends on vision: success minus that of the better agent that sees nothing."
-)
-SUMMARY_CAPTION = (
-    "Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
-    "several, over episodes where there is one. Small dots: single seeds."
-)
 
 
 def run_blocks(study: StudyData) -> list[Block]:
@@ -58,12 +34,11 @@ def run_blocks(study: StudyData) -> list[Block]:
         for group in task.groups:
             origin = {"task": task.title, "agent": group.name}
             rows += [origin | _origin(run) for run in group.runs]
-    runs = table_of(study, "runs", "Runs", RUN_COLUMNS, rows)
+    runs = table_of(study, "runs", rows)
     if not study.problems:
         return [Text(["Nothing is missing or damaged in the folders."]), runs]
     remarks = [problem._asdict() for problem in study.problems]
-    title = "Remarks on the folders"
-    return [table_of(study, "problems", title, PROBLEM_COLUMNS, remarks), runs]
+    return [table_of(study, "problems", remarks), runs]
 
 
 def _origin(run: RunData) -> Row:
@@ -125,13 +100,12 @@ def _results(study: StudyData) -> Figure:
     known = [key for key in MEASURES if any(map(itemgetter(key), rows))]
     several = ["task"] if len(study.tasks) > 1 else []
     columns = [*several, "agent", *known, "vision_gain", "seeds"]
-    note = SUMMARY_NOTE.format(
-        conditions=conditions(first_evaluation(agents)),
-        agents="; ".join(abouts.values()),
-    )
-    title = "Success, accuracy and return after training"
-    table = table_of(study, "summary", title, columns, rows, note)
+    words = {
+        "conditions": conditions(first_evaluation(agents)),
+        "agents": "; ".join(abouts.values()),
+    }
+    table = table_of(study, "summary", rows, more=columns, **words)
     panels = dot_panels(table, "success", near(SUCCESS_AXIS, scores), seeds=True)
     if not several:
         panels += dot_panels(table, "return_mean", RETURN_AXIS, seeds=True)
-    return Figure(table, SUMMARY_CAPTION, panels, open_table=True)
+    return Figure(table, panels, open_table=True)

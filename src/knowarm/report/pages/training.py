@@ -8,12 +8,10 @@ from knowarm.arrays import Floats, Mask
 from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.blocks import (
     Block,
-    Column,
     DataTable,
     Figure,
     Panel,
     Row,
-    estimate_column,
     row_of,
     table_of,
 )
@@ -45,34 +43,6 @@ MOST_POINTS = 120  # of a single seed's curve
 MEASURES = {"return_mean": RETURN_AXIS, "success": SUCCESS_AXIS}
 LEVELS = (0.5, 0.7, 0.8)  # levels of success whose first crossing is estimated
 
-CURVE_NOTE = "Moving averages of the interim evaluations."
-CAPTION = (
-    "Line: moving average over a tenth of the curve, averaged over training seeds. "
-    "Band: 95 % bootstrap interval over several seeds. Thin lines: the values of each seed, the "
-    "last one extended where stop_when ended it. Dashed: controls. Click a name to hide its line."
-)
-
-
-SPEED_COLUMNS = (
-    "agent",
-    "seed",
-    Column("steps", "steps trained", "steps"),
-    Column("best_step", "best model at", "steps"),
-    Column("hours", "time [h]", "number"),
-    Column("steps_per_s", "steps/s", "integer"),
-    "parameters",
-)
-SPEED_NOTE = (
-    "The best model is that of the interim evaluation with the highest mean return."
-)
-THRESHOLDS_NOTE = (
-    "Descriptive. A run that ended below a level is censored at its end and never counts "
-    "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
-    "(log-log); empty where the runs do not determine it. Restricted mean: mean steps, at most "
-    "{until} per run, as far as every agent has a run; it is defined however "
-    "many runs are censored. Saved: of the restricted mean, by agents that reached the level."
-)
-
 
 def training_blocks(task: TaskData) -> list[Block]:
     """Show how each agent learned: interim evaluations, steps to thresholds, speed."""
@@ -96,10 +66,9 @@ def curve_figure(
             if curves:
                 line = group_series(group, curves, key)
                 lines.setdefault(key, []).append(line)
-    columns = ("agent", "seeds", Column("step", "steps", "steps"), *measures)
     rows = line_rows(lines, "step")
-    table = table_of(task, name, title, columns, rows, CURVE_NOTE)
-    return line_figure(table, CAPTION, lines, STEPS_AXIS, measures)
+    table = table_of(task, name, rows, like="curves", more=measures, title=title)
+    return line_figure(table, lines, STEPS_AXIS, measures)
 
 
 def line_rows(lines: Mapping[str, Sequence[Series]], x: str) -> list[Row]:
@@ -119,7 +88,6 @@ def line_rows(lines: Mapping[str, Sequence[Series]], x: str) -> list[Row]:
 
 def line_figure(
     table: DataTable,
-    caption: str,
     lines: Mapping[str, Sequence[Series]],
     x_axis: Axis,
     axes: Mapping[str, Axis],
@@ -133,7 +101,7 @@ def line_figure(
             svg = line_chart(series, name, x_axis, axes[key], box=box)
             panels.append(Panel(svg, only=only))
         legend |= {line.name: line.colour for line in series}
-    return Figure(table, caption, panels, legend=list(legend.items()))
+    return Figure(table, panels, legend=list(legend.items()))
 
 
 def _extended(run: RunData) -> Curve:
@@ -207,17 +175,7 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
             if base and group is not baseline and reached.any():
                 row["saved"] = time_saved(mean.estimate, base.estimate)
             rows.append(row)
-    columns = (
-        "level",
-        "agent",
-        Column("reached", "runs that reached it"),
-        estimate_column("median", "median steps", "steps"),
-        estimate_column("mean", "restricted mean", "steps"),
-        Column("saved", saved, "percent"),
-    )
-    note = THRESHOLDS_NOTE.format(until=steps(until))
-    title = "Steps to a level of success"
-    return table_of(task, "thresholds", title, columns, rows, note)
+    return table_of(task, "thresholds", rows, saved=saved, until=steps(until))
 
 
 def _crossings(group: Group, level: float) -> tuple[Floats, Mask]:
@@ -247,9 +205,7 @@ def _speed(task: TaskData) -> DataTable:
             if speed.size:
                 row["steps_per_s"] = float(np.median(speed))
             rows.append(row)
-    return table_of(
-        task, "training-runs", "Training runs", SPEED_COLUMNS, rows, SPEED_NOTE
-    )
+    return table_of(task, "training-runs", rows)
 
 
 def _finite(run: RunData, key: str) -> Floats:

@@ -1,8 +1,10 @@
 """Claims, the differences between agents that a report decides on; findings they add up to."""
 
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -270,41 +272,15 @@ def scores(task: TaskData, group: Group, outcome: str) -> Floats:
     return np.array(areas)
 
 
-Kind = Literal[
-    # on a knowledge vector
-    "no baseline",
-    "no advantage",
-    "worse",
-    "size not excluded",
-    "size may explain it",
-    "input without meaning",
-    "knowledge matters",
-    # on a query
-    "no control",
-    "not above chance",
-    "not above the best control",
-    "understood",
-    # on either
-    "nothing to compare",
-    "too few seeds",
-    "meaning not tested",
-]
-"""Findings."""
-
-TONES: dict[Kind, Tone] = {
-    "worse": "bad",
-    "knowledge matters": "good",
-    "understood": "good",
-    "nothing to compare": "note",
-    "no baseline": "note",
-    "no control": "note",
-}
-"""Tones of findings; the others are undecided."""
+KINDS: dict[str, dict[str, str]] = tomllib.loads(
+    (Path(__file__).parent / "kinds.toml").read_text(encoding="utf-8")
+)
+"""What findings say, by kind."""
 
 
-def tone_of(kinds: Iterable[Kind]) -> Tone:
+def tone_of(kinds: Iterable[str]) -> Tone:
     """Return the tone that findings share; without one they are undecided."""
-    tones = {TONES.get(kind, "open") for kind in kinds}
+    tones: set[Any] = {KINDS[kind].get("tone", "open") for kind in kinds}
     return tones.pop() if len(tones) == 1 else "open"
 
 
@@ -322,7 +298,7 @@ class Finding:
     # The agent; None if the task has none whose knowledge can be tested.
     subject: Group | None
     outcome: str  # outcome or split that the finding is about
-    kind: Kind  # the finding
+    kind: str  # the finding, one of `KINDS`
     sentence: str  # the finding in words
     claims: Sequence[Claim] = ()  # the comparisons that it follows from
     notes: Sequence[str] = ()  # reasons before those of the claims

@@ -7,10 +7,10 @@ from knowarm.report.format import listed
 from knowarm.report.model import CONTROLS, ROLES, Group, TaskData
 from knowarm.report.verdicts.claims import (
     FEW_SEEDS,
+    KINDS,
     OUTCOMES,
     Claim,
     Finding,
-    Kind,
     claims_on,
     few_seeds,
     hint,
@@ -18,7 +18,7 @@ from knowarm.report.verdicts.claims import (
     tone_of,
 )
 
-UNTESTED: tuple[Kind, ...] = ("nothing to compare", "too few seeds")
+UNTESTED = ("nothing to compare", "too few seeds")
 
 
 def findings(
@@ -71,7 +71,7 @@ def finding(
         kind = "nothing to compare"
     elif all(claim.verdict == "too few seeds" for claim in tested):
         kind = "too few seeds"
-    words = SENTENCES[kind].format(
+    words = KINDS[kind]["vector"].format(
         name=subject.name,
         baseline=_names(baseline),
         capacity=_names(capacity),
@@ -88,39 +88,9 @@ def finding(
     return Finding(task, subject, outcome, kind, sentence, compared, notes)
 
 
-SENTENCES: dict[Kind, str] = {
-    "nothing to compare": "nothing to compare {name} with among these runs.",
-    "too few seeds": "whether the knowledge of {name} helps {few_seeds}",
-    "no baseline": "there is no baseline to compare {name} with.",
-    "worse": "{name} was worse than the baseline {baseline}.",
-    "no advantage": "no advantage of {name} over the baseline {baseline} is shown.",
-    "size not excluded": (
-        "{name} was better than the baseline {baseline}, but its network is larger, too: without "
-        "a capacity control this is no evidence for knowledge.{capacity_hint}"
-    ),
-    "size may explain it": (
-        "{name} was better than the baseline {baseline}, but not significantly better than "
-        "{not_beaten} without knowledge: the size of the network may explain the advantage."
-    ),
-    "meaning not tested": (
-        "{name} was better than the baseline {baseline}, than {capacity} (as large, without "
-        "knowledge); whether the content of the vector matters was not tested.{content_hint}"
-    ),
-    "input without meaning": (
-        "an input vector helps, but its meaning is not shown to matter: {name} was not "
-        "significantly better than {not_beaten}."
-    ),
-    "knowledge matters": (
-        "the knowledge matters: {name} was better than the baseline {baseline}, than {capacity} "
-        "(as large, without knowledge) and than {content} (same shape, other content)."
-    ),
-}
-"""What a finding says about a subject; it names only agents that ran."""
-
-
 def _judge(
     baseline: Sequence[Claim], capacity: Sequence[Claim], content: Sequence[Claim]
-) -> Kind:
+) -> str:
     """Return the finding on a subject, from the comparisons with agents of each role."""
     if not baseline:
         return "no baseline"
@@ -159,25 +129,6 @@ def _not_counted(task: TaskData, subject: Group) -> str:
     return f" Not counted as controls: {listed(reasons)}."
 
 
-WORDS: dict[Kind, str] = {
-    "no advantage": "no advantage over the baseline is shown",
-    "worse": "worse than the baseline",
-    "knowledge matters": "better than the baseline and than every control of size and content",
-    "size not excluded": "better than the baseline, but its network is larger, too",
-    "size may explain it": "better than the baseline, but not than a network as large",
-    "input without meaning": "better than the baseline, but not than vectors of other content",
-    "meaning not tested": "better than controls of size; the content was not tested",
-    "no baseline": "there is no baseline to compare it with",
-    "nothing to compare": "there is nothing to compare it with",
-    "too few seeds": "undecided, because there are too few training seeds",
-    "no control": "the choice has no control",
-    "not above chance": "choices are not above chance",
-    "not above the best control": "choices are not above the best control",
-    "understood": "the query is understood",
-}
-"""What a finding says about its agent, in a few words."""
-
-
 Places = dict[str, list[str]]
 """Splits on which a finding holds, by the title of the task; none for other outcomes."""
 
@@ -189,7 +140,7 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
         name = finding.subject.name if finding.subject else "agents with knowledge"
         outcome = finding.outcome if finding.outcome in OUTCOMES else ""
         clauses = said.setdefault(name, {}).setdefault(outcome, {})
-        places = clauses.setdefault(WORDS[finding.kind], {})
+        places = clauses.setdefault(KINDS[finding.kind]["words"], {})
         splits = places.setdefault(finding.task.title, [])
         if not outcome:
             splits.append(finding.outcome)

@@ -10,9 +10,9 @@ from knowarm.report.format import ends, listed, p_value, percent, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData, TestedGroup
 from knowarm.report.verdicts.claims import (
     ALPHA,
+    KINDS,
     Claim,
     Finding,
-    Kind,
     claim_of,
     few_seeds,
     hint,
@@ -86,29 +86,6 @@ def _p_value(claims: Sequence[Claim]) -> float | None:
     return max(comparison.p_value for comparison in compared)
 
 
-SENTENCES: dict[Kind, str] = {
-    "no control": "nothing to compare the choice of {name} with.{content_hint}",
-    "too few seeds": "whether {name} understood the query {few_seeds}",
-    "not above chance": (
-        "{name} is not shown to understand the query: {chose}, not significantly more often than "
-        "at random ({at_random})."
-    ),
-    "not above the best control": (
-        "{name} is not shown to understand the query: {chose}, not significantly more often than "
-        "{not_beaten}; the best control is {best}.{also}"
-    ),
-    "meaning not tested": (
-        "{name} uses the query: {chose} (at random: {at_random}), more often than the best "
-        "control {controls}; whether by its meaning was not tested.{content_hint}"
-    ),
-    "understood": (
-        "{name} understood the query: {chose} (at random: {at_random}), more often than the best "
-        "control {controls}."
-    ),
-}
-"""What a finding says about a subject."""
-
-
 def _finding(
     subject: TestedGroup, claims: list[Claim], adjusted_p: float | None
 ) -> Finding:
@@ -121,7 +98,7 @@ def _finding(
         gap = controls[0].comparison.difference
         best += f" ({points(gap.estimate)} points, {ends(gap, points)})"
     share = percent(float(subject.scores("choice").mean()))
-    words = SENTENCES[kind].format(
+    words = KINDS[kind]["query"].format(
         name=subject.name,
         content_hint=hint("content_control", subject.group),
         few_seeds=few_seeds(min(claim.seeds for claim in claims)),
@@ -142,7 +119,7 @@ def _finding(
     )
 
 
-def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -> Kind:
+def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -> str:
     """Return the finding on an agent."""
     roles = {control.second.role for control in controls if control.second}
     if not roles:
