@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Integers
 from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
 from knowarm.reading import digest, one_line, read_bytes, reading
@@ -52,7 +52,7 @@ class OnnxPolicy:
             for name, size in self._state_sizes.items():
                 self._state[name] = np.zeros((batch.size, *size), np.float32)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Run the model."""
         inputs = {name: observations[name] for name in self._observed}
         inputs |= self._state
@@ -89,7 +89,7 @@ class ExportedPolicy:
         with reading(self._folder, "Export the policy again."):
             self._runner.reset(batch)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J)."""
         with reading(self._folder, "Export the policy again."):
             return self._runner.act(observations)
@@ -119,7 +119,7 @@ class PredictingPolicy:
         self._state = None
         self._start = np.ones(batch.size, np.bool_)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Predict."""
         inputs: Any = observations["image"]
         if isinstance(self._names, dict):

@@ -16,6 +16,7 @@ from knowarm.reading import replacing
 from knowarm.statistics import Interval
 from knowarm.svg import style_sheet
 
+Line = dict[str, Any]
 NOTHING = "–"
 """Cell of a figure that does not apply."""
 BLIND = ("open-loop", "black", "frozen")
@@ -34,7 +35,7 @@ def read_rows(folder: Path) -> list[Row]:
     return rows
 
 
-def tables(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def tables(rows: Sequence[Row]) -> list[Line]:
     """Return one table per suite, robot and choice of colours; policies ranked by their intervals.
 
     A policy's rank is one more than the number of policies whose interval lies wholly above its
@@ -54,9 +55,7 @@ def tables(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return result
 
 
-def _table(
-    suite: Suite, name: str, cells: list[str], lines: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _table(suite: Suite, name: str, cells: list[str], lines: list[Line]) -> Line:
     """Rank the lines of a table and name its columns."""
     ranked = list(filter(itemgetter("is_ranked"), lines))
     controls = set()
@@ -85,30 +84,25 @@ def left_out(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _line(suite: Suite, row: Row, summary: dict[str, Any]) -> dict[str, Any]:
+def _line(suite: Suite, row: Row, summary: Line) -> Line:
     policy = row["policy"]
     inputs = policy["inputs"]
-    training = policy["training"]
     controls = summary["controls"]
-    success = summary["success"]
     cells = summary["cells"]
     count = len(policy["specs"])
     seeds = str(count)
-    if training not in ("scripted", "none") and count < suite.training_seeds:
+    if policy["training"] not in ("scripted", "none") and count < suite.training_seeds:
         seeds += f" of {suite.training_seeds}"
     return {
+        **policy,
+        **summary["success"],
         "name": row["name"],
-        "inputs": inputs,
         "is_ranked": bool(inputs) and "simulator" not in inputs,
-        "training": training,
         "seeds": seeds,
         "controls": controls,
         "blind": max(controls[name] for name in BLIND if name in controls),
         "query_gain": _points(query_gain(suite, row, cells)),
         "cells": [row["cells"][name]["success"]["mean"] for name in cells],
-        "mean": success["mean"],
-        "low": success["low"],
-        "high": success["high"],
     }
 
 

@@ -39,17 +39,20 @@ OPTIONAL_CONTROL = (
 )
 
 Row = dict[str, Any]
+"""A row, or a part of it."""
+Entrants = Sequence[Entrant]
+Report = Callable[[str], None]
 Outcome = dict[str, dict[str, str]]
 """What one seed did in one cell: for the policy and each control the measures' bits as hex."""
 
 
 def run_suite(
     suite: Suite,
-    entrants: Sequence[Entrant],
+    entrants: Entrants,
     *,
     name: str,
     cells: Sequence[str] = (),
-    report: Callable[[str], None] = lambda line: None,
+    report: Report = lambda line: None,
 ) -> Row:
     """Play a suite with the training seeds of a policy; return a row.
 
@@ -97,7 +100,7 @@ def _chosen_cells(suite: Suite, beginnings: Sequence[str]) -> list[Cell]:
     return [cell for name, cell in suite.cells.items() if name.startswith(accepted)]
 
 
-def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
+def _declared(entrants: Entrants) -> Row:
     """Return what a row says about a policy."""
     first = entrants[0]
     return {
@@ -109,7 +112,7 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
     }
 
 
-def _check_seeds(entrants: Sequence[Entrant]) -> None:
+def _check_seeds(entrants: Entrants) -> None:
     """Check that the policies of a row are different training seeds of one policy."""
     for name in ("inputs", "training"):
         values = dict.fromkeys(str(getattr(entrant, name)) for entrant in entrants)
@@ -200,12 +203,12 @@ def _decoded(suite: Suite, row: Row, cell: str, who: str, measure: str) -> Mask:
     return seeds[:, :count]
 
 
-def _figures(suite: Suite, row: Row) -> dict[str, Any]:
+def _figures(suite: Suite, row: Row) -> Row:
     """Compute the figures of every cell, and their means by table, from the episodes' outcomes."""
-    cells: dict[str, Any] = {}
+    cells: Row = {}
     for name, cell in row["cells"].items():
         outcomes = cell["outcomes"]
-        figures: dict[str, Any] = {}
+        figures: Row = {}
         for measure in outcomes[0]["policy"]:
             seeds = _decoded(suite, row, name, "policy", measure)
             figures[measure] = _share(seeds, seeds.shape[1])
@@ -229,7 +232,7 @@ def _figures(suite: Suite, row: Row) -> dict[str, Any]:
     return {"cells": cells, "summary": summary}
 
 
-def _share(seeds: Mask, episodes: int) -> dict[str, Any]:
+def _share(seeds: Mask, episodes: int) -> Row:
     """Return a share with its interval, over training seeds if they differ, else over episodes.
 
     Args:
@@ -345,10 +348,10 @@ def _check_names(where: str, names: Any, needed: set[str]) -> None:
 
 def verify(
     row: Row,
-    entrants: Sequence[Entrant],
+    entrants: Entrants,
     *,
     tolerance: float = 0.0,
-    report: Callable[[str], None] = lambda line: None,
+    report: Report = lambda line: None,
 ) -> None:
     """Play a row again and compare every episode.
 

@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors.numpy import load
 
+from knowarm.arrays import Integers
 from knowarm.config import from_dict
 from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeGraph
@@ -53,7 +53,7 @@ class Cell:
     env: EnvConfig
     split: Split | None
     episodes: Episodes
-    open_loop: NDArray[np.int64]
+    open_loop: Integers
     reference: dict[str, float | None]
     graph: KnowledgeGraph | None = None
 

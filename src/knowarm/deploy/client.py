@@ -4,8 +4,8 @@ import contextlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Integers
 from knowarm.deploy.messages import pack, unpack
 from knowarm.deploy.runner import JointMap
 from knowarm.deploy.serve import (
@@ -58,7 +58,7 @@ class Client:
         self._batch = batch
         self._reset = True
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> Integers:
         """Return the levels (n, J) that lead nearest to the joint targets of the server."""
         joints = observations["joint_targets"].astype(np.float64)
         joint_map = self._map or JointMap({"names": range(joints.shape[1])})

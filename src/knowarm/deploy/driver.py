@@ -175,30 +175,31 @@ class Driver:
         ``source`` tells the programs apart that send readings: two of one joint hold.
         """
         self._sources.tell(names, source, self.clock())
-        twice = [name for name in self.joint_names if list(names).count(name) > 1]
-        if twice:
-            self._inputs["joint angles"] = f"name {twice[0]} twice in one message"
-            return
-        readings = dict(zip(names, positions, strict=False))
-        if readings.keys().isdisjoint(self._map.moved):
-            return  # of a gripper or another robot
+        measured = names[: len(positions)]
+        if not set(measured).isdisjoint(self._map.moved):  # else of another robot
+            self._inputs["joint angles"] = self._measured(names, positions, stamp_s)
+
+    def _measured(
+        self, names: Sequence[str], positions: Sequence[float], stamp_s: float
+    ) -> Any:
+        """Return joint angles with their stamp, or the reason why they are not taken."""
+        for name in self.joint_names:
+            if list(names).count(name) > 1:
+                return f"name {name} twice in one message"
         if len(positions) > len(names):
-            self._inputs["joint angles"] = "are more numbers than names"
-            return
+            return "are more numbers than names"
+        readings = dict(zip(names, positions, strict=False))
         values = [readings.get(name, np.nan) for name in self.joint_names]
         angles = self._map.from_real(values)
         is_unknown = ~np.isfinite(angles)
         if is_unknown.any():
-            unknown = _named(self._map.moved, is_unknown)
-            self._inputs["joint angles"] = f"lack a number for {unknown}"
-            return
+            return f"lack a number for {_named(self._map.moved, is_unknown)}"
         before, before_s = self._felt or (angles, stamp_s)
         self._felt = (angles, stamp_s)
         most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
-        self._inputs["joint angles"] = self._felt
         if (abs(angles - before) > most).any():
-            problem = "jump; does another robot publish these joints?"
-            self._inputs["joint angles"] = problem
+            return "jump; does another robot publish these joints?"
+        return self._felt
 
     def confirm(self) -> None:
         """Confirm the step that ``status`` shows; without effect where there is none."""
@@ -230,13 +231,12 @@ class Driver:
             # What is confirmed must be what is seen now.
             vars(self._runner).update(self._before)
             self._proposal = None
-        problem = obstacle or self._old_input(now_s) or self._doubtful_input(steady)
+        problem = obstacle or self._input_problem(now_s, steady)
         if not problem:
-            image, _ = self._inputs["image"]
-            angles, _ = self._inputs["joint angles"]
+            angles = self._seen("joint angles")
             try:
                 if self._proposal is None:
-                    self._proposal = self._propose(image, angles)
+                    self._proposal = self._propose(self._seen("image"), angles)
                     self._proposed_at = steady
                 self._check(self._proposal)
             except ValueError as error:
@@ -292,8 +292,11 @@ class Driver:
             self.stop(f"all {self.max_steps} steps are played")
         return None if is_dry else self._map.to_real(targets)
 
-    def _old_input(self, now_s: float) -> str:
-        """Say which input is missing, wrong, old or from the future."""
+    def _input_problem(self, now_s: float, steady: float) -> str:
+        """Say which input is missing, wrong, old, from the future or in doubt.
+
+        In doubt are joint angles of two programs, and images that do not change.
+        """
         most = self.safety.max_age_s
         for name, content in self._inputs.items():
             if isinstance(content, str):
@@ -305,16 +308,15 @@ class Driver:
             if not abs(age) <= most:
                 when = "in the future; synchronize the clocks" if age < 0 else "old"
                 return f"{name} more than {most:g} s {when}"
-        return ""
-
-    def _doubtful_input(self, steady: float) -> str:
-        """Say whether joint angles come from two programs, or the image does not change."""
-        image, _ = self._inputs["image"]
-        angles, _ = self._inputs["joint angles"]
         problem = self._sources.problem(steady)
         if problem:
             return f"joint angles {problem}"
-        return self._images.problem(image, angles)
+        return self._images.problem(self._seen("image"), self._seen("joint angles"))
+
+    def _seen(self, name: str) -> Any:
+        """Return an input without its stamp."""
+        value, _ = self._inputs[name]
+        return value
 
     def _check(self, targets: Targets) -> None:
         """Raise `ValueError` for targets (J,) that no intact policy computes."""

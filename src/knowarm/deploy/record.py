@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from knowarm.arrays import Integers
 from knowarm.deploy.joint_map import real_joints
 from knowarm.deploy.runner import JointMap
 from knowarm.errors import UserError
@@ -309,13 +310,13 @@ def statistics(values: NDArray[Any]) -> _Columns:
     return stats
 
 
-def count_colours(images: Any) -> NDArray[np.int64]:
+def count_colours(images: Any) -> Integers:
     """Count the values 0 to 255 of each channel of images (n, H, W, 3), (3, 256)."""
     channels = np.asarray(images).reshape(-1, 3).T
     return np.stack([np.bincount(channel, minlength=256) for channel in channels])
 
 
-def image_statistics(counts: NDArray[np.int64], frames: int) -> _Columns:
+def image_statistics(counts: Integers, frames: int) -> _Columns:
     """Compute statistics per channel, (3, 1, 1), in 0..1, of the counts of `count_colours`."""
     levels = np.arange(256) / 255
     shares = counts / counts.sum(1, keepdims=True)

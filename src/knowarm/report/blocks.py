@@ -87,11 +87,20 @@ def table_of(
     """
     table = TABLES[like or name]
     columns = [_column(column, words) for column in (*table["columns"], *more)]
-    texts = [table.get(part, "").format(**words) for part in ("note", "caption")]
+    title, note, caption = [
+        table.get(part, "").format(**words).strip()
+        for part in ("title", "note", "caption")
+    ]
     name = "-".join(filter(None, (name, of.name, stem)))
     sources = [run.path for run in of.runs]
     return DataTable(
-        name, table["title"].format(**words), columns, rows, sources, *texts
+        name=name,
+        title=title,
+        columns=columns,
+        rows=rows,
+        sources=sources,
+        note=note,
+        caption=caption,
     )
 
 

@@ -24,6 +24,7 @@ TEMPLATES = Environment(
 )
 """Templates of a report, with the formats of numbers that they use."""
 TEMPLATES.filters["px"] = svg.number
+TEMPLATES.filters["text_width"] = svg.text_width
 TEMPLATES.filters["percent"] = partial(percent, decimals=0)
 CHARTS: Any = TEMPLATES.get_template("charts.svg.j2").module  # its macros
 BINS = 48  # of a density chart
@@ -230,9 +231,15 @@ def line_chart(
     x = Scale(low, high, *box.x)
     heights = np.concatenate([line.heights for line in series])
     y = y_axis.scale(heights.tolist(), box.y)
-    ends = (x.start, x.end, x.low, x.high, y.start, y.end)
-    plot = " ".join(f"{value:.10g}" for value in ends)
-    return CHARTS.line_chart(box, name, x, y, x_axis, y_axis, series, plot)
+    return CHARTS.line_chart(
+        box=box,
+        name=name,
+        x=x,
+        y=y,
+        x_axis=x_axis,
+        y_axis=y_axis,
+        lines=series,
+    )
 
 
 def _gapless(x: Floats, y: Floats) -> list[slice]:

@@ -17,8 +17,10 @@ from knowarm.report.model import (
     Evaluation,
     FolderProblem,
     Group,
+    Problems,
     Reference,
     RunData,
+    Runs,
     StudyData,
     TaskData,
     evaluated_runs,
@@ -61,11 +63,9 @@ def collect(paths: Sequence[Path]) -> StudyData:
     return StudyData(tuple(tasks), tuple(problems))
 
 
-def _grouped(
-    runs: Iterable[RunData], key: Callable[[RunData], str]
-) -> dict[str, list[RunData]]:
+def _grouped(runs: Iterable[RunData], key: Callable[[RunData], str]) -> dict[str, Runs]:
     """Return the runs of each key, in the order of the first of each."""
-    groups: dict[str, list[RunData]] = defaultdict(list)
+    groups: dict[str, Runs] = defaultdict(list)
     for run in runs:
         groups[key(run)].append(run)
     return groups
@@ -74,13 +74,13 @@ def _grouped(
 def _task(
     name: str,
     title: str,
-    runs: list[RunData],
+    runs: Runs,
     references: list[Reference],
-    problems: list[FolderProblem],
+    problems: Problems,
 ) -> TaskData:
     label = _label(runs)
     runs = _comparable(runs, label, problems)
-    by_name: dict[str, list[RunData]] = {}
+    by_name: dict[str, Runs] = {}
     for same_agent in _grouped(runs, lambda run: run.config.agent).values():
         for group_name, same_settings in _by_settings(same_agent).items():
             by_name[group_name] = _one_run_per_seed(same_settings, problems)
@@ -95,10 +95,16 @@ def _task(
             (evaluation,) = reference.evaluations
             if _played(evaluation) == played:
                 alike.append(reference)
-    return TaskData(name, title, label, tuple(groups), tuple(alike[:MOST_REFERENCES]))
+    return TaskData(
+        name=name,
+        title=title,
+        label=label,
+        groups=tuple(groups),
+        references=tuple(alike[:MOST_REFERENCES]),
+    )
 
 
-def _by_settings(runs: list[RunData]) -> dict[str, list[RunData]]:
+def _by_settings(runs: Runs) -> dict[str, Runs]:
     """Return runs of one agent by a name that has the settings in which they differ."""
     names = differing(list(map(_agent_settings, runs)))
 
@@ -110,7 +116,7 @@ def _by_settings(runs: list[RunData]) -> dict[str, list[RunData]]:
     return _grouped(runs, group_name)
 
 
-def _untrained(runs: list[RunData]) -> list[Reference]:
+def _untrained(runs: Runs) -> list[Reference]:
     """Return the untrained policy's evaluation of each agent, from its lowest seed that has one."""
     references: dict[tuple[str, str], Reference] = {}
 
@@ -127,7 +133,7 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     return list(references.values())
 
 
-def _label(runs: list[RunData]) -> str:
+def _label(runs: Runs) -> str:
     """Return the most common evaluation of the best model; of equally common ones the greedy."""
     counts: Counter[str] = Counter()
     for run in runs:
@@ -144,9 +150,7 @@ def _played(evaluation: Evaluation) -> tuple[Fields, str]:
     return _task_env(evaluation.summary.env), evaluation.rules
 
 
-def _comparable(
-    runs: list[RunData], label: str, problems: list[FolderProblem]
-) -> list[RunData]:
+def _comparable(runs: Runs, label: str, problems: Problems) -> Runs:
     """Drop evaluations on other episodes or with other thresholds than most."""
     compared = [run.evaluations[label] for run in evaluated_runs(runs, label)]
     usual = _most_common(evaluation.rules for evaluation in compared)
@@ -161,9 +165,7 @@ def _comparable(
     return kept
 
 
-def _one_run_per_seed(
-    runs: list[RunData], problems: list[FolderProblem]
-) -> list[RunData]:
+def _one_run_per_seed(runs: Runs, problems: Problems) -> Runs:
     """Keep, of several runs of one seed, the one with the most steps, then the last by path."""
     chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
@@ -175,7 +177,7 @@ def _one_run_per_seed(
     return [chosen[seed] for seed in sorted(chosen)]
 
 
-def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
+def _titles(tasks: list[Runs]) -> list[tuple[str, str]]:
     """Return two titles per task, with names and for people; fields tell equal ones apart."""
     firsts = [(_title(runs[0]), flatten(runs[0].settings["env"])) for runs in tasks]
     titles = []
@@ -201,7 +203,7 @@ def _title(run: RunData) -> tuple[str, ...]:
     return tuple(filter(None, title))
 
 
-def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None:
+def _report_versions(runs: Runs, problems: Problems) -> None:
     """Report the runs that were made with another version of the package than most."""
     versions = {run.path: run.provenance.versions.get("knowarm") for run in runs}
     usual = _most_common(filter(None, versions.values()))

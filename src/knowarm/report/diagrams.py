@@ -12,8 +12,6 @@ from knowarm.svg import text_width
 
 LEAST_SPACE = 100.0  # for the names of the rows of a dot chart [px]
 ROW = 34  # height of a row of a dot chart [px]
-WIDTH = 560.0  # of a confusion matrix [px]
-CONFUSION_CELL = 34.0  # largest side of a cell of a confusion matrix [px]
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,13 @@ def dot_panels(
                 single = agent.scores(key).tolist()
             name = row.get("_name", agent.name)
             ring = row.get(f"paper_{key}")
-            dot = Dot(name, agent.colour, row[key], single, ring)
+            dot = Dot(
+                name=name,
+                colour=agent.colour,
+                value=row[key],
+                single=single,
+                ring=ring,
+            )
             charts.setdefault(row["_panel"], []).append(dot)
     panels = []
     for title, dots in charts.items():
@@ -79,7 +83,15 @@ def dot_chart(
         bottom=44,
     )
     x = axis.scale(_drawn_values(dots, zero), box.x)
-    return CHARTS.dot_chart(box, name, x, axis, dots, zero, ROW)
+    return CHARTS.dot_chart(
+        box=box,
+        name=name,
+        x=x,
+        axis=axis,
+        dots=dots,
+        zero=zero,
+        row=ROW,
+    )
 
 
 def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
@@ -97,7 +109,4 @@ def confusion_map(
     shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str
 ) -> str:
     """Draw (R, C) shares in 0..1 as cells: the larger the share, the darker."""
-    left = 8 + max(map(text_width, rows))
-    below = 8 + max(map(text_width, columns))
-    size = min(CONFUSION_CELL, (WIDTH - left) / len(columns))
-    return CHARTS.confusion(shares.tolist(), rows, columns, title, left, below, size)
+    return CHARTS.confusion(shares.tolist(), rows, columns, title)

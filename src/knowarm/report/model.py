@@ -177,6 +177,10 @@ class RunData:
         return is_long_enough and self.success_until > 0
 
 
+Runs = list[RunData]
+Problems = list[FolderProblem]
+
+
 @dataclass(frozen=True, eq=False)
 class Group(Evaluated):
     """Runs of one agent on one task that differ in the training seed only.
@@ -221,16 +225,6 @@ class Group(Evaluated):
         return self.config.knows.scope
 
     @property
-    def detail(self) -> int:
-        """How much of the objects the knowledge vector describes, from 1."""
-        return self.config.knows.rank
-
-    @property
-    def has_content(self) -> bool:
-        """Whether the agent has a knowledge vector that is not all zeros."""
-        return self.config.knows.has_content
-
-    @property
     def best_run(self) -> RunData | None:
         """The run with the highest mean return after training, the paper's choice."""
         runs = evaluated_runs(self.runs, self.label)
@@ -242,7 +236,7 @@ class Group(Evaluated):
         return self.best_run.evaluations[self.label] if self.best_run else None
 
 
-def evaluated_runs(runs: Iterable[RunData], label: str) -> list[RunData]:
+def evaluated_runs(runs: Iterable[RunData], label: str) -> Runs:
     """Return the runs that have an evaluation."""
     return [run for run in runs if label in run.evaluations]
 
@@ -275,9 +269,9 @@ class TaskData:
     references: tuple[Reference, ...] = ()  # untrained policies on the same episodes
 
     @property
-    def runs(self) -> list[RunData]:
+    def runs(self) -> Runs:
         """Runs of all groups."""
-        runs: list[RunData] = []
+        runs: Runs = []
         for group in self.groups:
             runs += group.runs
         return runs
@@ -305,8 +299,9 @@ class TaskData:
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: of each role and scope that with most detail."""
         most: dict[tuple[str, str], Group] = {}
-        for group in sorted(self.groups, key=lambda group: -group.detail):
-            if group.role in ("knowledge", "privileged") and group.has_content:
+        for group in sorted(self.groups, key=lambda group: -group.config.knows.rank):
+            is_subject = group.role in ("knowledge", "privileged")
+            if is_subject and group.config.knows.has_content:
                 most.setdefault((group.role, group.scope), group)
         return tuple(group for group in self.groups if group in most.values())
 
@@ -362,7 +357,7 @@ class StudyData:
     name = ""  # in the names of its tables
 
     @property
-    def runs(self) -> list[RunData]:
+    def runs(self) -> Runs:
         """Runs of all tasks."""
         runs = []
         for task in self.tasks:

@@ -16,14 +16,21 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_inputs import input_content, with_inputs
 from knowarm.experiment.summary import Summary
 from knowarm.reading import one_line, read_bytes
-from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
+from knowarm.report.model import (
+    Curve,
+    Evaluation,
+    FolderProblem,
+    Problems,
+    RunData,
+    Runs,
+)
 
 GIVE = "Give run folders such as runs/irb120-full-fast/0."
 
 
-def read_folders(paths: Sequence[Path]) -> tuple[list[RunData], list[FolderProblem]]:
+def read_folders(paths: Sequence[Path]) -> tuple[Runs, Problems]:
     """Read run folders, at any depth."""
-    problems: list[FolderProblem] = []
+    problems: Problems = []
     runs = []
     for path in _run_folders(paths, problems):
         with _attempt(path, "left out", problems):
@@ -35,7 +42,7 @@ def read_folders(paths: Sequence[Path]) -> tuple[list[RunData], list[FolderProbl
     return runs, problems
 
 
-def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
+def read_run(path: Path, problems: Problems) -> RunData:
     """Read one run folder; defects of files other than its config become ``problems``."""
     folder = RunFolder.open(path)
     config = folder.experiment()
@@ -79,7 +86,7 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     return run
 
 
-def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
+def read_curve(path: Path, problems: Problems) -> Curve:
     """Read the columns of a CSV log; empty if the file is missing or has no rows.
 
     Damaged rows and cells are left out and reported. Of two rows of a step the later one is kept.
@@ -96,16 +103,14 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
     values: dict[float, list[float | None]] = {}
     damaged = 0
     for row in rows:
+        numbers = {name: number_in(row, name) for name in columns}
+        missing = {row.get(name) for name in columns if numbers[name] is None}
         step = number_in(row, "step")
         if step is None or step < 0:
-            damaged += 1
-            continue
-        numbers = {name: number_in(row, name) for name in columns}
-        damaged += any(
-            number is None and row.get(name) not in ("", "nan")
-            for name, number in numbers.items()
-        )
-        values[step] = list(numbers.values())
+            missing.add(None)
+        else:
+            values[step] = list(numbers.values())
+        damaged += not missing <= {"", "nan"}
     if is_truncated:
         problems.append(
             FolderProblem(path, "last line truncated", "the line is left out")
@@ -124,7 +129,7 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
 
 
 @contextmanager
-def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[None]:
+def _attempt(path: Path, done: str, problems: Problems) -> Iterator[None]:
     """Report whatever damaged content of a file or folder raises as one of the problems."""
     try:
         yield
@@ -134,7 +139,7 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
         problems.append(FolderProblem(path, f"damaged: {one_line(error)}", done))
 
 
-def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[Path]:
+def _run_folders(paths: Sequence[Path], problems: Problems) -> list[Path]:
     folders: dict[Path, Path] = {}
     for path in paths:
         configs = sorted(path.rglob("config.json"))

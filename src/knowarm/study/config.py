@@ -61,13 +61,11 @@ class ExperimentGrid:
     def experiments(self) -> list[str]:
         """Return the names of the experiments."""
         colours = self.colours or colours_of(self.task)[:1]
+        parts = product(self.robots, colours, self.agents, self.algorithms)
         names = []
-        for robot, colour, agent, algorithm in product(
-            self.robots, colours, self.agents, self.algorithms
-        ):
-            names.append(
-                str(ExperimentName(robot, self.task, agent, colour, algorithm))
-            )
+        for robot, colour, agent, algorithm in parts:
+            name = ExperimentName(robot, self.task, agent, colour, algorithm)
+            names.append(str(name))
         return names
 
 
@@ -120,14 +118,10 @@ class StudyConfig:
             raise UserError(
                 f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}."
             )
-        names = []
+        _check_once("seeds", self.seeds)
         runs = []
         for name, seeds in self._listed():
-            runs += [f"{name}/{seed}" for seed in set(seeds)]
-            if seeds is self.seeds:
-                names.append(name)
-        _check_once("experiments", names or runs)
-        _check_once("seeds", self.seeds)
+            runs += [f"{name}/{seed}" for seed in seeds]
         _check_once("experiments", runs)
         labels = [evaluation.folder for evaluation in self.evaluations]
         if len(set(labels)) < len(labels):

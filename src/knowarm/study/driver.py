@@ -47,7 +47,8 @@ STATUS_S = 2.0  # time between two readings of all run folders [s]
 # States in which a free run is worked on.
 UNFINISHED = ("waiting", "stalled", "stopped", "trained")
 
-OnStatus = Callable[[Sequence[RunStatus]], None]
+Statuses = Sequence[RunStatus]
+OnStatus = Callable[[Statuses], None]
 
 
 def run_study(
@@ -224,7 +225,7 @@ class _Driver:
                     return
             time.sleep(POLL_S)
 
-    def _start(self, statuses: Sequence[RunStatus]) -> None:
+    def _start(self, statuses: Statuses) -> None:
         """Fill the free slots in the study's order; leave runs that others hold."""
         waiting = [
             status
@@ -249,7 +250,7 @@ class _Driver:
         """Return whether a run is to be worked on, and nobody does."""
         return status.state in UNFINISHED and not is_locked(self._out / status.name)
 
-    def _is_left(self, statuses: Sequence[RunStatus]) -> bool:
+    def _is_left(self, statuses: Statuses) -> bool:
         """Return whether a run is to be worked on, or others do."""
         return any(
             status.state == "running" or self._is_free(status) for status in statuses

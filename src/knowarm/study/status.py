@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,6 +34,8 @@ State = Literal[
     "done",  # trained and evaluated
 ]
 
+Facts = dict[str, Any]
+Evaluations = Sequence[EvaluationConfig]
 PAUSE = "until-step"  # in a study's folder: the step at which all its runs pause
 # In a run folder: why the run failed; without it the run can resume.
 FAILURE = "failed.json"
@@ -82,11 +84,11 @@ def study_status(study: StudyConfig, out: Path) -> list[RunStatus]:
 
 
 def run_status(
-    config: ExperimentConfig, evaluations: Sequence[EvaluationConfig], out: Path
+    config: ExperimentConfig, evaluations: Evaluations, out: Path
 ) -> RunStatus:
     """Return the status of one run; damage to its files is a state of its own."""
     folder = RunFolder(run_path(out, config))
-    facts: dict[str, Any] = {}
+    facts: Facts = {}
     try:
         facts |= _progress(folder)
         state, detail = _state(folder, config, evaluations, pause_step(out))
@@ -105,7 +107,7 @@ def run_status(
 def _state(
     folder: RunFolder,
     config: ExperimentConfig,
-    evaluations: Sequence[EvaluationConfig],
+    evaluations: Evaluations,
     pause: int | None,
 ) -> tuple[State, str]:
     """Return the state of a run, and why it failed, stalled or stopped, or how it ended early."""
@@ -162,7 +164,7 @@ def runs_beside(study: StudyConfig, out: Path) -> list[str]:
 
 
 def missing_evaluations(
-    folder: RunFolder, evaluations: Sequence[EvaluationConfig]
+    folder: RunFolder, evaluations: Evaluations
 ) -> list[EvaluationConfig]:
     """Return the evaluations that a run lacks, or has with other settings."""
     missing = []
@@ -178,7 +180,7 @@ def missing_evaluations(
     return missing
 
 
-def totals(statuses: Sequence[RunStatus], cores: int) -> dict[str, Any]:
+def totals(statuses: Sequence[RunStatus], cores: int) -> Facts:
     """Return the number of runs per state, and the cost of training so far and to go.
 
     ``core_hours_left`` is None while no rate is known; runs without a rate are assumed to have the
@@ -216,9 +218,9 @@ def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
     return left
 
 
-def _progress(folder: RunFolder) -> dict[str, Any]:
+def _progress(folder: RunFolder) -> Facts:
     """Read step, rate, time and interim success from the curves."""
-    progress: dict[str, Any] = {}
+    progress: Facts = {}
     curves = {folder.metrics_path: _training, folder.evaluations_path: _interim}
     for path, read in curves.items():
         with suppress(OSError):  # not there yet, or being replaced
@@ -228,7 +230,7 @@ def _progress(folder: RunFolder) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=2000)
-def _training(path: Path, *version: int) -> Mapping[str, Any]:
+def _training(path: Path, *version: int) -> Facts:
     """Read a run's metrics; not again while the file is the same."""
     rows = read_csv(path)
     seconds = training_seconds(number_in(row, "wall_time_s") or 0.0 for row in rows)
@@ -239,10 +241,10 @@ def _training(path: Path, *version: int) -> Mapping[str, Any]:
 
 
 @lru_cache(maxsize=2000)
-def _interim(path: Path, *version: int) -> Mapping[str, Any]:
+def _interim(path: Path, *version: int) -> Facts:
     """Read the success of the latest interim evaluation, and the best one."""
     rows = read_csv(path)
-    values: dict[str, Any] = {}
+    values: Facts = {}
     for row in rows:
         success = number_in(row, "success")
         if success is not None:

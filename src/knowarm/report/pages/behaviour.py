@@ -4,7 +4,6 @@ from contextlib import suppress
 
 import numpy as np
 
-from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
@@ -28,7 +27,7 @@ from knowarm.report.pages.paper import published_comparison
 STRIP_FRAMES = 8  # frames of a film strip
 MOST_EPISODES = 3  # shown per task: the first recorded one of each target
 MOST_AGENTS = 4  # shown per task: subjects and baseline first
-STATISTICS = ("mean", "std")  # of the angles of a joint
+STATISTICS = {"mean": np.mean, "std": np.std}  # of the angles of a joint
 
 
 def joint_blocks(task: TaskData) -> list[Block]:
@@ -57,33 +56,27 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     names = dict(enumerate(evaluations[0].summary.joints, start=1))
     rows = []
     panels = []
-    for joint in one:
-        if joint not in other:
-            continue
+    for joint in sorted(one.keys() & other.keys()):
         row: Row = {"joint": joint, "paper_std_change": published.get(str(joint))}
-        before = _statistics(other[joint])
-        after = _statistics(one[joint])
-        for statistic in STATISTICS:
-            row[f"first_{statistic}"] = after[statistic]
-            row[f"second_{statistic}"] = before[statistic]
-            row[f"{statistic}_change"] = after[statistic] - before[statistic]
-        rows.append(row)
         title = f"joint {joint}"
         if joint in names:
             title += f" ({names[joint]})"
+        for name, statistic in STATISTICS.items():
+            after = float(statistic(one[joint]))
+            before = float(statistic(other[joint]))
+            row[f"first_{name}"] = after
+            row[f"second_{name}"] = before
+            row[f"{name}_change"] = after - before
         mean = signed(row["mean_change"])
         std = signed(row["std_change"])
         title += f": difference of means {mean}, of std {std}"
+        rows.append(row)
         angles = {second.name: other[joint], first.name: one[joint]}
         name = f"Angles of joint {joint}"
         svg = density_chart(angles, colours, name, "angle [rad]")
         panels.append(Panel(svg, title))
     table = table_of(task, "joints", rows, first=first.name, second=second.name)
     return Figure(table, panels, legend=list(colours.items()))
-
-
-def _statistics(angles: Floats) -> dict[str, float]:
-    return {"mean": float(angles.mean()), "std": float(angles.std())}
 
 
 def film_blocks(task: TaskData) -> list[Films]:
@@ -116,14 +109,17 @@ def _first_of_each_target(
 ) -> list[tuple[int, str]]:
     """Return the number of the first episode of each target, with its object and query."""
     episodes = evaluation.episodes()
-    first: dict[str, tuple[int, str]] = {}
-    for number in numbers:
+    first = {}
+    for number in reversed(numbers):
+        first[episodes["target"][number]] = number
+    shown = []
+    for number in sorted(first.values())[:MOST_EPISODES]:
         words = facet(str(episodes["facet"][number]))
         if "query" in episodes:
             query = query_words(str(episodes["query"][number]))
             words = f"asked for \u201c{query}\u201d ({words})"
-        first.setdefault(str(episodes["target"][number]), (number, words))
-    return sorted(first.values())[:MOST_EPISODES]
+        shown.append((number, words))
+    return shown
 
 
 def query_words(text: str) -> str:

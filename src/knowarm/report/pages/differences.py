@@ -1,6 +1,6 @@
 """Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from knowarm.report.verdicts.claims import (
     FEWEST_SEEDS,
     OUTCOMES,
     Claim,
+    Claims,
     pairs,
     scores,
 )
@@ -58,7 +59,7 @@ PROFILE_LEVELS = np.linspace(0, 1, 101)  # of success, of the performance profil
 FEWEST_RATES = 5  # evaluation seeds below which the analysis of variance is not shown
 
 
-def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
+def difference_blocks(task: TaskData, decided: Claims) -> list[Block]:
     """Show the statistics over training seeds and the paper's, each with what it tests."""
     if len(task.groups) < 2:
         return []
@@ -71,7 +72,7 @@ def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     return [block for block in blocks if block]
 
 
-def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
+def _comparisons(task: TaskData, decided: Claims) -> Block:
     """Show every difference that the report decides on."""
     claims = [claim for claim in decided if claim.task is task]
     if not any(claim.comparison for claim in claims):
@@ -171,8 +172,8 @@ def _variance(task: TaskData) -> DataTable | None:
             "first": first.name,
             "second": second.name,
             "rates": len(rates),
-            "first_mean": float(rates.mean()),
-            "second_mean": float(other_rates.mean()),
+            "first_mean": rates.mean(),
+            "second_mean": other_rates.mean(),
             "f": round(f_value, 2),
             "p": p_value,
             "paper_f": published_comparison(task, first, second).get("anova_f"),

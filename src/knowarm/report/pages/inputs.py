@@ -79,7 +79,7 @@ def input_blocks(task: TaskData) -> list[Block]:
             stem = stems[group.name]
             table = table_of(task, "sentences", rows, stem=stem, agent=group.name)
             blocks.append(table)
-    return [*blocks, *_parameters(task)]
+    return blocks
 
 
 def _knowledge_of(run: RunData) -> EmbeddingFacts | None:
@@ -132,11 +132,15 @@ def _privileged_uses(group: Group) -> list[str]:
 
 
 def _overview(task: TaskData, vectors: Vectors) -> DataTable:
-    """List the source, size and norm of each agent's vector."""
+    """List the source, size and norm of each agent's vector, and the parameters of its network."""
     note = ""
     rows = []
+    parts = {}
     for group in task.groups:
         knowledge = vectors[group.name]
+        counts = group.runs[0].provenance.parameter_counts
+        for part in filter(counts.get, counts):
+            parts[part] = Column(part, f"parameters: {part}", "integer")
         training = ", ".join(_privileged_uses(group))
         if training:
             note = PRIVILEGED_NOTE
@@ -147,6 +151,7 @@ def _overview(task: TaskData, vectors: Vectors) -> DataTable:
             "numbers": 0,
             "constant": False,
             "privileged": False,
+            **counts,
         }
         if knowledge:
             row |= {
@@ -161,18 +166,4 @@ def _overview(task: TaskData, vectors: Vectors) -> DataTable:
                 row["source"] = knowledge.source
                 row["coverage"] = knowledge.coverage["share"]
         rows.append(row)
-    return table_of(task, "knowledge", rows, note=note)
-
-
-def _parameters(task: TaskData) -> list[Block]:
-    """List the trainable parameters by part; nothing if no run stored its counts."""
-    rows = []
-    parts: dict[str, Column] = {}
-    for group in task.groups:
-        counts = group.runs[0].provenance.parameter_counts
-        if counts:
-            rows.append({"agent": group.name, **counts})
-        for part, count in counts.items():
-            if count:
-                parts[part] = Column(part, part, "integer")
-    return [table_of(task, "parameters", rows, more=parts.values())] if parts else []
+    return table_of(task, "knowledge", rows, more=parts.values(), note=note)

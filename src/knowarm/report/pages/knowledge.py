@@ -20,6 +20,7 @@ from knowarm.report.verdicts.claims import (
     OUTCOMES,
     TOLERANCE,
     Claim,
+    Claims,
     claims_on,
     size_of,
 )
@@ -35,7 +36,7 @@ EXPLANATION = (
 )
 
 
-def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
+def knowledge_blocks(task: TaskData, decided: Claims) -> list[Block]:
     """Compare each subject with every other agent, and under other conditions."""
     blocks: list[Block] = []
     if len(task.groups) == 1:
@@ -52,7 +53,7 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     return blocks
 
 
-def _controls(task: TaskData, subject: Group, decided: list[Claim], stem: str) -> Block:
+def _controls(task: TaskData, subject: Group, decided: Claims, stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
     name = subject.name
     size = size_of(subject, "parameters")
@@ -111,7 +112,7 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[DataTab
             if labels[label] > 1:
                 row["label"] += f": {conditions(agent.evaluations[0])}"
             scores = agent.scores("success")
-            row["success"] = float(scores.mean())
+            row["success"] = scores.mean()
             if group is not subject and subject in agents:
                 subject_scores = agents[subject].scores("success")
                 if min(len(subject_scores), len(scores)) > 1:

@@ -137,7 +137,7 @@ def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
                     "asked": asked[i],
                     "chosen": chosen[j],
                     "episodes": int(counts[i, j]),
-                    "share": float(shares[i, j]),
+                    "share": shares[i, j],
                 }
                 rows.append(row)
     except UserError as error:

@@ -19,7 +19,7 @@ from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import counted
 from knowarm.report.model import Evaluated, RunData, StudyData
 from knowarm.report.pages.results import conditions, first_evaluation
-from knowarm.report.verdicts.claims import Claim, Finding
+from knowarm.report.verdicts.claims import Claims, Finding
 from knowarm.report.verdicts.knowledge import answer, tested_findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 
@@ -56,7 +56,7 @@ def _origin(run: RunData) -> Row:
 
 
 def summary_blocks(
-    study: StudyData, decided: list[Claim], understood: Sequence[Finding]
+    study: StudyData, decided: Claims, understood: Sequence[Finding]
 ) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
     findings: list[Finding] = []

@@ -203,7 +203,7 @@ def _speed(task: TaskData) -> DataTable:
                 row["hours"] = training_seconds(seconds) / 3600
             speed = _finite(run, "steps_per_s")
             if speed.size:
-                row["steps_per_s"] = float(np.median(speed))
+                row["steps_per_s"] = np.median(speed)
             rows.append(row)
     return table_of(task, "training-runs", rows)
 

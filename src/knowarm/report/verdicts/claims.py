@@ -123,6 +123,9 @@ class Claim:
         return f"{sentence}."
 
 
+Claims = Sequence[Claim]
+
+
 def claims(study: StudyData) -> list[Claim]:
     """Decide on every difference of a report so that at most 5 % of studies claim falsely.
 
@@ -137,11 +140,16 @@ def claims(study: StudyData) -> list[Claim]:
     for task in study.tasks:
         for first, second, stage in pairs(task):
             for outcome in OUTCOMES:
-                values = scores(task, first, outcome)
-                others = scores(task, second, outcome)
-                undecided.append(
-                    claim_of(task, first, second, outcome, stage, values, others)
+                claim = claim_of(
+                    task=task,
+                    first=first,
+                    second=second,
+                    outcome=outcome,
+                    stage=stage,
+                    values=scores(task, first, outcome),
+                    others=scores(task, second, outcome),
                 )
+                undecided.append(claim)
     gates = []
     p_values = []
     for claim in undecided:
@@ -153,7 +161,7 @@ def claims(study: StudyData) -> list[Claim]:
 
 
 def claims_on(
-    decided: Sequence[Claim], task: TaskData, subject: Group | None, outcome: str
+    decided: Claims, task: TaskData, subject: Group | None, outcome: str
 ) -> list[Claim]:
     """Return the claims on one subject of a task."""
     topic = (task, subject, outcome)
@@ -187,7 +195,15 @@ def claim_of(
     """Compare two agents by one score per training seed; nothing is tested below two seeds."""
     seeds = min(values.size, others.size)
     comparison = test(values, others) if seeds >= 2 else None
-    return Claim(task, first, second, outcome, stage, seeds, comparison)
+    return Claim(
+        task=task,
+        first=first,
+        second=second,
+        outcome=outcome,
+        stage=stage,
+        seeds=seeds,
+        comparison=comparison,
+    )
 
 
 def pairs(task: TaskData) -> list[tuple[Group, Group, Stage]]:
@@ -300,14 +316,19 @@ class Finding:
     outcome: str  # outcome or split that the finding is about
     kind: str  # the finding, one of `KINDS`
     sentence: str  # the finding in words
-    claims: Sequence[Claim] = ()  # the comparisons that it follows from
+    claims: Claims = ()  # the comparisons that it follows from
     notes: Sequence[str] = ()  # reasons before those of the claims
 
     def verdict(self, *, shown_reasons: int = 99) -> Verdict:
         """Return the finding as a block of a page."""
         reasons = [*self.notes, *(claim.sentence() for claim in self.claims)]
-        tone = tone_of([self.kind])
-        return Verdict(self.sentence, reasons, shown_reasons, tone, self.kind)
+        return Verdict(
+            sentence=self.sentence,
+            reasons=reasons,
+            shown_reasons=shown_reasons,
+            tone=tone_of([self.kind]),
+            kind=self.kind,
+        )
 
 
 def few_seeds(count: int) -> str:

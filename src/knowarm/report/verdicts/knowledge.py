@@ -10,6 +10,7 @@ from knowarm.report.verdicts.claims import (
     KINDS,
     OUTCOMES,
     Claim,
+    Claims,
     Finding,
     claims_on,
     few_seeds,
@@ -22,14 +23,14 @@ UNTESTED = ("nothing to compare", "too few seeds")
 
 
 def findings(
-    task: TaskData, decided: Sequence[Claim], outcome: str = "success"
+    task: TaskData, decided: Claims, outcome: str = "success"
 ) -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
     subjects = task.subjects or (None,)
     return [finding(task, decided, outcome, subject) for subject in subjects]
 
 
-def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
+def tested_findings(task: TaskData, decided: Claims) -> list[Finding]:
     """Return the findings on all outcomes; of others than success only those with a test."""
     tested = []
     for outcome in OUTCOMES:
@@ -42,7 +43,7 @@ def tested_findings(task: TaskData, decided: Sequence[Claim]) -> list[Finding]:
 
 def finding(
     task: TaskData,
-    decided: Sequence[Claim],
+    decided: Claims,
     outcome: str = "success",
     subject: Group | None = None,
 ) -> Finding:
@@ -85,12 +86,18 @@ def finding(
         f"{task.title}, {OUTCOMES[outcome]}: {words}{_not_counted(task, subject)}"
     )
     notes = [FEW_SEEDS] if kind == "too few seeds" else []
-    return Finding(task, subject, outcome, kind, sentence, compared, notes)
+    return Finding(
+        task=task,
+        subject=subject,
+        outcome=outcome,
+        kind=kind,
+        sentence=sentence,
+        claims=compared,
+        notes=notes,
+    )
 
 
-def _judge(
-    baseline: Sequence[Claim], capacity: Sequence[Claim], content: Sequence[Claim]
-) -> str:
+def _judge(baseline: Claims, capacity: Claims, content: Claims) -> str:
     """Return the finding on a subject, from the comparisons with agents of each role."""
     if not baseline:
         return "no baseline"
@@ -107,11 +114,11 @@ def _judge(
     return "input without meaning" if _not_beaten(content) else "knowledge matters"
 
 
-def _names(claims: Sequence[Claim]) -> str:
+def _names(claims: Claims) -> str:
     return listed([claim.against for claim in claims])
 
 
-def _not_beaten(claims: Sequence[Claim]) -> str:
+def _not_beaten(claims: Claims) -> str:
     missed = [claim.against for claim in claims if claim.verdict != "better"]
     return listed(missed, "or")
 

@@ -12,6 +12,7 @@ from knowarm.report.verdicts.claims import (
     ALPHA,
     KINDS,
     Claim,
+    Claims,
     Finding,
     claim_of,
     few_seeds,
@@ -51,14 +52,30 @@ def _claims(
     split = subject.split
     right = subject.scores("choice")
     chance = np.full(len(right), subject.chance)
-    claims = [claim_of(task, group, None, split, "query", right, chance, paired)]
+    above_chance = claim_of(
+        task=task,
+        first=group,
+        second=None,
+        outcome=split,
+        stage="query",
+        values=right,
+        others=chance,
+        test=paired,
+    )
+    claims = [above_chance]
     controls = [agent for agent in agents if _is_control(agent.group, group)]
     controls.sort(key=lambda control: (-control.scores("choice").mean(), control.name))
     for control in controls:
-        others = control.scores("choice")
-        claims.append(
-            claim_of(task, group, control.group, split, "query", right, others)
+        claim = claim_of(
+            task=task,
+            first=group,
+            second=control.group,
+            outcome=split,
+            stage="query",
+            values=right,
+            others=control.scores("choice"),
         )
+        claims.append(claim)
     return claims
 
 
@@ -73,7 +90,7 @@ def _is_control(group: Group, subject: Group) -> bool:
     return group.agent in controls_of(subject.agent, AGENTS[group.agent].role)
 
 
-def _p_value(claims: Sequence[Claim]) -> float | None:
+def _p_value(claims: Claims) -> float | None:
     """Return the largest p of all comparisons; 1 if one of them is not in the agent's favour.
 
     None if there is no control, or too few seeds for one of the comparisons.
@@ -115,11 +132,17 @@ def _finding(
     if adjusted_p is not None:
         notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
     return Finding(
-        chance.task, subject.group, subject.split, kind, sentence, reasons, notes
+        task=chance.task,
+        subject=subject.group,
+        outcome=subject.split,
+        kind=kind,
+        sentence=sentence,
+        claims=reasons,
+        notes=notes,
     )
 
 
-def _judge(chance: Claim, controls: Sequence[Claim], adjusted_p: float | None) -> str:
+def _judge(chance: Claim, controls: Claims, adjusted_p: float | None) -> str:
     """Return the finding on an agent."""
     roles = {control.second.role for control in controls if control.second}
     if not roles:
