@@ -10,7 +10,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import FilmsProbe, SplitTest
 from knowarm.report import write_report
-from knowarm.report.blocks import flat
+from knowarm.report.blocks import DataTable, flat
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
@@ -230,7 +230,13 @@ def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
         evaluate(run, episodes=8, test=test, probes=(FilmsProbe(episodes=4),))
     study = collect([run])
     page = next(page for page in build_pages(study) if page.name == "query")
-    tables = {table.name.split("-irb120")[0]: table.rows for table in page.tables()}
+    blocks = flat(page.blocks)
+    found = [getattr(block, "table", block) for block in blocks]  # of figures
+    tables = {
+        table.name.split("-irb120")[0]: table.rows
+        for table in found
+        if isinstance(table, DataTable)
+    }
     names = {"choice", "reach", "switched", "choice-curves", "query-types", "confusion"}
     assert set(tables) == names
     assert [row["split"] for row in tables["choice"]] == ["S1", "S5"]

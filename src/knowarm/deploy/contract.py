@@ -152,7 +152,13 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         "success": success,
         "digests": {},
     }
-    return Deployment(PolicyStep(trained.policy), step, table, contract, scene)
+    return Deployment(
+        policy=PolicyStep(trained.policy),
+        recognition=step,
+        knowledge=table,
+        contract=contract,
+        scene=scene,
+    )
 
 
 def export(
@@ -220,7 +226,7 @@ def workspace(scene: Scene) -> Floats:
     robot = scene.robot
     centre = np.array(robot.rectangle_centre_m)
     half = np.array(robot.rectangle_half_size_m)
-    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    signs = np.array([*product((-1, 1), repeat=2)])
     corners = target_places(scene, centre + signs * half)
     points = [*np.concatenate(corners[:, None] + scene.grasp_position)]
     moved = list(robot.start_joints)

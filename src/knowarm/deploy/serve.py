@@ -163,11 +163,10 @@ class PolicyServer:
             reason = refusal(request.path, request.headers)
             if reason:
                 return connection.respond(403, f"{reason}\n")
-        sent = "".join(request.headers.get_all("Authorization")).encode(
-            errors="replace"
-        )
+        sent = "".join(request.headers.get_all("Authorization"))
+        expected = f"Api-Key {self._key}"
         if self._key is None or hmac.compare_digest(
-            sent, f"Api-Key {self._key}".encode()
+            sent.encode(errors="replace"), expected.encode()
         ):
             return None
         return connection.respond(
@@ -276,10 +275,10 @@ class Episode:
         starts = not runner.is_started or observation.get(RESET) in (True,)
         prompt = observation.get(PROMPT)
         if starts or (prompt is not None and prompt != self._prompt):
-            question = self._read(prompt)
-            starts = starts or question != self.question
+            before = self.question
+            self.question = self._read(prompt)
+            starts = starts or self.question != before
             self._prompt = prompt
-            self.question = question
         if starts:
             runner.reset(Start(self._angles(observation.get(STATE, ())), self.question))
             self._images = ImageWatch(runner.contract["joints"]["mpi"])
@@ -287,9 +286,12 @@ class Episode:
         if not hold:
             runner.act({"image": image[None]})
             self._images.commanded(runner.targets[0])
-        answer = {"actions": runner.joint_map.to_real(runner.targets)}
-        about = {"episode_start": starts, "reading": self.question, "hold": hold}
-        return answer | about
+        return {
+            "actions": runner.joint_map.to_real(runner.targets),
+            "episode_start": starts,
+            "reading": self.question,
+            "hold": hold,
+        }
 
     def _read(self, prompt: Any) -> Any:
         """Return the row of knowledge that a prompt means; the only one where there is one."""

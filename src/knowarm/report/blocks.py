@@ -237,13 +237,3 @@ class Page:
     title: str
     lead: str  # one sentence under the heading
     blocks: Sequence[Block]  # content
-
-    def tables(self) -> list[DataTable]:
-        """Return every table of the page, including those of figures."""
-        tables = []
-        for block in flat(self.blocks):
-            if isinstance(block, Figure):
-                tables.append(block.table)
-            if isinstance(block, DataTable):
-                tables.append(block)
-        return tables

@@ -62,7 +62,12 @@ def fit(values: Iterable[float], start: float, end: float) -> Scale:
     low = min(finite)
     high = max(finite)
     margin = (high - low) * 0.06 or abs(high) * 0.1 or 1.0
-    return Scale(low - margin, high + margin, start, end)
+    return Scale(
+        low=low - margin,
+        high=high + margin,
+        start=start,
+        end=end,
+    )
 
 
 @dataclass(frozen=True)

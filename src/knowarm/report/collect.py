@@ -50,13 +50,13 @@ OTHER_RULES = (
 def collect(paths: Sequence[Path]) -> StudyData:
     """Read run folders, at any depth, and sort them into tasks and agents."""
     runs, problems = read_folders(paths)
-    references = _untrained(runs)
+    everyone = sorted(runs, key=_reference_order)
     by_task = list(_grouped(runs, _task_key).values())
     titles = _titles(by_task)
     names = slugs(ids for ids, _ in titles)
     tasks = []
     for (ids, title), task_runs in zip(titles, by_task, strict=True):
-        tasks.append(_task(names[ids], title, task_runs, references, problems))
+        tasks.append(_task(names[ids], title, task_runs, everyone, problems))
     _report_versions(runs, problems)
     tasks.sort(key=lambda task: task.title)
     problems.sort(key=lambda problem: str(problem.path))
@@ -75,7 +75,7 @@ def _task(
     name: str,
     title: str,
     runs: Runs,
-    references: list[Reference],
+    everyone: Runs,
     problems: Problems,
 ) -> TaskData:
     label = _label(runs)
@@ -87,20 +87,15 @@ def _task(
     by_rank = sorted(by_name.items(), key=lambda item: rank(item[1][0].config))
     colours = palette((name, runs[0].config.agent) for name, runs in by_rank)
     groups = [Group.of(name, colours[name], runs, label) for name, runs in by_rank]
-    compared = evaluated_runs(runs, label)
-    alike: list[Reference] = []
-    if compared:
-        played = _played(compared[0].evaluations[label])
-        for reference in references:
-            (evaluation,) = reference.evaluations
-            if _played(evaluation) == played:
-                alike.append(reference)
+    references: list[Reference] = []
+    for run in evaluated_runs(runs, label)[:1]:
+        references = _references(everyone, run.evaluations[label])
     return TaskData(
         name=name,
         title=title,
         label=label,
         groups=tuple(groups),
-        references=tuple(alike[:MOST_REFERENCES]),
+        references=tuple(references),
     )
 
 
@@ -116,21 +111,27 @@ def _by_settings(runs: Runs) -> dict[str, Runs]:
     return _grouped(runs, group_name)
 
 
-def _untrained(runs: Runs) -> list[Reference]:
-    """Return the untrained policy's evaluation of each agent, from its lowest seed that has one."""
-    references: dict[tuple[str, str], Reference] = {}
-
-    def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        role, *agent = rank(run.config)
-        return role, -run.config.knows.rank, agent, run.config.seed
-
-    for run in sorted(runs, key=order):
-        agent = run.config.agent
+def _references(runs: Runs, compared: Evaluation) -> list[Reference]:
+    """Return untrained policies on the task and by the rules of an evaluation, one per agent."""
+    env = _task_env(compared.summary.env)
+    references: dict[str, Reference] = {}
+    for run in runs:
+        name = f"untrained {run.config.agent}"
         for label, evaluation in run.evaluations.items():
-            if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {agent}", "c-faint", [evaluation])
-                references.setdefault((_task_key(run), agent), reference)
-    return list(references.values())
+            is_alike = (
+                label.endswith(UNTRAINED)
+                and evaluation.rules == compared.rules
+                and _task_env(evaluation.summary.env) == env
+            )
+            if is_alike:
+                references.setdefault(name, Reference(name, "c-faint", [evaluation]))
+    return list(references.values())[:MOST_REFERENCES]
+
+
+def _reference_order(run: RunData) -> tuple[Any, ...]:
+    """Return the sort key of untrained policies: of one role, the most detail first."""
+    role, *agent = rank(run.config)
+    return role, -run.config.knows.rank, agent, run.config.seed
 
 
 def _label(runs: Runs) -> str:
@@ -143,11 +144,6 @@ def _label(runs: Runs) -> str:
     return max(
         best, key=lambda label: (counts[label], label == PREFERRED_LABEL), default=""
     )
-
-
-def _played(evaluation: Evaluation) -> tuple[Fields, str]:
-    """Return what policies share that were evaluated on the same task by the same rules."""
-    return _task_env(evaluation.summary.env), evaluation.rules
 
 
 def _comparable(runs: Runs, label: str, problems: Problems) -> Runs:

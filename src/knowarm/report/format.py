@@ -4,8 +4,8 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
-from typing import Any, TypeGuard
+from functools import partial, wraps
+from typing import Any
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.statistics import Interval
@@ -34,18 +34,25 @@ def text(value: Any) -> str:
     return str(value)
 
 
-def _is_known(value: float | None) -> TypeGuard[float]:
-    return value is not None and not math.isnan(value)
+def _known(form: Callable[..., str]) -> Callable[..., str]:
+    """Let a format of numbers show None and NaN as missing."""
+
+    @wraps(form)
+    def formatted(value: float | None, *options: int, **named: int) -> str:
+        if value is None or math.isnan(value):
+            return MISSING
+        return form(value, *options, **named)
+
+    return formatted
 
 
 def _is_zero(formatted: str) -> bool:
     return not formatted.strip(f"-0.{NARROW_SPACE}")
 
 
-def number(value: float | None, decimals: int = 2) -> str:
+@_known
+def number(value: float, decimals: int = 2) -> str:
     """Format a number with fixed decimals, a typographic minus and separated thousands."""
-    if not _is_known(value):
-        return MISSING
     formatted = f"{value:,.{decimals}f}".replace(",", NARROW_SPACE)
     if _is_zero(formatted):
         return formatted.lstrip("-")  # no negative zero
@@ -55,32 +62,30 @@ def number(value: float | None, decimals: int = 2) -> str:
 integer = partial(number, decimals=0)
 
 
-def percent(value: float | None, decimals: int = 1) -> str:
+@_known
+def percent(value: float, decimals: int = 1) -> str:
     """Format a fraction in 0..1 in per cent."""
-    if not _is_known(value):
-        return MISSING
     return f"{number(value * 100, decimals)}{NARROW_SPACE}%"
 
 
-def signed(value: float | None, decimals: int = 2) -> str:
+@_known
+def signed(value: float, decimals: int = 2) -> str:
     """Format a number with its sign."""
     formatted = number(value, decimals)
-    if formatted.startswith((MISSING, MINUS)) or _is_zero(formatted):
+    if formatted.startswith(MINUS) or _is_zero(formatted):
         return formatted
     return f"+{formatted}"
 
 
-def points(value: float | None, decimals: int = 1) -> str:
+@_known
+def points(value: float, decimals: int = 1) -> str:
     """Format a difference of fractions in signed percentage points."""
-    if not _is_known(value):
-        return MISSING
     return signed(value * 100, decimals)
 
 
-def steps(value: float | None) -> str:
+@_known
+def steps(value: float) -> str:
     """Format environment steps in k, M or G."""
-    if not _is_known(value):
-        return MISSING
     rounded = abs(float(f"{value:.3g}"))
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if rounded >= size:
@@ -94,10 +99,9 @@ def _three_digits(value: float) -> str:
     return f"{value:{style}}".replace("-", MINUS)
 
 
-def p_value(value: float | None) -> str:
+@_known
+def p_value(value: float) -> str:
     """Format a p-value; values below .001 as a bound."""
-    if not _is_known(value):
-        return MISSING
     if value < 1e-3:
         return "< .001"
     if value >= 1:

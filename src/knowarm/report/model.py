@@ -197,7 +197,13 @@ class Group(Evaluated):
         """Return the runs as a group."""
         evaluated = evaluated_runs(runs, label)
         evaluations = [run.evaluations[label] for run in evaluated]
-        return cls(name, colour, evaluations, tuple(runs), label)
+        return cls(
+            name=name,
+            colour=colour,
+            evaluations=evaluations,
+            runs=tuple(runs),
+            label=label,
+        )
 
     @property
     def config(self) -> ExperimentConfig:
@@ -314,7 +320,12 @@ class TaskData:
                 for label, evaluation in run.evaluations.items():
                     if not label.endswith((UNTRAINED, LATEST)):
                         agents = sets[label, evaluation.rules]
-                        agent = TestedGroup(group.name, group.colour, [], group)
+                        agent = TestedGroup(
+                            name=group.name,
+                            colour=group.colour,
+                            evaluations=[],
+                            group=group,
+                        )
                         agents.setdefault(group, agent).evaluations.append(evaluation)
         return dict(sorted(sets.items(), key=lambda item: item[0][0]))
 

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from knowarm.errors import UserError
 from knowarm.escapes import csv_cell
 from knowarm.reading import read_json, replacing, write_json, writing
-from knowarm.report.blocks import DataTable, Page, Row, Verdict, flat
+from knowarm.report.blocks import DataTable, Figure, Page, Row, Verdict, flat
 from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, counted
@@ -73,10 +73,11 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     tables = {}
     verdicts = []
     for page in pages:
-        for table in page.tables():
-            assert table.name not in tables, "two tables of one name"
-            tables[table.name] = table
         for block in flat(page.blocks):
+            table = block.table if isinstance(block, Figure) else block
+            if isinstance(table, DataTable):
+                assert table.name not in tables, "two tables of one name"
+                tables[table.name] = table
             if isinstance(block, Verdict):
                 verdict = {
                     "page": page.name,

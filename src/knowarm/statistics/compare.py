@@ -159,4 +159,10 @@ def _t_test(
         interval = Interval(difference, float(low), float(high))
         p_value = float(result.pvalue)
         effect_size = difference / spread
-    return Comparison(interval, p_value, effect_size, first.size, second.size)
+    return Comparison(
+        difference=interval,
+        p_value=p_value,
+        effect_size=effect_size,
+        first_count=first.size,
+        second_count=second.size,
+    )

@@ -64,7 +64,13 @@ class ExperimentGrid:
         parts = product(self.robots, colours, self.agents, self.algorithms)
         names = []
         for robot, colour, agent, algorithm in parts:
-            name = ExperimentName(robot, self.task, agent, colour, algorithm)
+            name = ExperimentName(
+                robot=robot,
+                task=self.task,
+                agent=agent,
+                colours=colour,
+                algorithm=algorithm,
+            )
             names.append(str(name))
         return names
 

@@ -6,13 +6,12 @@ import json
 import lzma
 import shutil
 import tarfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
@@ -90,12 +89,13 @@ def pack_study(
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
         paths = [out / STUDY_FILE]
         for config in study.runs():
-            folder = run_path(out, config)
-            for pattern in [
-                *patterns,
-                *_checkpoint_files(folder, config, with_checkpoints),
-            ]:
-                paths += sorted(folder.glob(pattern))
+            folder = RunFolder(run_path(out, config))
+            wanted = list(patterns)
+            resumes = folder.has_checkpoint and not is_trained(folder, config)
+            if with_checkpoints and resumes:
+                wanted += CHECKPOINT_FILES
+            for pattern in wanted:
+                paths += sorted(folder.path.glob(pattern))
         contents = dict[str, bytes]()
         for path in filter(Path.is_file, paths):
             content = read_bytes(path)
@@ -136,16 +136,6 @@ def _reported_metrics(content: bytes) -> bytes:
     table.writeheader()
     table.writerows(rows)
     return text.getvalue().encode()
-
-
-def _checkpoint_files(
-    path: Path, config: ExperimentConfig, wanted: bool
-) -> Sequence[str]:
-    """Return the patterns of a run's checkpoint, if it is wanted and the run is unfinished."""
-    folder = RunFolder(path)
-    if not wanted or not folder.has_checkpoint or is_trained(folder, config):
-        return ()
-    return CHECKPOINT_FILES
 
 
 def unpack_study(file: Path, out: Path) -> Path:

@@ -9,6 +9,7 @@ from knowarm.report.blocks import (
     Figure,
     Folded,
     Row,
+    TaskPart,
     Text,
     Verdict,
     row_of,
@@ -66,21 +67,22 @@ def summary_blocks(
         of_task = [finding for finding in understood if finding.task is task]
         of_task = tested_findings(task, decided) + of_task
         findings += of_task
-        reasons += [finding.verdict(shown_reasons=1) for finding in of_task]
+        blocks = [finding.verdict(shown_reasons=1) for finding in of_task]
         for verdict in (learning_verdict(task), vision_verdict(task)):
             if verdict:
-                (reasons if verdict.tone == "good" else doubts).append(verdict)
-    blocks = [answer(findings, len(study.tasks)), *doubts]
+                (blocks if verdict.tone == "good" else doubts).append(verdict)
+        reasons.append(TaskPart(name=task.name, title=task.title, blocks=blocks))
+    shown: list[Block] = [answer(findings, len(study.tasks)), *doubts]
     if any(task.label for task in study.tasks):
-        blocks.append(_results(study))
+        shown.append(_results(study))
     if study.problems:
         remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
         sentence = f"Before these numbers are used, read the {remarks}."
         reason = (
             "The page Runs lists what is missing or damaged, and how it was handled."
         )
-        blocks.append(Verdict(sentence, [reason], tone="bad"))
-    return [*blocks, Folded(title="Reasons, task by task", blocks=reasons)]
+        shown.append(Verdict(sentence, [reason], tone="bad"))
+    return [*shown, Folded(title="Reasons, task by task", blocks=reasons)]
 
 
 def _results(study: StudyData) -> Figure:

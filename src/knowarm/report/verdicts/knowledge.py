@@ -57,7 +57,13 @@ def finding(
     subject = subject or next(iter(task.subjects), None)
     if subject is None:
         sentence = f"{task.title}: no agent with knowledge among these runs."
-        return Finding(task, None, outcome, "nothing to compare", sentence)
+        return Finding(
+            task=task,
+            subject=None,
+            outcome=outcome,
+            kind="nothing to compare",
+            sentence=sentence,
+        )
     compared = claims_on(decided, task, subject, outcome)
     tested = [claim for claim in compared if claim.stage != "described"]
     by_role: dict[str, list[Claim]] = {role: [] for role in ROLES}
