@@ -199,10 +199,9 @@ def anova_table(tasks: Sequence[TaskData]) -> str:
     rows = []
     for task in tasks:
         pair = [of(task, agent) for agent in ("full", "bm")]
-        rates = [success_rates(group) for group in pair if group]
-        if len(rates) < 2 or any(found is None for found in rates):
+        one, other = (group and success_rates(group) for group in pair)
+        if one is None or other is None:
             continue
-        one, other = rates
         f, p = one_way_anova([one, other])
         paper = published_comparison(task, *(group for group in pair if group))[
             "anova_f"

@@ -186,7 +186,7 @@ class Film:
     moving: str  # data URI of the animated WebP
     poster: str  # data URI of the last frame
     size: tuple[int, int]  # width and height of a frame [px]
-    text: str  # outcome of the episode, also the text alternative
+    episode: Row  # its row of ``episodes.parquet``, which tells how it ended
     colour: str = ""  # palette class
 
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from knowarm import svg
 from knowarm.arrays import Floats
-from knowarm.report.format import number, percent, points, steps
+from knowarm.report.format import facet, number, percent, points, steps
 from knowarm.svg import Point, band, path
 
 TEMPLATES = Environment(
@@ -24,6 +24,7 @@ TEMPLATES = Environment(
 )
 """Templates of a report, with the formats of numbers that they use."""
 TEMPLATES.filters["px"] = svg.number
+TEMPLATES.filters["facet"] = facet
 TEMPLATES.filters["text_width"] = svg.text_width
 TEMPLATES.filters["percent"] = partial(percent, decimals=0)
 CHARTS: Any = TEMPLATES.get_template("charts.svg.j2").module  # its macros

@@ -1,6 +1,8 @@
 """Pages "Joints" and "Episodes": joint angles and films of the evaluated episodes."""
 
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +29,8 @@ from knowarm.report.pages.paper import published_comparison
 STRIP_FRAMES = 8  # frames of a film strip
 MOST_EPISODES = 3  # shown per task: the first recorded one of each target
 MOST_AGENTS = 4  # shown per task: subjects and baseline first
-STATISTICS = {"mean": np.mean, "std": np.std}  # of the angles of a joint
+# Of the angles of a joint.
+STATISTICS: dict[str, Callable[..., Any]] = {"mean": np.mean, "std": np.std}
 
 
 def joint_blocks(task: TaskData) -> list[Block]:
@@ -128,6 +131,7 @@ def query_words(text: str) -> str:
 
 
 def _film(agent: Evaluated, evaluation: Evaluation, number: int) -> Film:
+    episodes = evaluation.episodes()
     path = evaluation.films()[number]
     frames = read_film(path)
     last = len(frames) - 1
@@ -139,21 +143,8 @@ def _film(agent: Evaluated, evaluation: Evaluation, number: int) -> Film:
         moving=data_uri("WEBP", read_bytes(path)),
         poster=_png(frames[last]),
         size=(width, height),
-        text=_outcome(evaluation, number),
+        episode={name: values[number] for name, values in episodes.items()},
         colour=agent.colour,
-    )
-
-
-def _outcome(evaluation: Evaluation, number: int) -> str:
-    """Describe how an episode ended."""
-    episode = {name: values[number] for name, values in evaluation.episodes().items()}
-    outcome = "reached after" if episode["success"] else "not reached in"
-    if "chosen" in episode and not episode.get("choice_correct", True):
-        outcome = f"chose the {facet(str(episode['chosen']))}, {outcome}"
-    distance = episode["distance_m"] * 100
-    return (
-        f"{outcome} {int(episode['length'])} steps; at the end {distance:.1f} cm "
-        f"and {episode['angle_deg']:.0f}° from the grasp pose"
     )
 
 

@@ -94,7 +94,7 @@ def line_figure(
 ) -> Figure:
     """Draw the lines of each column, in a chart for large and in one for small screens."""
     panels = []
-    legend = {}
+    legend: dict[str, str] = {}
     for key, series in lines.items():
         name = f"{axes[key].title} over {x_axis.title}: {table.title}"
         for only, box in BOXES.items():
