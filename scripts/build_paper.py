@@ -199,9 +199,14 @@ def anova_table(tasks: Sequence[TaskData]) -> str:
     rows = []
     for task in tasks:
         pair = [of(task, agent) for agent in ("full", "bm")]
-        one, other = (group and success_rates(group) for group in pair)
-        if one is None or other is None:
+        rates = []
+        for group in pair:
+            found = success_rates(group) if group else None
+            if found is not None:
+                rates.append(found)
+        if len(rates) < 2:
             continue
+        one, other = rates
         f, p = one_way_anova([one, other])
         paper = published_comparison(task, *(group for group in pair if group))[
             "anova_f"

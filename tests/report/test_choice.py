@@ -11,6 +11,7 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import FilmsProbe, SplitTest
 from knowarm.report import write_report
 from knowarm.report.blocks import DataTable, flat
+from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
@@ -249,7 +250,9 @@ def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
     assert kinds == ["no control"] * 2
     films = behaviour.film_blocks(study.tasks[0])
     assert all("asked for “" in each.title for each in films)
-    assert any(f.text.startswith("chose the ") for each in films for f in each.films)
+    outcome = TEMPLATES.get_template("blocks.html.j2").make_module().outcome
+    texts = [outcome(film.episode) for each in films for film in each.films]
+    assert any(text.startswith("chose the ") for text in texts)
     assert behaviour.query_words("usedFor drinking and hasColor light_blue") == (
         "used for drinking and has color light blue"
     )
