@@ -56,26 +56,13 @@ _COLUMNS = {
     "task_index": "int64",
 }
 """Types of all columns but the image; the first three hold a number per joint."""
-TASKS_FRAME = """{
-  "index_columns": ["task"],
-  "column_indexes": [],
-  "columns": [
-    {
-      "name": "task_index",
-      "field_name": "task_index",
-      "pandas_type": "int64",
-      "numpy_type": "int64",
-      "metadata": null
-    },
-    {
-      "name": "task",
-      "field_name": "task",
-      "pandas_type": "unicode",
-      "numpy_type": "object",
-      "metadata": null
-    }
-  ]
-}"""
+TASKS_FRAME = (
+    '{"index_columns": ["task"], "column_indexes": [], "columns": ['
+    '{"name": "task_index", "field_name": "task_index", '
+    '"pandas_type": "int64", "numpy_type": "int64", "metadata": null}, '
+    '{"name": "task", "field_name": "task", '
+    '"pandas_type": "unicode", "numpy_type": "object", "metadata": null}]}'
+)
 """Data frame of the tasks that LeRobot reads: the text is its index."""
 
 _Columns = dict[str, Any]
