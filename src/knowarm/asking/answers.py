@@ -1,15 +1,21 @@
 """Answers to questions in words or SPARQL, with their evidence."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 
 from knowarm.asking.expressions import QuestionReader
-from knowarm.asking.judgements import Evidence, Individual, Judgement, Part, surest
+from knowarm.asking.judgements import (
+    Evidence,
+    Individual,
+    Judgement,
+    Part,
+    Place,
+    surest,
+)
 from knowarm.asking.lexicon import tokens
 from knowarm.asking.plain_words import PlainReading, read_plain
 from knowarm.asking.vocabulary import Vocabulary
@@ -36,8 +42,7 @@ NamesInGraph = Mapping[str, str]
 """The graph's names for objects."""
 
 
-Place = tuple[float, float]
-"""Column and row in the image, in units of its size."""
+_NO_ANSWER = Judgement(False, probability=0.0, is_stated=False)
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class Answers:
     """The judgement on each facet that answers, or may answer."""
     part: Part
     """What the question says of an individual."""
-    individuals: Callable[[ObjectColour], Sequence[Individual]]
+    individuals: Mapping[ObjectColour, Sequence[Individual]]
     """What each facet may be in the graph."""
     has_places: bool = False
     """Whether the places in a scene decide: `within` says who answers there."""
@@ -75,26 +80,22 @@ class Answers:
     @property
     def satisfies(self) -> np.ndarray:
         """Whether each facet answers, (F,) bool."""
-        return np.array(list(map(self.judgements.__contains__, self.facets)))
+        return np.array([facet in self.judgements for facet in self.facets])
 
     @property
     def degrees(self) -> np.ndarray:
         """Probability that each facet answers, by the confidence of facts, (F,) float."""
-        return self._probabilities(is_stated=False)
+        return np.array([judgement.probability for judgement in self._of_facets])
 
     @property
     def stated(self) -> np.ndarray:
         """As `degrees`, of those alone whose answer does not rest on what is not stated, (F,)."""
-        return self._probabilities(is_stated=True)
+        is_stated = [judgement.is_stated for judgement in self._of_facets]
+        return np.where(is_stated, self.degrees, 0.0)
 
-    def _probabilities(self, is_stated: bool) -> np.ndarray:
-        """Return the probability of each facet that answers, or of those that are stated, (F,)."""
-        probabilities = np.zeros(len(self.facets))
-        for index, facet in enumerate(self.facets):
-            judgement = self.judgements.get(facet)
-            if judgement is not None and judgement.is_stated >= is_stated:
-                probabilities[index] = judgement.probability
-        return probabilities
+    @property
+    def _of_facets(self) -> list[Judgement]:
+        return [self.judgements.get(facet, _NO_ANSWER) for facet in self.facets]
 
     def within(self, scene: Mapping[ObjectColour, Place]) -> "Answers":
         """Return the answers among what stands at places of a scene, if places decide."""
@@ -104,15 +105,25 @@ class Answers:
         placed: dict[ObjectColour, list[Individual]] = {}
         for facet, place in scene.items():
             placed[facet] = []
-            for individual in self.individuals(facet):
+            for individual in self.individuals[facet]:
                 placed[facet].append(replace(individual, place=place, scene=shown))
             shown += placed[facet]
-        judgements = {}
-        for facet, individuals in placed.items():
-            judgement = surest(map(self.part, individuals))
-            if judgement.answers:
-                judgements[facet] = judgement
-        return replace(self, judgements=judgements)
+        return replace(self, judgements=_answering(self.part, placed))
+
+
+def _judged(
+    part: Part, individuals: Mapping[ObjectColour, Sequence[Individual]]
+) -> dict[ObjectColour, Judgement]:
+    """Return the judgement on each facet, by what it may be in the graph."""
+    return {facet: surest(map(part, individuals[facet])) for facet in individuals}
+
+
+def _answering(
+    part: Part, individuals: Mapping[ObjectColour, Sequence[Individual]]
+) -> dict[ObjectColour, Judgement]:
+    """Return the judgements on the facets that answer, or may answer."""
+    judged = _judged(part, individuals)
+    return {facet: judged[facet] for facet in judged if judged[facet].answers}
 
 
 def answer(
@@ -197,7 +208,6 @@ class _Answering:
         self.facets = facets
         self.colours = dict.fromkeys(colour for _, colour in facets)
         self.objects = dict.fromkeys(name for name, _ in facets)
-        self._individuals: dict[ObjectColour, list[Individual]] = {}
         self._parts: dict[str, tuple[Part, bool]] = {}
         self.meant = self._meant(names or {})
         if not self.meant:
@@ -249,52 +259,46 @@ class _Answering:
     @cached_property
     def vocabulary(self) -> Vocabulary:
         """What can be asked in plain English."""
-        known = list(dict.fromkeys(chain.from_iterable(map(self.known, self.meant))))
+        known = self.known(self.meant)
         return Vocabulary(self.graph, known, self.colours, self.objects)
 
-    def known(self, name: str) -> list[int]:
-        """Return the entities whose facts are known of an object: its individuals and classes."""
-        entity, individuals = self.meant[name]
+    def known(self, names: Iterable[str]) -> list[int]:
+        """Return the entities whose facts are known of objects: their individuals and classes."""
         known: dict[int, None] = {}
-        for individual in individuals:
-            known.update(
-                dict.fromkeys([individual, *classes_of(self.graph, individual)])
-            )
-        if entity is not None:
-            known.update(dict.fromkeys([entity, *classes_of(self.graph, entity)]))
+        for name in names:
+            entity, individuals = self.meant[name]
+            for one in (*individuals, *([] if entity is None else [entity])):
+                known.update(dict.fromkeys([one, *classes_of(self.graph, one)]))
         return list(known)
 
     def reader(self, text: str) -> QuestionReader:
         """Return a reader of a question in conditions."""
         return QuestionReader(text, self.graph, self.colours, self.objects)
 
-    def individuals(self, facet: ObjectColour) -> list[Individual]:
-        """Return what an object may be in the graph; none of its entities if it has none.
+    @cached_property
+    def individuals(self) -> dict[ObjectColour, list[Individual]]:
+        """What each facet may be in the graph; none of its entities if it has none.
 
         It is no individual of which the graph states another colour.
         """
-        if facet not in self._individuals:
-            name, colour = facet
+        individuals = {}
+        for name, colour in self.facets:
             may_be = self.meant.get(name, Meant(None, ()))
             entities: list[int | None] = [
                 entity
                 for entity in may_be.individuals
                 if may_have(self.graph, entity, colour)
             ]
-            self._individuals[facet] = [
+            individuals[name, colour] = [
                 Individual(entity, name, colour)
                 for entity in entities or [may_be.entity]
             ]
-        return self._individuals[facet]
+        return individuals
 
     def answers(self, text: str) -> Answers:
         """Answer a question in SPARQL or conditions."""
         part, has_places = self.part(text)
-        judgements = {}
-        for facet in self.facets:
-            judgement = surest(map(part, self.individuals(facet)))
-            if judgement.answers:
-                judgements[facet] = judgement
+        judgements = _answering(part, self.individuals)
         return Answers(
             text, self.facets, judgements, part, self.individuals, has_places
         )
@@ -312,18 +316,17 @@ class _Answering:
     def holders(self, text: str) -> set[int]:
         """Return the entities of the objects that answer a question."""
         names = {name for name, _ in self.answers(text).judgements}
-        return set(chain.from_iterable(map(self.known, names & self.meant.keys())))
+        return set(self.known(names & self.meant.keys()))
 
     def no_answer(self, answers: Answers) -> UserError:
         """Return the error of a question that no object answers: what denies it, what is near."""
-        denied: list[str] = []
-        for facet in self.facets:
-            judgement = surest(map(answers.part, self.individuals(facet)))
-            if judgement.is_stated and facet[0] in self.meant:
-                denied += judgement.evidence
+        denied: dict[str, None] = {}
+        for (name, _), judgement in _judged(answers.part, self.individuals).items():
+            if judgement.is_stated and name in self.meant:
+                denied.update(dict.fromkeys(judgement.evidence))
         text = f"No object of the task answers the question {answers.question!r}."
         if denied:
-            text += f" What speaks against it: {'; '.join(list(dict.fromkeys(denied))[:4])}."
+            text += f" What speaks against it: {'; '.join(list(denied)[:4])}."
         is_sparql = _SPARQL.match(answers.question) is not None
         # A query in SPARQL takes milliseconds per entity
         others = [] if is_sparql else self.others(answers.part)
@@ -343,10 +346,9 @@ class _Answering:
     def others(self, part: Part) -> list[str]:
         """Return entities that no object stands for, and of which the graph states a question."""
         others = []
-        known = set(chain.from_iterable(map(self.known, self.meant)))
-        for entity in np.unique(self.graph.heads)[:_LOOKED_AT].tolist():
-            if entity in known:
-                continue
+        of_objects = self.known(self.meant)
+        entities = np.unique(self.graph.heads)[:_LOOKED_AT]
+        for entity in entities[~np.isin(entities, of_objects)].tolist():
             judgement = part(Individual(entity))
             is_stated = judgement.is_stated and not judgement.is_open
             if judgement.answers and is_stated:
@@ -369,7 +371,7 @@ def words(
         objects[COLOUR_RELATION].setdefault(colour, []).append(name)
     answering = _Answering(graph, facets, names)
     for name in answering.meant:
-        rows = np.concatenate(list(map(graph.out_rows, answering.known(name))))
+        rows = np.concatenate(list(map(graph.out_rows, answering.known([name]))))
         for row in graph.believed(rows):
             tail = graph.tails[row]
             relation = graph.relation_names.short(graph.relations[row])
@@ -445,18 +447,14 @@ def _rows(result: Answer) -> list[dict[str, str]]:
 
 
 def _selected(rows: Iterable[Mapping[str, str]], colour: str | None) -> Judgement:
-    """Return the judgement on an object in a colour by the rows in which a query selects it."""
+    """Return the judgement on an object in a colour by the rows in which a query selects it.
+
+    All colours that a row selects must be the one that is shown.
+    """
     for row in rows:
-        if _in_colour(row, colour):
-            reasons = [f"?{key} = {local_name(row[key])}" for key in row]
+        values = {key: local_name(value) for key, value in row.items()}
+        colours = {name_key(values[key]) for key in values if key != "object"}
+        if colours - {""} <= {name_key(colour or "")}:
+            reasons = [f"?{key} = {value}" for key, value in values.items()]
             return Judgement(True, tuple(reasons))
     return Judgement(False, is_stated=False)
-
-
-def _in_colour(values: Mapping[str, str], colour: str | None) -> bool:
-    """Return whether all colours that a row selects are the one that is shown."""
-    for name, value in values.items():
-        is_colour = name != "object" and value != ""
-        if is_colour and name_key(local_name(value)) != name_key(colour or ""):
-            return False
-    return True

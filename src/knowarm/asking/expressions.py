@@ -19,7 +19,9 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 from itertools import chain
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +36,6 @@ from knowarm.asking.judgements import (
     settled,
     surest,
 )
-from knowarm.asking.kinds import kind_relations
 from knowarm.asking.lexicon import FAMILIES, WORDS
 from knowarm.asking.places import (
     DISTANCES,
@@ -46,6 +47,7 @@ from knowarm.asking.places import (
     by_distance,
 )
 from knowarm.asking.quotes import QUOTED, unquoted
+from knowarm.asking.relations import is_colour, kind_relations
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -70,18 +72,14 @@ MOST_WORDS = 500
 
 _TOKEN = re.compile(QUOTED + r'|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
 _NO_NAMES = {"", "and", "or", "not", "count", "(", ")", *SIGNS}
-_COLOUR = [name_key(COLOUR_RELATION), name_key("hasColour")]
-
-_Quantity = tuple[str, float]
-"""The kind of a number or date, and its value."""
 
 
-def _quantity(text: str) -> _Quantity | None:
-    """Return the kind and value of a number or an ISO date."""
+def _quantity(text: str) -> float | datetime | None:
+    """Return the number or the ISO date that a text is."""
     with suppress(ValueError):
-        return "number", float(text)
+        return float(text)
     with suppress(ValueError):
-        return "date", datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+        return datetime.fromisoformat(text).replace(tzinfo=UTC)
     return None
 
 
@@ -124,14 +122,14 @@ class QuestionReader:
         self.graph = graph
         self.colours = colours
         self.objects = objects
-        self.words = [*_TOKEN.findall(text), ""]
+        self.words = [*_TOKEN.findall(text), "", ""]
         self.taken = 0
-        self._stated: dict[int, list[tuple[int, int]]] = {}
-        self._classes: dict[int, list[int]] = {}
+        self.stated = cache(self._stated)
+        self.classes = cache(self._classes)
         self.has_relation = False
         self.has_places = False
         deep = self.words.count("(") + self.words.count("not")
-        count = len(self.words) - 1
+        count = len(self.words) - 2
         if deep > MOST_NESTED or count > MOST_WORDS:
             raise UserError(
                 f"The question has {count} words and {deep} brackets and negations; at most "
@@ -153,7 +151,7 @@ class QuestionReader:
     @property
     def after_next(self) -> str:
         """The word behind the next one; empty at the end."""
-        return self.words[min(self.taken + 1, len(self.words) - 1)]
+        return self.words[self.taken + 1]
 
     def take(self, *words: str) -> str:
         """Take the next word if it is one of some, or return ""."""
@@ -200,12 +198,10 @@ class QuestionReader:
             return conjunction(part(individual) for part in others)
 
         def judgement(individual: Individual) -> Judgement:
-            judgements = [plain(individual)]
-            if superlatives:
-                scene = individual.scene
-                rivals = [rival for rival in scene if plain(rival).answers]
-                judgements += [part.among(individual, rivals) for part in superlatives]
-            return conjunction(judgements)
+            shown = individual.scene if superlatives else ()
+            rivals = [rival for rival in shown if plain(rival).answers]
+            compared = [part.among(individual, rivals) for part in superlatives]
+            return conjunction([plain(individual), *compared])
 
         return judgement
 
@@ -219,7 +215,7 @@ class QuestionReader:
         is_place = self.next in (*SIDES, *DISTANCES) and self.after_next == "("
         if is_place or self.next in ENDS:
             return self.place()
-        if self.next == "is" and self.after_next not in (*_NO_NAMES, ""):
+        if self.next == "is" and self.after_next not in _NO_NAMES:
             return self.kind()
         is_count = self.take("count")
         relation = self.relation()
@@ -229,9 +225,9 @@ class QuestionReader:
             return self.comparison(relation)
         if self.next == "(":
             begin = self.taken
-            bracket = self.bracket()
+            of = self.bracket()
             text = f"{relation.name} {self.text_from(begin)}"
-            return self.chain(relation, bracket, text)
+            return self.chain(relation, of, text)
         return self.fact(relation)
 
     def text_from(self, begin: int) -> str:
@@ -249,7 +245,7 @@ class QuestionReader:
         of = self.bracket()
         text = self.text_from(begin)
         if name in SIDES:
-            return beside(text, SIDES[name], of)
+            return beside(text, name, of)
         return by_distance(text, name, of)
 
     def kind(self) -> Part:
@@ -291,10 +287,8 @@ class QuestionReader:
     def fact(self, relation: _Relation) -> Part:
         """Read a value; the colour of what is shown is seen, not looked up."""
         value = self.value(f"a value of {relation.name}")
-        is_colour = relation.name == COLOUR_RELATION
-        colours: Collection[str] = ()
-        if is_colour:
-            colours = self.colours
+        is_seen = relation.name == COLOUR_RELATION
+        colours = self.colours if is_seen else ()
         for colour in colours:
             if name_key(colour) == name_key(value):
                 value = colour
@@ -303,7 +297,7 @@ class QuestionReader:
             known = set(map(self.name, self.tails(relation)))
             raise unknown_name(f"value of {relation.name}", value, known.union(colours))
         stated = self.leading_to(relation, ids, f"{relation.name} {value}")
-        if not is_colour:
+        if not is_seen:
             return stated
 
         def judgement(individual: Individual) -> Judgement:
@@ -321,9 +315,8 @@ class QuestionReader:
         ids = values_of(self.graph, value, tails.__contains__)
         wanted = _quantity(value)
         if wanted is not None:
-            for tail, quantity in self.quantities(relation):
-                if quantity == wanted:
-                    ids.add(tail)
+            quantities = self.quantities(relation)
+            ids.update(tail for tail in quantities if quantities[tail] == wanted)
         return ids
 
     def chain(self, relation: _Relation, of: Part, text: str) -> Part:
@@ -351,26 +344,21 @@ class QuestionReader:
         """
         entity = individual.entity
         assert entity is not None
-        if entity not in self._classes:
-            self._classes[entity] = classes_of(self.graph, entity)
-        told_of = [[entity]]
-        classes = self._classes[entity]
-        if classes and not (relation.is_place and self.states(entity, relation.ids)):
-            told_of.append(classes)
-        return told_of
+        classes = self.classes(entity)
+        is_elsewhere = relation.is_place and any(
+            stating in relation.ids for stating, _ in self.stated(entity)
+        )
+        return [[entity]] if is_elsewhere or not classes else [[entity], classes]
 
-    def stated(self, entity: int) -> list[tuple[int, int]]:
+    def _classes(self, entity: int) -> list[int]:
+        """Return the classes of an entity."""
+        return classes_of(self.graph, entity)
+
+    def _stated(self, entity: int) -> list[tuple[int, int]]:
         """Return relation and tail of each triple about an entity; it is asked in many colours."""
-        if entity not in self._stated:
-            rows = self.graph.out_rows(entity)
-            relations = self.graph.relations[rows].tolist()
-            tails = self.graph.tails[rows].tolist()
-            self._stated[entity] = list(zip(relations, tails, strict=True))
-        return self._stated[entity]
-
-    def states(self, entity: int, relations: Collection[int]) -> bool:
-        """Return whether a triple about an entity has one of some relations."""
-        return any(relation in relations for relation, _ in self.stated(entity))
+        rows = self.graph.out_rows(entity)
+        relations = self.graph.relations[rows].tolist()
+        return list(zip(relations, self.graph.tails[rows].tolist(), strict=True))
 
     def leading_to(self, relation: _Relation, ids: Collection[int], text: str) -> Part:
         """Return the part that is true where a relation leads to one of some entities."""
@@ -379,17 +367,16 @@ class QuestionReader:
     def comparison(self, relation: _Relation) -> Part:
         """Read a comparison with a number or a date."""
         sign = self.take(*SIGNS)
-        compare = SIGNS[sign]
         wanted_text = self.take_name()
         wanted = _quantity(wanted_text)
         if wanted is None:
             raise self.wrong("a number or a date")
-        kind, limit = wanted
         fits = {}
-        for tail, (kind_of_tail, number) in self.quantities(relation):
-            if kind_of_tail == kind:
-                fits[tail] = compare(number, limit)
+        for tail, quantity in self.quantities(relation).items():
+            if type(quantity) is type(wanted):
+                fits[tail] = SIGNS[sign](quantity, wanted)
         if not fits:
+            kind = "number" if isinstance(wanted, float) else "date"
             raise UserError(
                 f"The question {self.text!r}: the graph states no {kind} by {relation.name}."
             )
@@ -412,12 +399,14 @@ class QuestionReader:
         has_relation = np.isin(self.graph.relations, relation.ids)
         return np.unique(self.graph.tails[has_relation]).tolist()
 
-    def quantities(self, relation: _Relation) -> Iterator[tuple[int, _Quantity]]:
-        """Yield the numbers and dates that a relation leads to, each after its id."""
+    def quantities(self, relation: _Relation) -> dict[int, float | datetime]:
+        """Return the numbers and dates that a relation leads to, by id."""
+        quantities = {}
         for tail in self.tails(relation):
             quantity = _quantity(self.name(tail))
             if quantity is not None:
-                yield tail, quantity
+                quantities[tail] = quantity
+        return quantities
 
     def name(self, entity: int) -> str:
         """Return the last part of the name of an entity."""
@@ -425,9 +414,7 @@ class QuestionReader:
 
     def count(self, relation: _Relation) -> Part:
         """Read a comparison with the number of values of a relation."""
-        of: Part = _anything
-        if self.next == "(":
-            of = self.bracket()
+        of = self.bracket() if self.next == "(" else _anything
         sign = self.take(*SIGNS)
         number = self.take_name() if sign else ""
         if not number.isdecimal() or len(number) > 9:
@@ -458,11 +445,10 @@ class QuestionReader:
         if not word:
             raise self.wrong("a relation")
         names = self.graph.relation_names
-        denying: list[int] = []
-        if name_key(local_name(word)) in _COLOUR:
-            # the image answers it, whoever else states it
-            ids = names.find_local(COLOUR_RELATION)
+        if is_colour(local_name(word)):  # the image answers it, whoever states it
             name = COLOUR_RELATION
+            ids = names.find_local(name)
+            denying = list[int]()
         else:
             relation = self.graph.find_relation(word)
             name = word if relation is None else names[relation]
@@ -470,9 +456,8 @@ class QuestionReader:
             denying = opposed(self.graph, name)
             if not ids and (not denying or word in WORDS["ignored"]):
                 self.graph.relation_id(word)  # which raises the error
-            name = local_name(name)
         self.has_relation = True
-        return _Relation(name, ids, denying)
+        return _Relation(local_name(name), ids, denying)
 
     def evidence(
         self,
@@ -488,9 +473,7 @@ class QuestionReader:
         facts = list(self.facts(individual, entities, relations, of))
         if not facts:
             return None
-        is_false = 1.0
-        for fact in facts:
-            is_false *= 1 - fact.probability
+        is_false = prod(1 - fact.probability for fact in facts)
         return replace(surest(facts), probability=1 - is_false)
 
     def facts(
@@ -510,10 +493,8 @@ class QuestionReader:
                 if relation in relations:
                     heads.setdefault((relation, tail), entity)
         for (relation, tail), head in heads.items():
-            told = Individual(tail)
-            if tail == individual.entity:
-                told = individual
-            fits = of(told)
+            is_itself = tail == individual.entity
+            fits = of(individual if is_itself else Individual(tail))
             if fits.answers:
                 yield from self.told(head, relation, tail, fits)
 

@@ -6,10 +6,14 @@ judgement tells that it rests on that.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
+from math import prod
 from operator import attrgetter
 
 from knowarm.questions import SURE
 
+Place = tuple[float, float]
+"""Column and row in the image, in units of its size."""
 Evidence = tuple[str, ...]
 """Why a judgement holds: triples of the graph, what the image shows, and what is not stated."""
 
@@ -24,8 +28,8 @@ class Individual:
     """The name of the object; "" of an entity that is not shown."""
     colour: str | None = None
     """The colour in which it is shown."""
-    place: tuple[float, float] | None = None
-    """Column and row in the image, in units of its size; None where no scene is known."""
+    place: Place | None = None
+    """Where it stands in the image; None where no scene is known."""
     scene: Sequence["Individual"] = ()
     """All that is shown beside it, itself among them."""
 
@@ -89,11 +93,7 @@ def negated(judgement: Judgement) -> Judgement:
 def conjunction(judgements: Iterable[Judgement]) -> Judgement:
     """Return the judgement on conditions that are joined by "and"; facts are independent."""
     judgements = tuple(judgements)
-    probability = 1.0
-    evidence: Evidence = ()
-    for judgement in judgements:
-        probability *= judgement.probability
-        evidence += judgement.evidence
+    probability = prod(map(attrgetter("probability"), judgements), start=1.0)
     false = list(filter(attrgetter("is_false"), judgements))
     if false:
         surest = max(false, key=attrgetter("is_stated"))
@@ -102,7 +102,7 @@ def conjunction(judgements: Iterable[Judgement]) -> Judgement:
     is_open = any(map(attrgetter("is_open"), judgements))
     return Judgement(
         holds=not is_unsettled and (is_open or probability >= SURE),
-        evidence=evidence,
+        evidence=tuple(chain.from_iterable(map(attrgetter("evidence"), judgements))),
         probability=probability,
         is_stated=all(map(attrgetter("is_stated"), judgements)),
         is_denied=any(map(attrgetter("is_denied"), judgements)),

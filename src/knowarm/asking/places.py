@@ -3,29 +3,29 @@
 from collections.abc import Callable, Sequence
 from math import dist
 
-from knowarm.asking.judgements import Individual, Judgement, Part
+from knowarm.asking.judgements import Individual, Judgement, Part, Place
 
-_Side = Callable[[float, float], bool]
-"""Whether the way to another thing, right and down in the image, leads to one side."""
+_Direction = tuple[int, int]
+"""The axis of the image, and the sign of the places that are further in the direction."""
 
-SIDES: dict[str, _Side] = {
-    "leftOf": lambda right, down: right > 0,
-    "rightOf": lambda right, down: right < 0,
-    "behind": lambda right, down: down > 0,
-    "inFrontOf": lambda right, down: down < 0,
+SIDES: dict[str, _Direction] = {
+    "leftOf": (0, -1),
+    "rightOf": (0, 1),
+    "behind": (1, -1),
+    "inFrontOf": (1, 1),
 }
 """Conditions on the side of something; what is nearer to the viewer is lower in the image."""
 
-ENDS: dict[str, tuple[int, int]] = {
-    "leftmost": (0, 1),
-    "rightmost": (0, -1),
-    "hindmost": (1, 1),
-    "frontmost": (1, -1),
+ENDS: dict[str, _Direction] = {
+    "leftmost": SIDES["leftOf"],
+    "rightmost": SIDES["rightOf"],
+    "hindmost": SIDES["behind"],
+    "frontmost": SIDES["inFrontOf"],
 }
-"""Conditions on the end of the scene: the axis of the image, and the sign of the least."""
+"""Conditions on the end of the scene."""
 
-DISTANCES: dict[str, int] = {"nearest": 1, "farthest": -1}
-"""Conditions on the distance from something in the image."""
+DISTANCES: dict[str, int] = {"nearest": -1, "farthest": 1}
+"""Conditions on the distance from something in the image: the sign of what is furthest."""
 
 
 class Superlative:
@@ -33,11 +33,11 @@ class Superlative:
 
     Args:
         text: the part as it is written.
-        measure: how far an individual is from being the one; the least is.
+        measure: how far an individual is at its place; the furthest one is meant.
     """
 
     def __init__(
-        self, text: str, measure: Callable[[Individual], float | None]
+        self, text: str, measure: Callable[[Individual, Place], float | None]
     ) -> None:
         self.text = text
         self.measure = measure
@@ -49,35 +49,50 @@ class Superlative:
     def among(self, individual: Individual, rivals: Sequence[Individual]) -> Judgement:
         """Compare with some of what is shown."""
         if individual.place is None:
-            return Judgement(True, (f"by its place: {self.text}",), is_open=True)
-        mine = self.measure(individual)
+            return _open(self.text)
+        mine = self.measure(individual, individual.place)
         if mine is None:
-            return Judgement(False, (f"the image does not show: {self.text}",), 0.0)
-        others = [self.measure(rival) for rival in rivals]
-        is_it = all(other is None or mine <= other for other in others)
-        verb = "shows" if is_it else "does not show"
-        return Judgement(is_it, (f"the image {verb}: {self.text}",), float(is_it))
+            return _shown(self.text, False)
+        others = [self.measure(rival, rival.place) for rival in rivals if rival.place]
+        return _shown(
+            self.text, all(other is None or mine >= other for other in others)
+        )
 
 
-def beside(text: str, is_side: _Side, of: Part) -> Part:
+def _open(text: str) -> Judgement:
+    """Return the judgement on a place where no scene is known."""
+    return Judgement(True, (f"by its place: {text}",), is_open=True)
+
+
+def _shown(text: str, is_it: bool) -> Judgement:
+    """Return the judgement of the image on a place."""
+    verb = "shows" if is_it else "does not show"
+    return Judgement(is_it, (f"the image {verb}: {text}",), float(is_it))
+
+
+def _places(individual: Individual, of: Part) -> list[Place]:
+    """Return the places of what is shown beside an individual, and of which a part is true."""
+    others = [other for other in individual.scene if other is not individual]
+    return [other.place for other in others if other.place and of(other).answers]
+
+
+def beside(text: str, name: str, of: Part) -> Part:
     """Return the part that is true on one side of something of which a question is true.
 
     Args:
         text: the part as it is written.
-        is_side: the side on which the other one stands, seen from this one.
+        name: key of `SIDES`.
         of: the question.
     """
+    axis, sign = SIDES[name]
 
     def part(individual: Individual) -> Judgement:
-        if individual.place is None:
-            return Judgement(True, (f"by its place: {text}",), is_open=True)
-        column, row = individual.place
-        for other in individual.scene:
-            if other is individual or other.place is None or not of(other).answers:
-                continue
-            if is_side(other.place[0] - column, other.place[1] - row):
-                return Judgement(True, (f"the image shows: {text}",))
-        return Judgement(False, (f"the image does not show: {text}",), 0.0)
+        place = individual.place
+        if place is None:
+            return _open(text)
+        others = _places(individual, of)
+        is_it = any(sign * place[axis] > sign * other[axis] for other in others)
+        return _shown(text, is_it)
 
     return part
 
@@ -85,11 +100,7 @@ def beside(text: str, is_side: _Side, of: Part) -> Part:
 def at_end(name: str) -> Superlative:
     """Return the part that is true of what stands at one end: key of `ENDS`."""
     axis, sign = ENDS[name]
-
-    def measure(individual: Individual) -> float | None:
-        return sign * individual.place[axis] if individual.place else None
-
-    return Superlative(name, measure)
+    return Superlative(name, lambda individual, place: sign * place[axis])
 
 
 def by_distance(text: str, name: str, of: Part) -> Superlative:
@@ -97,13 +108,12 @@ def by_distance(text: str, name: str, of: Part) -> Superlative:
 
     That of which the question itself is true does not count.
     """
+    sign = DISTANCES[name]
 
-    def measure(individual: Individual) -> float | None:
-        if individual.place is None or of(individual).answers:
+    def measure(individual: Individual, place: Place) -> float | None:
+        if of(individual).answers:
             return None
-        sign = DISTANCES[name]
-        places = [other.place for other in individual.scene if of(other).answers]
-        ways = [sign * dist(individual.place, place) for place in places if place]
-        return min(ways, default=None)
+        ways = [sign * dist(place, other) for other in _places(individual, of)]
+        return max(ways, default=None)
 
     return Superlative(text, measure)

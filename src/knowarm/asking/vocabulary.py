@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.asking.kinds import kind_relations
 from knowarm.asking.lexicon import (
     DERIVED,
     FAMILIES,
@@ -25,6 +24,7 @@ from knowarm.asking.lexicon import (
     verbs_of,
 )
 from knowarm.asking.quotes import condition, quoted
+from knowarm.asking.relations import is_colour, kind_relations
 from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import is_class
@@ -36,7 +36,6 @@ from knowarm.questions import COLOUR_RELATION
 _EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can", "does", "do"}
 _HAVE = FAMILIES["part"].weak
 _NEGATIONS = ("cannot", "doesnt", "isnt", "cant", "dont", "missing", "misses", "devoid")
-_COLOURS = (name_key(COLOUR_RELATION), name_key("hasColour"))
 IS = "is"
 """What stands in place of a relation before the name of an object."""
 NEAR_HINT = 0.35
@@ -190,8 +189,9 @@ class Vocabulary:
             return
         names = self.graph.names
         words = words_of(self._label(names[tail]))
-        is_colour = name_key(relation) in _COLOURS
-        if is_colour and (inner or name_key(" ".join(words)) in self._colours):
+        if is_colour(relation) and (
+            inner or name_key(" ".join(words)) in self._colours
+        ):
             return  # the image shows it
         value = local_name(names[tail])
         text = condition(relation, value)

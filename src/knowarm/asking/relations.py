@@ -1,4 +1,4 @@
-"""Relations that state of what kind something is: isA, rdf:type, rdfs:subClassOf and their like."""
+"""Relations of kinds and colours: isA, rdf:type, rdfs:subClassOf, hasColor and their like."""
 
 import re
 from typing import NamedTuple
@@ -6,7 +6,8 @@ from typing import NamedTuple
 from knowarm.asking.lexicon import FAMILIES
 from knowarm.knowledge.graph.denials import opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, label_of
+from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, label_of, name_key
+from knowarm.questions import COLOUR_RELATION
 
 
 class KindRelations(NamedTuple):
@@ -27,3 +28,8 @@ def kind_relations(graph: KnowledgeGraph) -> KindRelations:
             stating.append(index)
             denying.update(opposed(graph, name))
     return KindRelations(stating, sorted(denying))
+
+
+def is_colour(relation: str) -> bool:
+    """Return whether the last part of a relation's name is that of colours, in any spelling."""
+    return name_key(relation) in (name_key(COLOUR_RELATION), name_key("hasColour"))
