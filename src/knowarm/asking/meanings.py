@@ -18,7 +18,8 @@ from knowarm.asking.lexicon import (
     synonyms_of,
     verbs_of,
 )
-from knowarm.asking.vocabulary import IS, Entry, Vocabulary
+from knowarm.asking.relations import IS
+from knowarm.asking.vocabulary import Entry, Vocabulary
 from knowarm.questions import COLOUR_RELATION
 
 IGNORED = {*WORDS["things"], *WORDS["ignored"]}
@@ -77,16 +78,10 @@ class Meanings:
                 return True
         return False
 
-    def is_place(self, position: int) -> bool:
-        """Return whether a preposition may begin what is left out: "in bed", "with water"."""
-        if self[position] != "with":
-            return self[position] in WORDS["places"]
-        return self[position + 1] not in {*WORDS["determiners"], *WORDS["things"]}
-
     def is_kind(self, position: int) -> bool:
         """Return whether a word is a kind, such as "tool", that the graph does not know."""
         for entry, far, _ in self.matches[position]:
-            describes = self.vocabulary.family(entry.relation).describes
+            describes = entry.relation.family.describes
             if far <= INFLECTED and not entry.inner and describes:
                 return False
         return near(self[position], WORDS["kinds"], 0)
@@ -114,9 +109,9 @@ class Meanings:
     @property
     def has_object(self) -> bool:
         """Whether the words name an object, or a colour that the image shows."""
-        relations = (IS, COLOUR_RELATION)
         matches = chain.from_iterable(self.matches)
-        return any(match.entry.relation in relations for match in matches)
+        names = {match.entry.relation.name for match in matches}
+        return not names.isdisjoint((IS.name, COLOUR_RELATION))
 
     def phrases(self, positions: Sequence[int]) -> list[str]:
         """Return the words at positions; those that determiners alone separate are one phrase."""
@@ -210,7 +205,7 @@ class Meanings:
 
 def _inflections_joined(matches: Sequence[Match]) -> Iterator[Match]:
     """Yield matches with the forms of one word as one of them: ``affords drink`` and ``drinks``."""
-    alike: dict[tuple[str, str, str, int], dict[str, Match]] = {}
+    alike: dict[tuple[object, ...], dict[str, Match]] = {}
     for match in matches:
         if match.far > INFLECTED:
             yield match

@@ -95,18 +95,19 @@ def _with_extreme(
     if len(best) > 1 or superlative.negated or is_or:
         raise reader.refused("of superlatives it may hold one, which only 'and' joins")
     in_image = {*EXTREMES.values(), *BESIDE.values()}
-    if not in_image.isdisjoint(condition.relation for condition in rest):
+    if not in_image.isdisjoint(condition.relation.name for condition in rest):
         raise reader.refused("it may hold a superlative or a place in the image")
     relation = superlative.relation
-    if superlative.text.startswith("count "):
-        numbers = vocabulary.counts[relation]
-    else:
-        numbers = vocabulary.numbers[relation]
     among = set(vocabulary.heads)
     if rest:
         among = holders(joined(rest))
-    values = [number for head, number in numbers.items() if head in among]
+    if superlative.text.startswith("count "):
+        values = [relation.counts[head] for head in vocabulary.heads if head in among]
+    else:
+        values = [number for head, number in relation.numbers.items() if head in among]
     if not values:
-        raise reader.refused(f"no object that it is about has a number of {relation}")
+        raise reader.refused(
+            f"no object that it is about has a number of {relation.name}"
+        )
     extreme = max(values) if superlative.best == ">" else min(values)
     return joined([*rest, ReadCondition(f"{superlative.text} = {extreme:g}")])

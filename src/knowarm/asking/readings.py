@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from knowarm.asking.quotes import quoted
+from knowarm.asking.relations import NO_RELATION, Relation
 
 
 @dataclass(frozen=True)
@@ -14,7 +15,7 @@ class ReadCondition:
     """A condition that was read, and how it is joined to the one before."""
 
     text: str
-    relation: str = ""
+    relation: Relation = NO_RELATION
     join: str = "and"
     negated: bool = False
     inherits: bool = False  # Whether the negation is that of the one before
@@ -40,7 +41,7 @@ class ReadCondition:
 
 
 Conditions = Sequence[ReadCondition]
-Relations = frozenset[str]
+Relations = frozenset[Relation]
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class ReadingState:
     strong: Relations | None = None  # The relations that are said; not used yet
     outer: Relations | None = None  # The same before a noun: "used for something ..."
     weak: tuple[str, ...] = ()  # Prepositions since the last condition
-    noun: str = ""  # The relation of a noun that is counted
+    noun: Relation | None = None  # The relation of a noun that is counted
     number: str = ""  # What it is compared with, as "= 2"
     best: str = ""
     join: str = ""
@@ -65,9 +66,9 @@ class ReadingState:
     left_out: tuple[int, ...] = ()  # Positions of words
 
     @property
-    def last(self) -> str:
-        """The relation of the last condition, "" before the first."""
-        return self.done[-1].relation if self.done else ""
+    def last(self) -> Relation:
+        """The relation of the last condition, one without a name before the first."""
+        return self.done[-1].relation if self.done else NO_RELATION
 
     @property
     def is_unsaid(self) -> bool:
@@ -89,13 +90,6 @@ class ReadingState:
         changes.setdefault("takes_object", False)
         return replace(self, position=self.position + length, **changes)
 
-    def without(self, cost: float) -> "ReadingState":
-        """Return the state behind a word that is left out."""
-        left_out = (*self.left_out, self.position)
-        return self.then(
-            cost=self.cost + cost, left_out=left_out, takes_object=self.takes_object
-        )
-
     def added(
         self, condition: ReadCondition, length: int = 0, cost: float = 0.0
     ) -> "ReadingState":
@@ -104,72 +98,69 @@ class ReadingState:
         The condition says its text, its relation and what it is; the state adds how it is joined.
         """
         continues = bool(self.done) and not self.join
-        # "that is a mug" begins a phrase, as "red mug" does not
-        is_predicate = condition.is_name and condition.is_determined
-        is_predicate |= self.negated is not None
-        done = self.done
         if self.reach:
             condition = replace(condition, reach=self.reach)
         if continues and self._is_negated_with(condition):
             # "not a red mug" is neither red nor a mug, and may be one of them
-            before = done[-1]
+            *done, before = self.done
             text = before.text[1:-1] if before.is_merged else before.text
             own = replace(condition, negated=bool(self.negated))
-            text = f"({text} and {own})"
-            name = condition.name or before.name
-            merged = replace(
-                before, text=text, name=name, is_whole=True, is_merged=True
+            condition = replace(
+                before,
+                text=f"({text} and {own})",
+                name=condition.name or before.name,
+                is_whole=True,
+                is_merged=True,
             )
-            done = (*done[:-1], merged)
         else:
+            done = list(self.done)
+            # "that is a mug" begins a phrase, as "red mug" does not
+            is_name = condition.is_name and condition.is_determined
             inherits = self._inherits(condition)
-            negated = bool(self.negated) or inherits
             condition = replace(
                 condition,
                 join=self.join or "and",
-                negated=negated,
+                negated=bool(self.negated) or inherits,
                 inherits=inherits,
                 is_new=self.is_new,
                 has_noun=self.has_noun,
-                continues=continues and not is_predicate,
+                continues=continues and self.negated is None and not is_name,
             )
-            done = (*done, condition)
-        return ReadingState(
-            self.position + length, done, self.cost + cost, left_out=self.left_out
-        )
+        position = self.position + length
+        done.append(condition)
+        cost += self.cost
+        return ReadingState(position, tuple(done), cost, left_out=self.left_out)
 
     def _is_negated_with(self, condition: ReadCondition) -> bool:
         """Return whether the "not" before the last one negates a condition, as of a red mug."""
         before = self.done[-1]
-        if not before.negated:
-            return False
-        if before.is_name or before.is_whole or before.reach == "all":
-            return True
+        is_thing = before.is_name or before.is_whole or before.reach == "all"
         is_phrase = before.is_bare and condition.is_bare and self.negated is None
-        return is_phrase and before.reach == "phrase"
+        is_whole = is_thing or (is_phrase and before.reach == "phrase")
+        return before.negated and is_whole
 
     def _inherits(self, condition: ReadCondition) -> bool:
         """Return whether a condition shares the negation of the last one: "not red or blue"."""
-        if self.negated is not None or not self.done or not self.join or self.is_new:
+        if self.negated is not None or self.join in ("", "but") or self.is_new:
             return False
-        before = self.done[-1]
-        is_same = before.relation == condition.relation or self.join == "or"
+        before = self.done[-1] if self.done else condition
+        is_or = self.join == "or"
+        is_same = is_or or before.relation == condition.relation
         # A comma ends it behind a thing: "not the blue one, the red one"
-        is_open = before.negated and (not before.is_whole or self.join == "or")
-        return is_open and condition.is_bare and is_same and self.join != "but"
+        is_open = before.negated and (is_or or not before.is_whole)
+        return is_open and is_same and condition.is_bare
 
     def named(
         self, condition: ReadCondition, length: int, cost: float
-    ) -> "ReadingState | None":
-        """Return the state behind the name of an object, None if it is not clear what it ends."""
+    ) -> Iterator["ReadingState"]:
+        """Yield the state behind the name of an object, if it is clear what it ends."""
         start = self._phrase_start()
         if start == len(self.done):
             is_clear = self._is_name_clear(condition)
         else:
             is_clear = self.is_phrase_clear and self._is_named_phrase_clear(start)
-        if not is_clear:
-            return None
-        return self._behind_phrase().added(condition, length, cost)
+        if is_clear:
+            yield self._behind_phrase().added(condition, length, cost)
 
     def _is_name_clear(self, condition: ReadCondition) -> bool:
         """Return whether it is clear what a name belongs to that no adjective precedes."""
@@ -178,12 +169,9 @@ class ReadingState:
         last = self.done[-1]
         if last.is_name and last.continues and not condition.is_determined:
             return False  # "the red mug or bowl"
-        if self.negated is not None:
-            return True
-        is_other = last.negated and not _is_thing(last)
-        if self.join == "or" and is_other:
-            return False  # "not red or a mug"
-        return not last.is_merged  # "not the red mug or the bowl"
+        is_value = self.join == "or" and last.negated and not _is_thing(last)
+        # "not red or a mug", "not the red mug or the bowl"
+        return self.negated is not None or not (is_value or last.is_merged)
 
     def _is_named_phrase_clear(self, start: int) -> bool:
         """Return whether it is clear what a name belongs to that ends the phrase from one on."""
@@ -233,7 +221,7 @@ class ReadingState:
     def name(self) -> str:
         """The name of an object that was read last, "" without."""
         names = [condition.name for condition in self.done if condition.name]
-        return "".join(names[-1:])
+        return names[-1] if names else ""
 
     @property
     def other_name(self) -> str:
@@ -260,12 +248,10 @@ class ReadingState:
         if not number:
             number = "= 0" if self.negated else ">= 1"
             state = replace(self, negated=None)
-        text = f"count {quoted(self.noun)}"
-        cost = 0.0
+        text = f"count {quoted(self.noun.name)}"
         if not self.best:
             text += f" {number}"
-            if not self.number:
-                cost = 0.3
+        cost = 0.0 if self.best or self.number else 0.3
         condition = ReadCondition(text, self.noun, best=self.best)
         yield state.added(condition, cost=cost)
 
@@ -274,17 +260,13 @@ class ReadingState:
         if self.noun and self.number:  # "makes at least one thing"
             return self.then()
         if self.strong is not None:  # "used for something ..."
-            return self.then(outer=self.strong, strong=None, weak=(), noun="")
+            return self.then(outer=self.strong, strong=None, weak=(), noun=None)
         if self.done and not self.join and self.negated is None:  # "a red object"
             done = self._behind_phrase().done
             whole = replace(done[-1], is_whole=True)
             return self.then(done=(*done[:-1], whole))
-        weak = self.weak
-        if weak == ("of",):  # "one of the objects"
-            weak = ()
-        reach = self.reach
-        if self.negated:  # "not anything red"
-            reach = "all"
+        weak = () if self.weak == ("of",) else self.weak  # "one of the objects"
+        reach = "all" if self.negated else self.reach  # "not anything red"
         is_new = bool(self.join)
         return self.then(is_new=is_new, has_noun=True, weak=weak, reach=reach)
 
@@ -292,9 +274,8 @@ class ReadingState:
 def _has_noun(conditions: Conditions) -> bool:
     """Return whether the last alternative of conditions is complete: "something red", "a mug"."""
     for condition in reversed(conditions):
-        if condition.is_name or condition.is_whole or condition.has_noun:
-            return True
-        if not condition.is_bare:
+        is_thing = condition.is_name or condition.is_whole or condition.has_noun
+        if is_thing or not condition.is_bare:
             return True
         if condition.join == "or":
             return False
@@ -364,11 +345,9 @@ def _listed(conditions: Conditions) -> list[ReadCondition]:
 
 def _is_in_list(before: ReadCondition, condition: ReadCondition) -> bool:
     """Return whether two conditions are of one list, as in "a mug, red or blue" they are not."""
-    if not condition.is_bare:
-        return False
-    if not before.is_bare and before.relation != condition.relation:
-        return False
-    return _is_thing(before) == _is_thing(condition)
+    is_value = before.is_bare or before.relation == condition.relation
+    is_alike = _is_thing(before) == _is_thing(condition)
+    return condition.is_bare and is_value and is_alike
 
 
 def _is_thing(condition: ReadCondition) -> bool:

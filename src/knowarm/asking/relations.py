@@ -1,13 +1,82 @@
-"""Relations of kinds and colours: isA, rdf:type, rdfs:subClassOf, hasColor and their like."""
+"""Relations of a graph as English speaks of them, and those of kinds and colours."""
 
 import re
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
-from knowarm.asking.lexicon import FAMILIES
+from knowarm.asking.lexicon import (
+    DERIVED,
+    FAMILIES,
+    INFLECTED,
+    WEAK,
+    Family,
+    near,
+    verbs_of,
+)
 from knowarm.knowledge.graph.denials import opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, label_of, name_key
 from knowarm.questions import COLOUR_RELATION
+
+_EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can", "does", "do"}
+
+
+@dataclass(frozen=True, order=True)
+class Relation:
+    """A relation of a graph, and the English that says it; relations of one name are one."""
+
+    name: str
+    words: tuple[str, ...] = field(default=(), compare=False)
+    """The words of its name or label."""
+    turning: frozenset[str] | None = field(default=None, compare=False)
+    """Of a relation whose name negates, the words that do so and say it: "unsafe"."""
+    affirming: "Relation | None" = field(default=None, compare=False)
+    """Of a relation that denies, the one that affirms the same."""
+    is_narrow: bool = field(default=False, compare=False)
+    """Whether a broader relation of the graph says the same: locatedIn of storedIn."""
+    numbers: dict[int, float] = field(default_factory=dict, compare=False)
+    """The numbers that it states, by entity."""
+    counts: Counter[int] = field(default_factory=Counter, compare=False)
+    """The number of values that it states, by entity."""
+
+    @cached_property
+    def family(self) -> Family:
+        """What it means alike in any graph."""
+        name = " ".join(self.words)
+        for family in FAMILIES.values():
+            if self.turning is None and re.search(family.relations, name):
+                return family
+        return Family()
+
+    @property
+    def is_verb(self) -> bool:
+        """Whether it may be a verb alone, as ``burns`` in "something that burns"."""
+        return len(self.words) == 1 and not self.numbers
+
+    @cached_property
+    def prepositions(self) -> set[str]:
+        """The prepositions and forms of "have" that may precede its values."""
+        if self.family.relations or _EMPTY.issuperset(self.words):
+            return {*self.words, *self.family.weak}
+        return set()  # what is "for children" need not be safe for them
+
+    def is_said_by(self, word: str) -> bool:
+        """Return whether a word says it: one of its own, or of its family."""
+        if self.turning is not None:
+            return near(word, self.turning, 0)
+        return near(word, self.family.strong, INFLECTED) or self.is_named_by(word)
+
+    def is_named_by(self, word: str) -> bool:
+        """Return whether a word is one of its own."""
+        words = set(self.words) - _EMPTY
+        return any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
+
+
+NO_RELATION = Relation("")
+IS = Relation("is")
+"""What stands in place of a relation before the name of an object."""
 
 
 class KindRelations(NamedTuple):
