@@ -345,10 +345,13 @@ class QuestionReader:
         entity = individual.entity
         assert entity is not None
         classes = self.classes(entity)
-        is_elsewhere = relation.is_place and any(
-            stating in relation.ids for stating, _ in self.stated(entity)
-        )
-        return [[entity]] if is_elsewhere or not classes else [[entity], classes]
+        if not classes or (relation.is_place and self.states(entity, relation.ids)):
+            return [[entity]]
+        return [[entity], classes]
+
+    def states(self, entity: int, relations: Collection[int]) -> bool:
+        """Return whether a triple about an entity has one of some relations."""
+        return any(relation in relations for relation, _ in self.stated(entity))
 
     def _classes(self, entity: int) -> list[int]:
         """Return the classes of an entity."""
