@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from knowarm.asking.answers import Answers, Words, answer, words
-from knowarm.asking.judgements import Judgement
+from knowarm.asking.judgements import Judgement, Place
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.knows import read_known_graph
@@ -49,8 +49,6 @@ class Asked:
     """The answers in the graph; where places decide, among what the network names."""
     truth: Answers
     """The same among what stands in the scene; they differ if the network is mistaken."""
-    known: Mapping[str, int]
-    """Number of colours in which the network knows each object."""
     scene: int
     """Number of the scene among the evaluation episodes."""
     shown: tuple[ObjectColour, ...]
@@ -84,17 +82,16 @@ class Asked:
     @property
     def outcome(self) -> str:
         """What the arm did, in a sentence."""
-        name = in_words(self.reached)
         seen = ", ".join(f"the {in_words(facet)}" for facet in self.candidates)
-        if self.stopped and seen:
-            return f"The arm stayed: it sees several answers: {seen}."
         if self.stopped:
-            return "The arm stayed: it sees no answer."
+            several = f"several answers: {seen}" if seen else "no answer"
+            return f"The arm stayed: it sees {several}."
         what = "reached" if self.within else "did not arrive; it ended nearest to"
         judgement = "which answers" if self.right else "which does not answer"
         outcome = (
-            f"The arm {what} the {name}, {judgement}, after {self.film[-1].step} steps: "
-            f"{100 * self.distance:.1f} cm and {self.angle:.0f} degrees from its grasp."
+            f"The arm {what} the {in_words(self.reached)}, {judgement}, after "
+            f"{self.film[-1].step} steps: {100 * self.distance:.1f} cm and {self.angle:.0f} "
+            "degrees from its grasp."
         )
         if len(self.candidates) > 1:
             outcome += f" It saw several answers: {seen}."
@@ -104,6 +101,7 @@ class Asked:
     def rows(self) -> "list[AnswerRow]":
         """Answers by object, which has several rows if it answers in other colours otherwise."""
         judgements = self.answers.judgements
+        known = Counter(name for name, _ in self.answers.facets)
 
         def reasons(facet: ObjectColour) -> tuple[str, ...]:
             seen = f"the image shows {facet[1]}"
@@ -113,7 +111,7 @@ class Asked:
         for (name, *_), group in groupby(judgements, key=reasons):
             facets = list(group)
             colours = "any"
-            if len(facets) < self.known[name]:
+            if len(facets) < known[name]:
                 colours = ", ".join(colour for _, colour in facets)
             rows.append(AnswerRow(name, colours, judgements[facets[0]]))
         return rows
@@ -121,10 +119,10 @@ class Asked:
     @property
     def table(self) -> list[list[str]]:
         """Answers by object: its name, the colours in which it answers, why the first one does."""
-        rows = []
-        for name, colours, judgement in self.rows:
-            rows.append([name, colours, "; ".join(judgement.evidence)])
-        return rows
+        return [
+            [name, colours, "; ".join(judgement.evidence)]
+            for name, colours, judgement in self.rows
+        ]
 
 
 class AnswerRow(NamedTuple):
@@ -293,8 +291,8 @@ class Asker:
         if not answers.has_places:
             return np.asarray(answers.satisfies[self._shown])
         satisfies = np.zeros(self._shown.shape, bool)
-        for scene in range(min(SCENES_WITH_PLACES, len(satisfies))):
-            satisfies[scene] = self._truth(answers, scene).satisfies[self._shown[scene]]
+        for scene, shown in enumerate(self._shown[:SCENES_WITH_PLACES]):
+            satisfies[scene] = self._truth(answers, scene).satisfies[shown]
         return satisfies
 
     def _truth(self, answers: Answers, scene: int) -> Answers:
@@ -303,10 +301,7 @@ class Asker:
             return answers
         size = self._spec.image_size
         pixels = pixels_of(self._env.scene, self._scenes.positions[scene], size)
-        places = map(tuple, (pixels / size).tolist())
-        return answers.within(
-            dict(zip(self._named(self._shown[scene]), places, strict=True))
-        )
+        return answers.within(_placed(self._named(self._shown[scene]), pixels / size))
 
     def _decide(
         self, answers: Answers, image: torch.Tensor
@@ -319,8 +314,7 @@ class Asker:
         if answers.has_places:
             seen = self._see(image, np.ones(len(self.facets)))
             named = self._named(seen.named[0].numpy())
-            points = map(tuple, self._points(seen).tolist())
-            answers = answers.within(dict(zip(named, points, strict=True)))
+            answers = answers.within(_placed(named, self._points(seen)))
         stated = answers.stated
         if stated.any() and (stated < answers.degrees).any():
             seen = self._see(image, stated)
@@ -382,7 +376,6 @@ class Asker:
         return Asked(
             answers=answers,
             truth=truth,
-            known=Counter(name for name, _ in self.facets),
             scene=scene,
             shown=self._named(shown),
             named=named,
@@ -440,6 +433,13 @@ def ask(
         edit = [edit]
     with closing(Asker(agent, graph, seed=seed, names=names, level=level)) as asker:
         return asker.ask(question, edit, scene, unclear)
+
+
+def _placed(
+    facets: Sequence[ObjectColour], points: np.ndarray
+) -> dict[ObjectColour, Place]:
+    """Return the places (m, 2) of facets by facet."""
+    return dict(zip(facets, map(tuple, points.tolist()), strict=True))
 
 
 def _check_scene(scene: int) -> None:

@@ -68,9 +68,8 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            what = "a run, then a question"
-            if Path(self.agent).exists():
-                what = "a question"
+            is_run = Path(self.agent).exists()
+            what = "a question" if is_run else "a run, then a question"
             raise UserError(
                 f"Give {what}: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
@@ -80,9 +79,7 @@ class Ask(TableCommand):
                 "--browser serves a page and writes none: leave out --page."
             )
         trained = load_agent(self.agent)
-        graph = None
-        if self.graph:
-            graph = read_graph(self.graph, self.format)
+        graph = read_graph(self.graph, self.format) if self.graph else None
         names = read_names(self.names)
         asking = (self.question, self.edit, self.scene, self.unclear)
         asker = Asker(trained, graph, seed=self.seed, names=names, level=self.level)
@@ -103,13 +100,11 @@ class Ask(TableCommand):
             write_page(Path(self.page), asked, self.question, self.edit)
             print(f"Wrote {self.page}")
         end = asked.film[-1]
-        answers = {}
-        for facet, evidence in asked.answers.evidence.items():
-            answers["/".join(facet)] = list(evidence)
+        evidence = asked.answers.evidence
         return {
             "question": asked.answers.question,
             "left_out": list(asked.answers.left_out),
-            "answers": answers,
+            "answers": {"/".join(facet): list(evidence[facet]) for facet in evidence},
             "scene": asked.scene,
             "shown": list(map("/".join, asked.shown)),
             "named": list(map("/".join, asked.named)),
@@ -136,14 +131,13 @@ def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:
 def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
-    title = "Answers in the graph"
+    columns = ["object", "colours", "evidence"]
     print(printable(f"I read this as: {asked.answers.as_read}"))
-    print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
+    print_table("Answers in the graph", columns, lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
     _print_facets(asked, "stand", asked.shown)
-    named = [facet for facet in asked.shown if facet in asked.named]
-    named += [facet for facet in asked.named if facet not in asked.shown]
+    named = sorted(asked.named, key=[*asked.shown, *asked.named].index)
     _print_facets(asked, "the network names", named)
     print(printable(asked.outcome))
 
@@ -174,8 +168,8 @@ class AnswerCommand(ObjectOptions, TableCommand):
         facets = self.facets(graph)
         names = {}
         if not self.objects:  # they are of the graph, whatever they are
-            for name in dict.fromkeys(name for name, _ in facets):
-                names[name] = graph.names[object_id(graph, name)]
+            shown = dict.fromkeys(name for name, _ in facets)
+            names = {name: graph.names[object_id(graph, name)] for name in shown}
         answers = answer(graph, facets, self.question, names)
         objects = [*answers.evidence]
         print_table(f"Answers to: {answers.as_read}", ["object", "colour"], objects)

@@ -1,7 +1,7 @@
 """Grammar of questions in plain English: all readings of some words, and the nearest of them."""
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, compress, count
@@ -413,17 +413,12 @@ class Reader:
         """Yield the states behind a number: compared with what was said, or of what follows."""
         sign, digits = _COMPARED.findall(word)[0]
         number = f"{sign or '='} {digits}"
-        is_money = self.words[state.position + 1] in WORDS["money"]
-        length = 1 + is_money
-        relations: Collection[Relation] = state.strong or ()
-        if is_money and state.is_bare:  # "under 6 euros"
-            relations = self.vocabulary.of_family("price")
-        for relation in sorted(relations):
+        for relation in sorted(state.strong or ()):
             if relation.numbers:
-                yield self.with_number(state, relation, number, length)
+                yield self.with_number(state, relation, number, 1)
         last = state.last
         if state.is_bare and state.join and last.numbers:  # "price >= 3 and <= 6"
-            yield self.with_number(state, last, number, length)
+            yield self.with_number(state, last, number, 1)
         if state.noun:
             yield state.then(number=number)
         elif state.strong is None and digits.isdecimal():
@@ -461,5 +456,4 @@ class Reader:
             condition = ReadCondition(quoted(relation.name), relation, best=sign)
             yield state.added(condition, length)
         elif self.words[end] == "than" and re.fullmatch(NUMBER, number):
-            length += 2 + (self.words[end + 2] in WORDS["money"])
-            yield self.with_number(state, relation, f"{sign} {number}", length)
+            yield self.with_number(state, relation, f"{sign} {number}", length + 2)

@@ -82,13 +82,7 @@ def sentences(text: str) -> list[str]:
 
 def synonyms_of(word: str) -> set[str]:
     """Return the everyday synonyms of a word, in singular."""
-    synonyms = set()
-    for one, other in _ENGLISH["synonyms"].items():
-        if one in forms_of(word):
-            synonyms.add(other)
-        if other in forms_of(word):
-            synonyms.add(one)
-    return synonyms
+    return set().union(*map(_table()["e"].__getitem__, forms_of(word)))
 
 
 def spaced(text: str) -> str:
@@ -111,32 +105,30 @@ def distance(word: str, other: str) -> float | None:
     """Return how far a word is from another one that it may stand for, else None."""
     if name_key(word) == name_key(other):
         return 0.0
-    forms = forms_of(word)
-    wanted = forms_of(other)
-    if forms & wanted:
-        return INFLECTED
-    derived = forms.union(*map(_table()["d"].__getitem__, forms))
-    if derived & wanted:
-        return DERIVED
-    kinds = "na"
-    if other.endswith("ing"):
-        kinds = "v"  # "fixing" is to fix, "store" a shop
-    for kind, form in product(kinds, derived):
-        if _table()[kind][form] & wanted:
-            return SYNONYM
-    return None
+    # "fixing" is to fix, "store" a shop
+    distances = _distances(word, "v" if other.endswith("ing") else "nae")
+    forms = forms_of(other) & distances.keys()
+    return min(map(distances.__getitem__, forms), default=None)
 
 
 @cache
 def related(word: str) -> frozenset[str]:
     """Return the forms of all words for which `distance` may be other than None."""
+    return frozenset(_distances(word, "nvae"))
+
+
+@cache
+def _distances(word: str, kinds: str) -> dict[str, float]:
+    """Return how far a word is from each form of others, by synonyms of some kinds."""
     table = _table()
-    words = set(forms_of(word))
-    for form in tuple(words):
-        words |= table["d"][form]
-    for kind, form in product("nva", tuple(words)):
-        words |= table[kind][form]
-    return frozenset(words)
+    forms = forms_of(word)
+    derived = forms.union(*map(table["d"].__getitem__, forms))
+    distances = {}
+    for kind, form in product(kinds, derived):
+        distances.update(dict.fromkeys(table[kind][form], SYNONYM))
+    distances.update(dict.fromkeys(derived, DERIVED))
+    distances.update(dict.fromkeys(forms, INFLECTED))
+    return distances
 
 
 def verbs_of(word: str) -> set[str]:
@@ -177,7 +169,11 @@ def forms_of(word: str) -> frozenset[str]:
 
 @cache
 def _table() -> dict[str, dict[str, set[str]]]:
-    """Return other words by kind and word: synonyms (n, v, a), derived (d), irregular (i)."""
+    """Return other words by kind and word.
+
+    Synonyms of nouns (n), verbs (v), adjectives (a) and everyday ones (e), derived words (d) and
+    irregular forms (i).
+    """
     table: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
     text = lzma.decompress((DATA / "wordnet-synonyms.txt.xz").read_bytes()).decode()
     for line in text.split("\n"):
@@ -186,6 +182,6 @@ def _table() -> dict[str, dict[str, set[str]]]:
             table[kind][word].update(words)
             table[kind][word].discard(word)
     for word, other in _ENGLISH["synonyms"].items():
-        table["n"][word].add(other)
-        table["n"][other].add(word)
+        table["e"][word].add(other)
+        table["e"][other].add(word)
     return table

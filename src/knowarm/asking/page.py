@@ -36,6 +36,8 @@ WIDTH = 340.0
 """Sizes of a label and of the narrowest image that it fits in [px]."""
 HIGH = 100 * LINE / WIDTH
 """Height of a label, in % of the image."""
+_STEPS = sorted((*range(-15, 0), *range(1, 16)), key=abs)
+"""Where a label may stand, in heights from what it names, the nearest first."""
 BASES = {
     "stated": "the graph says it.",
     "seen": "the image or the name says it.",
@@ -58,6 +60,8 @@ class Label:
     y: float
     left: float
     top: float
+    half: float
+    """Half of its width."""
 
 
 class Reason(NamedTuple):
@@ -77,14 +81,11 @@ def reasons(asked: Asked) -> list[Reason]:
     """
     alike: dict[Reason, list[str]] = {}
     for name, colours, judgement in asked.rows:
-        basis = _basis(judgement)
-        reason = Reason(
-            "", colours, basis, judgement.evidence, round(judgement.probability, 2)
-        )
+        probability = round(judgement.probability, 2)
+        evidence = judgement.evidence
+        reason = Reason("", colours, _basis(judgement), evidence, probability)
         alike.setdefault(reason, []).append(name)
-    rows = []
-    for reason, names in alike.items():
-        rows.append(reason._replace(names=", ".join(names)))
+    rows = [each._replace(names=", ".join(names)) for each, names in alike.items()]
     order = list(BASES)
     return sorted(rows, key=lambda row: order.index(row.basis))
 
@@ -103,48 +104,31 @@ def _basis(judgement: Judgement) -> str:
 def place_labels(asked: Asked) -> list[Label]:
     """Place the names that a network gives, none over another one; answers come first."""
     evidence = asked.answers.evidence
-    named = list(zip(asked.named, 100 * asked.points, strict=True))
+    named = list(zip(asked.named, (100 * asked.points).tolist(), strict=True))
     named.sort(key=lambda item: item[0] not in evidence)
     labels: list[Label] = []
     for facet, (x, y) in named:
         text = in_words(facet)
-        half = _half_width(text)
+        half = 50 * (LETTER * len(text) + PADDING) / WIDTH
         left = min(max(x, half), 100 - half)
-        tops = _tops(y)
-        free = [top for top in tops if _is_free(labels, left, top, half)]
+        tops = [y + step * HIGH for step in _STEPS]
+        tops = [top for top in tops if HIGH / 2 <= top <= 100 - HIGH / 2]
+        free = tops
+        for other in labels:
+            if abs(left - other.left) < half + other.half:
+                free = [top for top in free if abs(top - other.top) >= HIGH]
         label = Label(
             text=text,
             answers=facet in evidence,
             right=facet in asked.shown,
-            x=float(x),
-            y=float(y),
-            left=float(left),
-            top=float((free or tops)[0]),
+            x=x,
+            y=y,
+            left=left,
+            top=(free or tops)[0],
+            half=half,
         )
         labels.append(label)
     return labels
-
-
-def _tops(y: float) -> list[float]:
-    """Return the heights on the image where a label may stand, the nearest first."""
-    tops = []
-    for step in range(1, 16):
-        tops += [y - step * HIGH, y + step * HIGH]
-    return [top for top in tops if HIGH / 2 <= top <= 100 - HIGH / 2]
-
-
-def _half_width(text: str) -> float:
-    """Return half of the width of a label, in % of the image."""
-    return 50 * (LETTER * len(text) + PADDING) / WIDTH
-
-
-def _is_free(labels: Sequence[Label], left: float, top: float, half: float) -> bool:
-    """Return whether a label of this half width would stand over no other one."""
-    for label in labels:
-        beside = abs(left - label.left) < half + _half_width(label.text)
-        if beside and abs(top - label.top) < HIGH:
-            return False
-    return True
 
 
 def page(
@@ -244,9 +228,8 @@ def make_server(
                     fields.get(name, [""])[0].strip() for name in ("q", "edit", "scene")
                 )
                 lines = tuple(filter(None, map(str.strip, typed.splitlines())))
-                number = None
-                if wanted.isdecimal() and len(wanted) < 10:
-                    number = int(wanted)
+                is_number = wanted.isdecimal() and len(wanted) < 10
+                number = int(wanted) if is_number else None
             asked = None
             problem = ""
             try:

@@ -31,6 +31,8 @@ from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
 
 _HAVE = FAMILIES["part"].weak
+_ROLES = {"can": "verb", "is": "", **dict.fromkeys(_HAVE, "part")}
+"""Roles of a value behind its first word: CAN_OPEN, HAS_SWITCH."""
 _NEGATIONS = ("cannot", "doesnt", "isnt", "cant", "dont", "missing", "misses", "devoid")
 _COLOUR = Relation(COLOUR_RELATION, ("has", "colour"))
 NEAR_HINT = 0.35
@@ -192,12 +194,8 @@ class Vocabulary:
         """Yield how else a value is said: HAS_SWITCH by "switch", CAN_OPEN by "open"."""
         words = entry.words
         family = entry.relation.family
-        if len(words) > 1 and words[0] == "can":
-            yield "verb", words[1:]
-        if len(words) > 1 and words[0] in _HAVE:
-            yield "part", words[1:]
-        if len(words) > 1 and words[0] == "is":
-            yield "", words[1:]
+        if len(words) > 1 and words[0] in _ROLES:
+            yield _ROLES[words[0]], words[1:]
         if family is FAMILIES["ability"]:
             yield "verb", words
         if len(words) > 1 and family is FAMILIES["part"]:
@@ -241,11 +239,6 @@ class Vocabulary:
                 if stating.turning is None:
                     self._learn(stating, tail)
         self.elsewhere.update(islice(self.entries, known, None))
-
-    def of_family(self, name: str) -> set[Relation]:
-        """Return the relations of a family."""
-        relations = self.relations.values()
-        return {each for each in relations if each.family is FAMILIES[name]}
 
     def said(self, word: str) -> frozenset[Relation]:
         """Return the relations that a word says: with its own word, or with one of its family."""
@@ -295,17 +288,19 @@ class Vocabulary:
     def nearest(self, words: Collection[str], asked: str = "") -> str:
         """Return a sentence with the conditions whose values are nearest to words, but for one."""
         texts = []
+        near_words = set()
         examples: dict[Relation, str] = {}
         colours = []
         for entry in self.entries:
-            if any(near(word, entry.words, SYNONYM) for word in words):
+            alike = [word for word in words if near(word, entry.words, SYNONYM)]
+            near_words.update(alike)
+            if alike:
                 texts.append(entry.text)
             if not entry.inner and entry.relation != IS:
                 examples.setdefault(entry.relation, entry.text)
             if entry.relation == _COLOUR:
                 colours.append(entry.text)
-        others = [word for word in words if not self._is_near(word)]
-        texts += self._alike_in_meaning(others)
+        texts += self._alike_in_meaning(set(words) - near_words)
         if not texts and any(_COLOUR in self.said(word) for word in words):
             texts = colours
         if set(texts) - {asked}:
@@ -313,10 +308,6 @@ class Vocabulary:
             texts = texts[:MOST_HINTS]
             return f"Nearest: {'; '.join(texts)}."
         return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
-
-    def _is_near(self, word: str) -> bool:
-        """Return whether a word is one of a value, or a synonym."""
-        return any(near(word, entry.words, SYNONYM) for entry in self.starting(word))
 
     def _alike_in_meaning(self, words: Iterable[str]) -> list[str]:
         """Return the conditions whose values are nearest to words by the shipped vectors."""
