@@ -401,16 +401,16 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
         *map(graph.relation_names.__getitem__, ids),
     }
 
-    by_object: dict[str, dict[str, str]] | None = None
-    if not query.may_read(COLOUR_RELATION):
-        by_object = {}
-        for values in _rows(query.answer()):
-            by_object.setdefault(values["object"], values)
+    is_coloured = query.may_read(COLOUR_RELATION)
+    by_object: dict[str, list[dict[str, str]]] = {}
+    if not is_coloured:
+        for row in _rows(query.answer()):
+            by_object.setdefault(row["object"], [row])
 
     def rows(name: str, colour: str | None) -> list[dict[str, str]]:
         """Return the rows that select an entity, as if it had a colour alone."""
-        if by_object is not None:
-            return [by_object[name]] if name in by_object else []
+        if not is_coloured:
+            return by_object.get(name, [])
         shown = []
         if colour is not None:
             plain = [colour, name_of_iri(own + colour)]

@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from itertools import chain
 from math import prod
 from typing import Any, NamedTuple
@@ -329,8 +329,9 @@ class QuestionReader:
                 reason = f"the graph does not describe {individual.name}"
                 return Judgement(False, (reason,), 0.0, is_unsettled=True)
             for entities in self.told_of(individual, relation):
-                stated = self.evidence(individual, entities, relation.ids, of)
-                denied = self.evidence(individual, entities, relation.opposed, of)
+                facts = partial(self.facts, individual, entities, of)
+                stated = _evidence(facts(relation.ids))
+                denied = _evidence(facts(relation.opposed))
                 if stated is not None or denied is not None:
                     return settled(stated, denied, text)
             return settled(None, None, text)
@@ -427,7 +428,7 @@ class QuestionReader:
             if individual.entity is None:
                 return Judgement(False, is_unsettled=True)
             entities = list(chain.from_iterable(self.told_of(individual, relation)))
-            facts = list(self.facts(individual, entities, relation.ids, of))
+            facts = list(self.facts(individual, entities, of, relation.ids))
             evidence = tuple(chain.from_iterable(fact.evidence for fact in facts))
             is_it = SIGNS[sign](len(facts), int(number))
             return Judgement(is_it, (*evidence, f"counted: {len(facts)}"), float(is_it))
@@ -462,29 +463,12 @@ class QuestionReader:
         self.has_relation = True
         return _Relation(local_name(name), ids, denying)
 
-    def evidence(
-        self,
-        individual: Individual,
-        entities: Collection[int],
-        relations: Collection[int],
-        of: Part,
-    ) -> Judgement | None:
-        """Return what says that one of some relations leads to something of which a part is true.
-
-        None without; of several facts the most probable one is the evidence.
-        """
-        facts = list(self.facts(individual, entities, relations, of))
-        if not facts:
-            return None
-        is_false = prod(1 - fact.probability for fact in facts)
-        return replace(surest(facts), probability=1 - is_false)
-
     def facts(
         self,
         individual: Individual,
         entities: Collection[int],
-        relations: Collection[int],
         of: Part,
+        relations: Collection[int],
     ) -> Iterator[Judgement]:
         """Yield each fact that entities tell of an individual by relations, with its probability.
 
@@ -518,3 +502,12 @@ class QuestionReader:
             reasons = [" ".join(map(local_name, ground)) for ground in grounds]
             text += f" because {', '.join(reasons)}"
         yield Judgement(True, (text, *fits.evidence), sure * fits.probability)
+
+
+def _evidence(facts: Iterator[Judgement]) -> Judgement | None:
+    """Return the most probable fact with the probability that one of all holds, None without."""
+    told = list(facts)
+    if not told:
+        return None
+    is_false = prod(1 - fact.probability for fact in told)
+    return replace(surest(told), probability=1 - is_false)

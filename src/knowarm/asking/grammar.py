@@ -200,7 +200,10 @@ class Reader:
             yield state.then(strong=said, outer=None, negated=True, noun=None)
             if not state.noun:
                 return
-        is_exception = word == "but" and self.is_exception(state.position)
+        # "everything made of metal but the pan"
+        is_any = not set(WORDS["any"]).isdisjoint(self.words.words[: state.position])
+        is_not = self.words[state.position + 1] in WORDS["negations"]
+        is_exception = word == "but" and is_any and not is_not
         for closed in state.closed():
             join = JOINS[word]
             if join == "," and closed.join:
@@ -208,14 +211,6 @@ class Reader:
             if closed.done or not closed.join:
                 negated = True if is_exception else None
                 yield closed.then(join=join, negated=negated)
-
-    def is_exception(self, position: int) -> bool:
-        """Return whether a "but" means except: "everything made of metal but the pan"."""
-        if self.words[position + 1] in WORDS["negations"]:
-            return False
-        is_any = not set(WORDS["any"]).isdisjoint(self.words.words[:position])
-        is_behind_name = self.words.is_name(position - 1)
-        return is_any and (is_behind_name or self.words.is_determined(position + 2))
 
     def negations(self, state: ReadingState, word: str) -> States:
         """Yield the state behind "not", "without" or the like."""
@@ -280,7 +275,7 @@ class Reader:
                 yield state.then(weak=("to",))
             takes_object = state.takes_object and word in WORDS["determiners"]
             yield state.then(takes_object=takes_object)
-        if word in WORDS["requests"] and state.is_unsaid and not state.done:
+        elif word in WORDS["requests"] and state.is_unsaid and not state.done:
             yield state.then()
 
     def values(self, state: ReadingState) -> States:

@@ -64,27 +64,27 @@ class Meanings:
     def __len__(self) -> int:
         return len(self.words)
 
-    def is_known(self, start: int, length: int = 1) -> bool:
+    def is_known(self, start: int, length: int) -> bool:
         """Return whether words are a value of an object, or a word says a relation."""
         for entry, far, matched in self._match(start):
             if far <= INFLECTED and not entry.inner and matched >= length:
                 return True
-        return length == 1 and bool(self.vocabulary.said(self.words[start]))
+        return length == 1 and bool(self.vocabulary.said(self[start]))
 
     def has_exact(self, position: int, entry: Entry) -> bool:
         """Return whether words are exactly another value than that of an entry."""
-        for other, far, _ in self.matches[position]:
-            if far == 0 and not other.inner and other.text != entry.text:
-                return True
-        return False
+        return any(
+            far == 0 and not other.inner and other.text != entry.text
+            for other, far, _ in self.matches[position]
+        )
 
     def is_kind(self, position: int) -> bool:
         """Return whether a word is a kind, such as "tool", that the graph does not know."""
-        for entry, far, _ in self.matches[position]:
-            describes = entry.relation.family.describes
-            if far <= INFLECTED and not entry.inner and describes:
-                return False
-        return near(self[position], WORDS["kinds"], 0)
+        is_known = any(
+            far <= INFLECTED and not entry.inner and entry.relation.family.describes
+            for entry, far, _ in self.matches[position]
+        )
+        return not is_known and near(self[position], WORDS["kinds"], 0)
 
     def is_determined(self, position: int) -> bool:
         """Return whether a determiner stands before a word."""
@@ -92,19 +92,18 @@ class Meanings:
 
     def is_name(self, position: int) -> bool:
         """Return whether a word may be the name of an object."""
-        for entry in self.vocabulary.starting(self[position]):
-            if entry.relation == IS and len(entry.words) == 1:
-                return True
-        return False
+        return any(
+            entry.relation == IS and len(entry.words) == 1
+            for entry in self.vocabulary.starting(self[position])
+        )
 
     def reach(self, position: int) -> str:
         """Return how far a "not" before a word reaches: over the "word", a "phrase", or "open"."""
         before = self[position - 1]
         if before == "non":
             return "word"
-        return (
-            "phrase" if before in WORDS["before_nouns"] and before != "not" else "open"
-        )
+        is_phrase = before in WORDS["before_nouns"] and before != "not"
+        return "phrase" if is_phrase else "open"
 
     @property
     def has_object(self) -> bool:
@@ -115,17 +114,17 @@ class Meanings:
 
     def phrases(self, positions: Sequence[int]) -> list[str]:
         """Return the words at positions; those that determiners alone separate are one phrase."""
-        phrases: list[list[str]] = []
-        end = -1
+        phrases: list[str] = []
+        end = len(self)
         for position in positions:
-            between = self.words[end:position] if phrases else []
-            if phrases and set(between) <= set(WORDS["determiners"]):
-                phrases[-1] += between
+            between = self.words[end:position]
+            text = " ".join([*between, self[position]])
+            if end <= position and set(between) <= set(WORDS["determiners"]):
+                phrases[-1] += f" {text}"
             else:
-                phrases.append([])
-            phrases[-1].append(self[position])
+                phrases.append(self[position])
             end = position + 1
-        return list(map(" ".join, phrases))
+        return phrases
 
     def _without_endings(self, words: Sequence[str]) -> Iterator[str]:
         """Yield words, and two for one that says what is missing: "lidless" is without a lid."""

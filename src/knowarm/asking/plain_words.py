@@ -85,26 +85,29 @@ def _with_extreme(
     conditions: Sequence[ReadCondition], reader: Reader, holders: Holders
 ) -> str:
     """Return conditions as one question, with the number that a superlative means."""
-    vocabulary = reader.vocabulary
     best = [condition for condition in conditions if condition.best]
-    rest = [condition for condition in conditions if not condition.best]
     if not best:
         return joined(conditions)
     superlative = best[0]
-    is_or = any(condition.join == "or" for condition in conditions)
-    if len(best) > 1 or superlative.negated or is_or:
-        raise reader.refused("of superlatives it may hold one, which only 'and' joins")
-    in_image = {*EXTREMES.values(), *BESIDE.values()}
-    if not in_image.isdisjoint(condition.relation.name for condition in rest):
-        raise reader.refused("it may hold a superlative or a place in the image")
+    rest = [condition for condition in conditions if condition is not superlative]
+    others = {condition.relation.name for condition in rest}
+    if (
+        superlative.negated
+        or any(condition.best or condition.join == "or" for condition in rest)
+        or superlative.join == "or"
+        or not others.isdisjoint((*EXTREMES.values(), *BESIDE.values()))
+    ):
+        raise reader.refused(
+            "it may hold one superlative, which 'and' joins, and then no place in the image"
+        )
     relation = superlative.relation
-    among = set(vocabulary.heads)
-    if rest:
-        among = holders(joined(rest))
+    heads = reader.vocabulary.heads
+    among = holders(joined(rest)).intersection(heads) if rest else heads
     if superlative.text.startswith("count "):
-        values = [relation.counts[head] for head in vocabulary.heads if head in among]
+        values = [float(relation.counts[head]) for head in among]
     else:
-        values = [number for head, number in relation.numbers.items() if head in among]
+        numbers = relation.numbers
+        values = [numbers[head] for head in among if head in numbers]
     if not values:
         raise reader.refused(
             f"no object that it is about has a number of {relation.name}"

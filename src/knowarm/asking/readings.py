@@ -26,7 +26,9 @@ class ReadCondition:
     has_noun: bool = False  # Whether "something" or the like was said before it
     is_merged: bool = False  # Whether it is of several: "not a red mug"
     is_determined: bool = False  # Whether "a" or the like stands before it
-    reach: str = "open"  # Of its "not": a "word" ("non-red mug"), a "phrase" ("no red mug"), "all"
+    reach: str = (
+        "open"  # Of its "not": a "word" ("non-red mug"), a "phrase" ("no red mug")
+    )
     continues: bool = False  # Whether nothing joins it to the one before: "red mug"
     best: str = ""  # ">" or "<" of superlatives
 
@@ -59,7 +61,6 @@ class ReadingState:
     best: str = ""
     join: str = ""
     negated: bool | None = None
-    is_new: bool = False
     has_noun: bool = False  # Behind "something"
     reach: str = ""  # Of the negation, if it is known: "not anything red"
     takes_object: bool = False  # Behind a verb, whose object is left out
@@ -69,6 +70,11 @@ class ReadingState:
     def last(self) -> Relation:
         """The relation of the last condition, one without a name before the first."""
         return self.done[-1].relation if self.done else NO_RELATION
+
+    @property
+    def is_new(self) -> bool:
+        """Whether "something" or the like was said again: "red or something ..."."""
+        return self.has_noun and self.join != ""
 
     @property
     def is_unsaid(self) -> bool:
@@ -82,7 +88,7 @@ class ReadingState:
 
     def is_end(self) -> bool:
         """Return whether the question may end here."""
-        is_open = self.is_new or self.negated is not None or self.join not in ("", ",")
+        is_open = self.negated is not None or self.join not in ("", ",")
         return bool(self.done) and not is_open and is_clear(self.done)
 
     def then(self, length: int = 1, **changes: Any) -> "ReadingState":
@@ -100,7 +106,7 @@ class ReadingState:
         continues = bool(self.done) and not self.join
         if self.reach:
             condition = replace(condition, reach=self.reach)
-        if continues and self._is_negated_with(condition):
+        if continues and self._is_negated_phrase:
             # "not a red mug" is neither red nor a mug, and may be one of them
             *done, before = self.done
             text = before.text[1:-1] if before.is_merged else before.text
@@ -131,12 +137,11 @@ class ReadingState:
         cost += self.cost
         return ReadingState(position, tuple(done), cost, left_out=self.left_out)
 
-    def _is_negated_with(self, condition: ReadCondition) -> bool:
-        """Return whether the "not" before the last one negates a condition, as of a red mug."""
+    @property
+    def _is_negated_phrase(self) -> bool:
+        """Whether a "not" reaches over the last condition, as in "not a red mug"."""
         before = self.done[-1]
-        is_thing = before.is_name or before.is_whole or before.reach == "all"
-        is_phrase = before.is_bare and condition.is_bare and self.negated is None
-        is_whole = is_thing or (is_phrase and before.reach == "phrase")
+        is_whole = before.is_name or before.is_whole or before.reach == "phrase"
         return before.negated and is_whole
 
     def _inherits(self, condition: ReadCondition) -> bool:
@@ -266,9 +271,8 @@ class ReadingState:
             whole = replace(done[-1], is_whole=True)
             return self.then(done=(*done[:-1], whole))
         weak = () if self.weak == ("of",) else self.weak  # "one of the objects"
-        reach = "all" if self.negated else self.reach  # "not anything red"
-        is_new = bool(self.join)
-        return self.then(is_new=is_new, has_noun=True, weak=weak, reach=reach)
+        reach = "phrase" if self.negated else self.reach  # "not anything red"
+        return self.then(has_noun=True, weak=weak, reach=reach)
 
 
 def _has_noun(conditions: Conditions) -> bool:
