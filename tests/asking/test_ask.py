@@ -237,7 +237,7 @@ def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([RUN], "Give a question"),
+        ([RUN], "Give a run, then a question"),
         ([RUN, "--browser", "--page", "x.html"], "leave out --page"),
         (
             [RUN, "--browser", "--port", "70000"],

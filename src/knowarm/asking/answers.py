@@ -15,6 +15,7 @@ from knowarm.asking.judgements import (
     Part,
     Place,
     surest,
+    undescribed,
 )
 from knowarm.asking.lexicon import tokens
 from knowarm.asking.plain_words import PlainReading, read_plain
@@ -420,7 +421,7 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
 
     def part(individual: Individual) -> Judgement:
         if individual.entity is None:
-            return Judgement(False, is_unsettled=True)
+            return undescribed(individual)
         judgements = []
         for entity in (individual.entity, *classes_of(graph, individual.entity)):
             selecting = rows(graph.names[entity], individual.colour)

@@ -68,10 +68,8 @@ class Ask(TableCommand):
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
-            is_run = Path(self.agent).exists()
-            what = "a question" if is_run else "a run, then a question"
             raise UserError(
-                f"Give {what}: knowarm ask zoo/irb120-choose-answers-fast "
+                "Give a run, then a question: knowarm ask zoo/irb120-choose-answers-fast "
                 '"usedFor drinking and not hasColor blue".'
             )
         if self.browser and self.page is not None:

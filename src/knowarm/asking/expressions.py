@@ -30,11 +30,13 @@ from knowarm.asking.judgements import (
     Individual,
     Judgement,
     Part,
+    certain,
     conjunction,
     disjunction,
     negated,
     settled,
     surest,
+    undescribed,
 )
 from knowarm.asking.lexicon import FAMILIES, WORDS
 from knowarm.asking.places import (
@@ -264,13 +266,13 @@ class QuestionReader:
         by_graph = self.leading_to(kinds, ids, f"is {value}")
 
         def judgement(individual: Individual) -> Judgement:
-            stated = Judgement(False, (f"it is {individual.name}",), 0.0)
-            if individual.name not in names and ids:
+            is_named = individual.name in names
+            stated = certain(False, f"it is {individual.name}")
+            if ids and not is_named:
                 stated = by_graph(individual)
-            is_it = individual.name in names or individual.entity in ids
-            if is_it and not stated.answers:
-                return Judgement(True, (f"it is {value}",))
-            return stated
+            if stated.answers or not (is_named or individual.entity in ids):
+                return stated
+            return certain(True, f"it is {value}")
 
         return judgement
 
@@ -304,8 +306,7 @@ class QuestionReader:
             colour = individual.colour
             if colour is None:
                 return stated(individual)
-            is_it = colour == value
-            return Judgement(is_it, (f"the image shows {colour}",), float(is_it))
+            return certain(colour == value, f"the image shows {colour}")
 
         return judgement
 
@@ -326,8 +327,7 @@ class QuestionReader:
 
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
-                reason = f"the graph does not describe {individual.name}"
-                return Judgement(False, (reason,), 0.0, is_unsettled=True)
+                return undescribed(individual)
             for entities in self.told_of(individual, relation):
                 facts = partial(self.facts, individual, entities, of)
                 stated = _evidence(facts(relation.ids))
@@ -426,12 +426,12 @@ class QuestionReader:
 
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
-                return Judgement(False, is_unsettled=True)
+                return undescribed(individual)
             entities = list(chain.from_iterable(self.told_of(individual, relation)))
             facts = list(self.facts(individual, entities, of, relation.ids))
-            evidence = tuple(chain.from_iterable(fact.evidence for fact in facts))
+            evidence = chain.from_iterable(fact.evidence for fact in facts)
             is_it = SIGNS[sign](len(facts), int(number))
-            return Judgement(is_it, (*evidence, f"counted: {len(facts)}"), float(is_it))
+            return certain(is_it, *evidence, f"counted: {len(facts)}")
 
         return judgement
 

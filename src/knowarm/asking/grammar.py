@@ -36,6 +36,8 @@ MOST_WORDS = 60
 MOST_READINGS = 2_000
 MOST_LEFT_OUT = 6
 """Most words of a question, steps of its readings, and words that are left out of one."""
+PURPOSE = {"to", "for"}
+"""Prepositions before verbs."""
 LEFT_OUT = 0.4
 OTHER_THAN_NAME = 0.3
 """Costs of a word that is left out, and of a value where a name has the same words."""
@@ -119,12 +121,6 @@ class Reader:
         counted = self.vocabulary.noun(self.words[state.position + 1], counted=True)
         if word == "one" and counted:
             yield state.then(number="= 1", weak=())
-        is_counted = state.noun is not None and not state.noun.is_verb
-        if (is_counted or state.number) and state.outer is None:
-            # "more than two parts that ..."
-            for closed in state.closed():
-                cost = closed.cost + INFLECTED
-                yield from self.following(replace(closed, cost=cost))
         yield from self.values(state)
         for match in self.words.matches[state.position]:
             if match.length > 1 and match.far <= INFLECTED:
@@ -326,25 +322,21 @@ class Reader:
     def is_kept_out(self, state: ReadingState, match: Match) -> bool:
         """Return whether words may not be a value, though they are near to it."""
         entry = match.entry
-        is_verb = match.far == INFLECTED and entry.words[-1].endswith("ing")
-        if is_verb and not self.is_purpose(state):
-            return True
+        if match.far == INFLECTED and entry.words[-1].endswith("ing"):
+            # Not by "light" and "stored", but by "for light", "that lights", "to cook or light"
+            word = self.words[state.position]
+            is_said = state.strong is not None or not PURPOSE.isdisjoint(state.weak)
+            is_said |= bool(state.join and state.done) and "ing" in state.done[-1].text
+            before = self.words[state.position - 1]
+            is_verb = word.endswith("s") and before in ("that", "which", "what")
+            if word.endswith("ed") or not (is_said or is_verb):
+                return True
         if state.takes_object and state.is_bare and not state.join:
             # "to cut wood" is not made of wood
             return entry.relation.name != COLOUR_RELATION
         # "for water" is not to water, though "water" is its verb
         is_for = match.far > 0 and state.weak[-1:] == ("for",)
         return is_for and self.words.has_exact(state.position, entry)
-
-    def is_purpose(self, state: ReadingState) -> bool:
-        """Return whether a value that is a verb may be meant: not by "light" and "stored"."""
-        word = self.words[state.position]
-        before = self.words[state.position - 1]
-        if word.endswith("s") and before in ("that", "which", "what"):
-            return True
-        is_said = state.strong is not None or "for" in state.weak or "to" in state.weak
-        continues = bool(state.join and state.done) and "ing" in state.done[-1].text
-        return (is_said or continues) and not word.endswith("ed")
 
     def fits(self, entry: Entry, state: ReadingState) -> float | None:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
@@ -395,7 +387,7 @@ class Reader:
 
     def is_said_by_role(self, entry: Entry, state: ReadingState) -> bool:
         """Return whether words say CAN_OPEN, as "to open", or HAS_SWITCH, as "with a switch"."""
-        prepositions = {"to", "for"}
+        prepositions = PURPOSE
         if entry.role in ("part", "head"):
             prepositions = set(FAMILIES["part"].weak)
         before = self.words[state.position - 1]

@@ -67,6 +67,17 @@ Part = Callable[[Individual], Judgement]
 """A part of a question."""
 
 
+def certain(holds: bool, *evidence: str) -> Judgement:
+    """Return the judgement on what is seen or counted: it holds for sure, or surely not."""
+    return Judgement(holds, evidence, float(holds))
+
+
+def undescribed(individual: Individual) -> Judgement:
+    """Return the judgement on facts about an object that the graph does not describe."""
+    reason = f"the graph does not describe {individual.name}"
+    return Judgement(False, (reason,), 0.0, is_unsettled=True)
+
+
 def settled(
     stated: Judgement | None, denied: Judgement | None, missing: str
 ) -> Judgement:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from math import dist
 
-from knowarm.asking.judgements import Individual, Judgement, Part, Place
+from knowarm.asking.judgements import Individual, Judgement, Part, Place, certain
 
 _Direction = tuple[int, int]
 """The axis of the image, and the sign of the places that are further in the direction."""
@@ -67,7 +67,7 @@ def _open(text: str) -> Judgement:
 def _shown(text: str, is_it: bool) -> Judgement:
     """Return the judgement of the image on a place."""
     verb = "shows" if is_it else "does not show"
-    return Judgement(is_it, (f"the image {verb}: {text}",), float(is_it))
+    return certain(is_it, f"the image {verb}: {text}")
 
 
 def _places(individual: Individual, of: Part) -> list[Place]:

@@ -106,7 +106,7 @@ class ReadingState:
         continues = bool(self.done) and not self.join
         if self.reach:
             condition = replace(condition, reach=self.reach)
-        if continues and self._is_negated_phrase:
+        if continues and self._is_negated_with(condition):
             # "not a red mug" is neither red nor a mug, and may be one of them
             *done, before = self.done
             text = before.text[1:-1] if before.is_merged else before.text
@@ -137,11 +137,12 @@ class ReadingState:
         cost += self.cost
         return ReadingState(position, tuple(done), cost, left_out=self.left_out)
 
-    @property
-    def _is_negated_phrase(self) -> bool:
-        """Whether a "not" reaches over the last condition, as in "not a red mug"."""
+    def _is_negated_with(self, condition: ReadCondition) -> bool:
+        """Return whether the "not" before the last one negates a condition, as of a red mug."""
         before = self.done[-1]
-        is_whole = before.is_name or before.is_whole or before.reach == "phrase"
+        is_thing = before.is_name or before.is_whole or before.reach == "all"
+        is_phrase = before.is_bare and condition.is_bare and self.negated is None
+        is_whole = is_thing or (is_phrase and before.reach == "phrase")
         return before.negated and is_whole
 
     def _inherits(self, condition: ReadCondition) -> bool:
@@ -271,7 +272,7 @@ class ReadingState:
             whole = replace(done[-1], is_whole=True)
             return self.then(done=(*done[:-1], whole))
         weak = () if self.weak == ("of",) else self.weak  # "one of the objects"
-        reach = "phrase" if self.negated else self.reach  # "not anything red"
+        reach = "all" if self.negated else self.reach  # "not anything red"
         return self.then(has_noun=True, weak=weak, reach=reach)
 
 
