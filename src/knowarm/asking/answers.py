@@ -1,6 +1,7 @@
 """Answers to questions in words or SPARQL, with their evidence."""
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -268,8 +269,9 @@ class _Answering:
         known: dict[int, None] = {}
         for name in names:
             entity, individuals = self.meant[name]
-            for one in (*individuals, *([] if entity is None else [entity])):
-                known.update(dict.fromkeys([one, *classes_of(self.graph, one)]))
+            for one in (*individuals, entity):
+                if one is not None:
+                    known.update(dict.fromkeys([one, *classes_of(self.graph, one)]))
         return list(known)
 
     def reader(self, text: str) -> QuestionReader:
@@ -367,7 +369,7 @@ def words(
     Args:
         graph, facets, names: as of `answer`.
     """
-    objects: dict[str, dict[str, list[str]]] = {COLOUR_RELATION: {}}
+    objects = defaultdict[str, dict[str, list[str]]](dict)
     for name, colour in facets:
         objects[COLOUR_RELATION].setdefault(colour, []).append(name)
     answering = _Answering(graph, facets, names)
@@ -380,7 +382,7 @@ def words(
             if is_unnamed or local_name(relation) == COLOUR_RELATION:
                 continue
             value = short(graph, tail)
-            names_of_value = objects.setdefault(relation, {}).setdefault(value, [])
+            names_of_value = objects[relation].setdefault(value, [])
             if name not in names_of_value:
                 names_of_value.append(name)
     return objects

@@ -436,7 +436,7 @@ def ask(
 
 
 def _placed(
-    facets: Sequence[ObjectColour], points: np.ndarray
+    facets: Sequence[ObjectColour], points: np.ndarray | torch.Tensor
 ) -> dict[ObjectColour, Place]:
     """Return the places (m, 2) of facets by facet."""
     return dict(zip(facets, map(tuple, points.tolist()), strict=True))

@@ -77,7 +77,9 @@ class Ask(TableCommand):
                 "--browser serves a page and writes none: leave out --page."
             )
         trained = load_agent(self.agent)
-        graph = read_graph(self.graph, self.format) if self.graph else None
+        graph = None
+        if self.graph:
+            graph = read_graph(self.graph, self.format)
         names = read_names(self.names)
         asking = (self.question, self.edit, self.scene, self.unclear)
         asker = Asker(trained, graph, seed=self.seed, names=names, level=self.level)

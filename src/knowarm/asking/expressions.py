@@ -76,6 +76,10 @@ _TOKEN = re.compile(QUOTED + r'|[()]|[<>=!]=|[<>=]|[^\s()<>=!"]+|["!]')
 _NO_NAMES = {"", "and", "or", "not", "count", "(", ")", *SIGNS}
 
 
+_KINDS = {float: "number", datetime: "date"}
+"""Names of the types of what can be compared."""
+
+
 def _quantity(text: str) -> float | datetime | None:
     """Return the number or the ISO date that a text is."""
     with suppress(ValueError):
@@ -127,7 +131,7 @@ class QuestionReader:
         self.words = [*_TOKEN.findall(text), "", ""]
         self.taken = 0
         self.stated = cache(self._stated)
-        self.classes = cache(self._classes)
+        self.classes = cache(partial(classes_of, graph))
         self.has_relation = False
         self.has_places = False
         deep = self.words.count("(") + self.words.count("not")
@@ -200,8 +204,9 @@ class QuestionReader:
             return conjunction(part(individual) for part in others)
 
         def judgement(individual: Individual) -> Judgement:
-            shown = individual.scene if superlatives else ()
-            rivals = [rival for rival in shown if plain(rival).answers]
+            rivals: list[Individual] = []
+            if superlatives:
+                rivals = [rival for rival in individual.scene if plain(rival).answers]
             compared = [part.among(individual, rivals) for part in superlatives]
             return conjunction([plain(individual), *compared])
 
@@ -253,7 +258,7 @@ class QuestionReader:
     def kind(self) -> Part:
         """Read what something is: its name, or a class that the graph puts it into."""
         self.take("is")
-        self.has_relation = self.next not in WORDS["ignored"]  # but "is the mug red"
+        self.has_relation = self.next not in WORDS.ignored  # but "is the mug red"
         value = self.value("a name or class")
         kinds = _Relation("is", *kind_relations(self.graph))
         key = name_key(value)
@@ -354,10 +359,6 @@ class QuestionReader:
         """Return whether a triple about an entity has one of some relations."""
         return any(relation in relations for relation, _ in self.stated(entity))
 
-    def _classes(self, entity: int) -> list[int]:
-        """Return the classes of an entity."""
-        return classes_of(self.graph, entity)
-
     def _stated(self, entity: int) -> list[tuple[int, int]]:
         """Return relation and tail of each triple about an entity; it is asked in many colours."""
         rows = self.graph.out_rows(entity)
@@ -380,7 +381,7 @@ class QuestionReader:
             if type(quantity) is type(wanted):
                 fits[tail] = SIGNS[sign](quantity, wanted)
         if not fits:
-            kind = "number" if isinstance(wanted, float) else "date"
+            kind = _KINDS[type(wanted)]
             raise UserError(
                 f"The question {self.text!r}: the graph states no {kind} by {relation.name}."
             )
@@ -458,7 +459,7 @@ class QuestionReader:
             name = word if relation is None else names[relation]
             ids = [] if relation is None else [relation]
             denying = opposed(self.graph, name)
-            if not ids and (not denying or word in WORDS["ignored"]):
+            if not ids and (not denying or word in WORDS.ignored):
                 self.graph.relation_id(word)  # which raises the error
         self.has_relation = True
         return _Relation(local_name(name), ids, denying)
@@ -480,8 +481,10 @@ class QuestionReader:
                 if relation in relations:
                     heads.setdefault((relation, tail), entity)
         for (relation, tail), head in heads.items():
-            is_itself = tail == individual.entity
-            fits = of(individual if is_itself else Individual(tail))
+            told = Individual(tail)
+            if tail == individual.entity:
+                told = individual
+            fits = of(told)
             if fits.answers:
                 yield from self.told(head, relation, tail, fits)
 

@@ -29,9 +29,9 @@ from knowarm.questions import COLOUR_RELATION
 
 States = Iterator[ReadingState]
 
-_NO_HINT = NO_VALUE.union(WORDS["requests"], WORDS["able"])
+_NO_HINT = NO_VALUE.union(WORDS.requests, WORDS.able)
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
-_BEST = dict.fromkeys(WORDS["largest"], ">") | dict.fromkeys(WORDS["smallest"], "<")
+_BEST = dict.fromkeys(WORDS.largest, ">") | dict.fromkeys(WORDS.smallest, "<")
 MOST_WORDS = 60
 MOST_READINGS = 2_000
 MOST_LEFT_OUT = 6
@@ -118,8 +118,8 @@ class Reader:
         if _COMPARED.fullmatch(word):
             yield from self.numbered(state, word)
             return
-        counted = self.vocabulary.noun(self.words[state.position + 1], counted=True)
-        if word == "one" and counted:
+        after = self.words[state.position + 1]
+        if word == "one" and self.vocabulary.noun(after, counted=True):
             yield state.then(number="= 1", weak=())
         yield from self.values(state)
         for match in self.words.matches[state.position]:
@@ -133,7 +133,7 @@ class Reader:
             yield from self.beside(state, BESIDE[word])
         if word in JOINS:
             yield from self.joins(state, word)
-        elif word in WORDS["negations"]:
+        elif word in WORDS.negations:
             yield from self.negations(state, word)
         else:
             yield from self.cues(state, word)
@@ -176,14 +176,14 @@ class Reader:
             if self.words.is_kind(start):
                 yield replace(state.behind_thing(), left_out=left_out, cost=cost)
             return
-        if word in WORDS["particles"]:
+        if word in WORDS.particles:
             yield state.then(cost=state.cost + 0.01, takes_object=True)
             return
-        is_left_out = word in WORDS["places"]  # "to read in bed"
+        is_left_out = word in WORDS.places  # "to read in bed"
         if word == "with":
-            is_left_out = after not in {*WORDS["determiners"], *WORDS["things"]}
+            is_left_out = after not in WORDS.determiners | WORDS.things
         elif not is_left_out and word not in NO_VALUE:
-            is_word = not self.vocabulary.said(word) and word not in WORDS["looks"]
+            is_word = not self.vocabulary.said(word) and word not in WORDS.looks
             is_left_out = is_word or self.words.is_determined(start)
         if is_left_out:
             yield state.then(cost=cost, left_out=left_out, takes_object=True)
@@ -191,14 +191,14 @@ class Reader:
     def joins(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "and", "or", "but" or a comma."""
         said = state.strong or state.outer
-        if word == "but" and (said or self.words[state.position - 1] in WORDS["any"]):
+        if word == "but" and said:
             # "any colour but blue", "made of anything but metal"
             yield state.then(strong=said, outer=None, negated=True, noun=None)
             if not state.noun:
                 return
         # "everything made of metal but the pan"
-        is_any = not set(WORDS["any"]).isdisjoint(self.words.words[: state.position])
-        is_not = self.words[state.position + 1] in WORDS["negations"]
+        is_any = not WORDS.any.isdisjoint(self.words.words[: state.position])
+        is_not = self.words[state.position + 1] in WORDS.negations
         is_exception = word == "but" and is_any and not is_not
         for closed in state.closed():
             join = JOINS[word]
@@ -229,14 +229,14 @@ class Reader:
         before = self.words[start - 1]
         after = self.words[start + 1]
         said = self.vocabulary.said(word)
-        is_request = word in WORDS["requests"] and after in ("me", "us")
+        is_request = word in WORDS.requests and after in ("me", "us")
         if said and not is_request:
             both = said & (state.strong or said)
             if both:
                 noun = self.vocabulary.noun(word, state.number != "" or before == "no")
                 weak = () if noun else state.weak
                 yield state.then(strong=both, noun=noun, weak=weak)
-            is_location = word == "used" and after in ("in", "at", "on")
+            is_location = word == "used" and after in WORDS.used_at
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
         for relation in state.strong or ():
@@ -250,9 +250,9 @@ class Reader:
             is_behind = word not in ("with", "of") and not is_counted
             if last.name and (is_behind or last.family.takes_object):
                 yield state.then(cost=state.cost + 0.01)  # "to drink from"
-            if before in WORDS["requests"] and not state.done:
+            if before in WORDS.requests and not state.done:
                 yield state.then()  # "look for", "want to"
-        if word in WORDS["things"]:
+        if word in WORDS.things:
             name = state.other_name if word in ("one", "ones") else ""
             if name and state.is_bare and not state.join:
                 condition = ReadCondition(name, IS, name=name, is_bare=True)
@@ -266,12 +266,12 @@ class Reader:
             return  # "whose cover is red" is not red
         elif word == "can" and self.words.matches[start]:
             return
-        elif word in IGNORED or word in WORDS["able"]:
-            if word in WORDS["able"] and not state.weak:
+        elif word in IGNORED or word in WORDS.able:
+            if word in WORDS.able and not state.weak:
                 yield state.then(weak=("to",))
-            takes_object = state.takes_object and word in WORDS["determiners"]
+            takes_object = state.takes_object and word in WORDS.determiners
             yield state.then(takes_object=takes_object)
-        elif word in WORDS["requests"] and state.is_unsaid and not state.done:
+        elif word in WORDS.requests and state.is_unsaid and not state.done:
             yield state.then()
 
     def values(self, state: ReadingState) -> States:
@@ -328,7 +328,7 @@ class Reader:
             is_said = state.strong is not None or not PURPOSE.isdisjoint(state.weak)
             is_said |= bool(state.join and state.done) and "ing" in state.done[-1].text
             before = self.words[state.position - 1]
-            is_verb = word.endswith("s") and before in ("that", "which", "what")
+            is_verb = word.endswith("s") and before in WORDS.doers
             if word.endswith("ed") or not (is_said or is_verb):
                 return True
         if state.takes_object and state.is_bare and not state.join:
@@ -363,13 +363,12 @@ class Reader:
                 return None
             cost = 0.5
         if state.weak and relation.prepositions.isdisjoint(state.weak):
-            # "made by" is not "made of"
             prepositions = WEAK.intersection(relation.words[1:])
-            if not prepositions.isdisjoint(state.weak):  # "safe for"
-                prepositions.clear()
             if state.weak[-1:] == ("by",):  # "grasped by the handle"
-                prepositions.discard("at")
-            return None if prepositions or not strong else cost
+                prepositions -= {"at"}
+            # "made by" is not "made of"
+            is_other = prepositions and prepositions.isdisjoint(state.weak)
+            return None if is_other or not strong else cost
         if is_listed or not state.is_unsaid:
             return cost
         family = relation.family
@@ -391,8 +390,8 @@ class Reader:
         if entry.role in ("part", "head"):
             prepositions = set(FAMILIES["part"].weak)
         before = self.words[state.position - 1]
-        is_verb = entry.role == "verb" and entry.words[-1] in WORDS["intransitive"]
-        if is_verb and before in ("that", "which", "it", "not", "may", "might"):
+        is_verb = entry.role == "verb" and entry.words[-1] in WORDS.intransitive
+        if is_verb and before in WORDS.subjects:
             return True
         return not prepositions.isdisjoint(state.weak)
 
@@ -429,7 +428,7 @@ class Reader:
                     text = quoted(said.name)
                     yield state.added(ReadCondition(text, said, best=best), 2)
         adjective = word
-        if word in ("most", "least", "more", "less"):
+        if word in WORDS.degrees:
             adjective = self.words[end]
             end += 1
         relation, sign = self.vocabulary.measured(adjective)

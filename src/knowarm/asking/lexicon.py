@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import name_key
@@ -23,11 +24,11 @@ SYNONYM = 1.0
 """Distances of two words; 0 is the same word, in singular or plural."""
 NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 """Pattern of numbers and dates."""
-_ENDINGS = {"en": "", "ical": "", "ic": "", "er": "r", "ular": "le"}
-"""Endings of adjectives, as in wooden and cylindrical, and what their nouns have instead."""
 _ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
 Words = Sequence[str]
-WORDS: dict[str, Words] = _ENGLISH["words"]
+WORDS = SimpleNamespace(
+    **{function: frozenset(words) for function, words in _ENGLISH["words"].items()}
+)
 """Words of one function in questions, by it; the file says what they are."""
 JOINS: dict[str, str] = _ENGLISH["joins"]
 """What joins conditions: "and", "or", "but" or a comma, by word."""
@@ -58,7 +59,7 @@ class Family:
 
 
 FAMILIES = {name: Family(**fields) for name, fields in _ENGLISH["relations"].items()}
-WEAK = set(WORDS["weak"]).union(*(family.weak for family in FAMILIES.values()))
+WEAK = WORDS.weak.union(*(family.weak for family in FAMILIES.values()))
 """Prepositions, and verbs such as "has"."""
 
 
@@ -158,7 +159,7 @@ def forms_of(word: str) -> frozenset[str]:
     forms = {word, name_key(word), *word_forms(word), *_table()["i"][word]}
     if word.endswith("ed"):
         forms.add(word[:-1])  # used, stored
-    for ending, noun_ending in _ENDINGS.items():
+    for ending, noun_ending in _ENGLISH["endings"].items():
         if word.endswith(ending) and len(word) > len(ending) + 2:
             forms.add(word.removesuffix(ending) + noun_ending)
     for form in tuple(forms):

@@ -1,5 +1,6 @@
 """Meanings of words: what of a graph, and which objects, the words of a question may stand for."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from operator import attrgetter
@@ -22,13 +23,12 @@ from knowarm.asking.relations import IS
 from knowarm.asking.vocabulary import Entry, Vocabulary
 from knowarm.questions import COLOUR_RELATION
 
-IGNORED = {*WORDS["things"], *WORDS["ignored"]}
+IGNORED = WORDS.things | WORDS.ignored
 """Words that change nothing, or stand for any object."""
-NO_VALUE = {*IGNORED, *WORDS["negations"], *WEAK, *JOINS, *BESIDE, *EXTREMES, "="}
+NO_VALUE = IGNORED.union(WORDS.negations, WEAK, JOINS, BESIDE, EXTREMES, "=")
 """Words that are no values."""
 LONGEST_VALUE = 3
 """Most words of a value that is looked up in the whole graph."""
-_WITHIN_VALUES = frozenset({"a", "an", "the", "some", "my", "me", "it", "them"})
 
 
 class Match(NamedTuple):
@@ -84,11 +84,11 @@ class Meanings:
             far <= INFLECTED and not entry.inner and entry.relation.family.describes
             for entry, far, _ in self.matches[position]
         )
-        return not is_known and near(self[position], WORDS["kinds"], 0)
+        return not is_known and near(self[position], WORDS.kinds, 0)
 
     def is_determined(self, position: int) -> bool:
         """Return whether a determiner stands before a word."""
-        return self[position - 1] in WORDS["determiners"]
+        return self[position - 1] in WORDS.determiners
 
     def is_name(self, position: int) -> bool:
         """Return whether a word may be the name of an object."""
@@ -102,7 +102,7 @@ class Meanings:
         before = self[position - 1]
         if before == "non":
             return "word"
-        is_phrase = before in WORDS["before_nouns"] and before != "not"
+        is_phrase = before in WORDS.before_nouns and before != "not"
         return "phrase" if is_phrase else "open"
 
     @property
@@ -119,7 +119,7 @@ class Meanings:
         for position in positions:
             between = self.words[end:position]
             text = " ".join([*between, self[position]])
-            if end <= position and set(between) <= set(WORDS["determiners"]):
+            if end <= position and WORDS.determiners.issuperset(between):
                 phrases[-1] += f" {text}"
             else:
                 phrases.append(self[position])
@@ -170,7 +170,7 @@ class Meanings:
         total = 0.0
         position = start
         for name in entry.words:
-            while position > start and self[position] in _WITHIN_VALUES:
+            while position > start and self[position] in WORDS.within_values:
                 position += 1  # "tell the time"
             far = distance(self[position], name)
             if far is None:
@@ -194,26 +194,25 @@ class Meanings:
         """Return whether "can" is the object: "a can", "the red can with a lid"."""
         before = self[position - 1]
         behind = self[position + 1]
-        if before in WORDS["before_nouns"]:
+        if before in WORDS.before_nouns:
             return True
-        ends = {*JOINS, *WEAK, *BESIDE, *EXTREMES, "that", "which", "nor", "except"}
-        is_value = before not in (*NO_VALUE, *WORDS["able"])
+        ends = WORDS.behind_nouns.union(JOINS, WEAK, BESIDE, EXTREMES)
+        is_value = before not in (*NO_VALUE, *WORDS.able)
         is_value = is_value and not self.is_name(position - 1)
-        return behind in ends or (is_value and behind not in WORDS["behind_verbs"])
+        return behind in ends or (is_value and behind not in WORDS.behind_verbs)
 
 
 def _inflections_joined(matches: Sequence[Match]) -> Iterator[Match]:
     """Yield matches with the forms of one word as one of them: ``affords drink`` and ``drinks``."""
-    alike: dict[tuple[object, ...], dict[str, Match]] = {}
+    alike = defaultdict[tuple[object, ...], dict[str, Match]](dict)
     for match in matches:
         if match.far > INFLECTED:
             yield match
             continue
         key = (*match.entry[1:2], *match.entry[3:], match.length)
-        by_text = alike.setdefault(key, {})
-        text = match.entry.text
-        if text not in by_text or match.far < by_text[text].far:
-            by_text[text] = match
+        by_text = alike[key]
+        nearer = by_text.get(match.entry.text, match)
+        by_text[match.entry.text] = min(nearer, match, key=attrgetter("far"))
     for by_text in alike.values():
         nearest = min(by_text.values(), key=attrgetter("far"))
         text = " or ".join(by_text)

@@ -86,8 +86,7 @@ def reasons(asked: Asked) -> list[Reason]:
         reason = Reason("", colours, _basis(judgement), evidence, probability)
         alike.setdefault(reason, []).append(name)
     rows = [each._replace(names=", ".join(names)) for each, names in alike.items()]
-    order = list(BASES)
-    return sorted(rows, key=lambda row: order.index(row.basis))
+    return sorted(rows, key=lambda row: list(BASES).index(row.basis))
 
 
 def _basis(judgement: Judgement) -> str:
@@ -228,8 +227,9 @@ def make_server(
                     fields.get(name, [""])[0].strip() for name in ("q", "edit", "scene")
                 )
                 lines = tuple(filter(None, map(str.strip, typed.splitlines())))
-                is_number = wanted.isdecimal() and len(wanted) < 10
-                number = int(wanted) if is_number else None
+                number = None
+                if wanted.isdecimal() and len(wanted) < 10:
+                    number = int(wanted)
             asked = None
             problem = ""
             try:

@@ -61,7 +61,7 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainRead
         try:
             end = reader.best()
         except UserError as refused:
-            if words[0] not in WORDS["speaker"] or reader.words.has_object:
+            if words[0] not in WORDS.speaker or reader.words.has_object:
                 raise
             error = refused
             left_out.append(sentence)
@@ -101,8 +101,9 @@ def _with_extreme(
             "it may hold one superlative, which 'and' joins, and then no place in the image"
         )
     relation = superlative.relation
-    heads = reader.vocabulary.heads
-    among = holders(joined(rest)).intersection(heads) if rest else heads
+    among = set(reader.vocabulary.heads)
+    if rest:
+        among &= holders(joined(rest))
     if superlative.text.startswith("count "):
         values = [float(relation.counts[head]) for head in among]
     else:

@@ -88,7 +88,7 @@ class ReadingState:
 
     def is_end(self) -> bool:
         """Return whether the question may end here."""
-        is_open = self.negated is not None or self.join not in ("", ",")
+        is_open = self.is_new or self.negated is not None or self.join not in ("", ",")
         return bool(self.done) and not is_open and is_clear(self.done)
 
     def then(self, length: int = 1, **changes: Any) -> "ReadingState":
@@ -227,7 +227,7 @@ class ReadingState:
     def name(self) -> str:
         """The name of an object that was read last, "" without."""
         names = [condition.name for condition in self.done if condition.name]
-        return names[-1] if names else ""
+        return "".join(names[-1:])
 
     @property
     def other_name(self) -> str:
@@ -271,8 +271,12 @@ class ReadingState:
             done = self._behind_phrase().done
             whole = replace(done[-1], is_whole=True)
             return self.then(done=(*done[:-1], whole))
-        weak = () if self.weak == ("of",) else self.weak  # "one of the objects"
-        reach = "all" if self.negated else self.reach  # "not anything red"
+        weak = self.weak
+        if weak == ("of",):  # "one of the objects"
+            weak = ()
+        reach = self.reach
+        if self.negated:  # "not anything red"
+            reach = "all"
         return self.then(has_noun=True, weak=weak, reach=reach)
 
 

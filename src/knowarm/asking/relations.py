@@ -11,6 +11,7 @@ from knowarm.asking.lexicon import (
     FAMILIES,
     INFLECTED,
     WEAK,
+    WORDS,
     Family,
     near,
     verbs_of,
@@ -20,7 +21,7 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, label_of, name_key
 from knowarm.questions import COLOUR_RELATION
 
-_EMPTY = {*WEAK, "is", "are", "a", "an", "the", "be", "can", "does", "do"}
+_EMPTY = WEAK | WORDS.empty
 
 
 @dataclass(frozen=True, order=True)

@@ -33,7 +33,6 @@ from knowarm.questions import COLOUR_RELATION
 _HAVE = FAMILIES["part"].weak
 _ROLES = {"can": "verb", "is": "", **dict.fromkeys(_HAVE, "part")}
 """Roles of a value behind its first word: CAN_OPEN, HAS_SWITCH."""
-_NEGATIONS = ("cannot", "doesnt", "isnt", "cant", "dont", "missing", "misses", "devoid")
 _COLOUR = Relation(COLOUR_RELATION, ("has", "colour"))
 NEAR_HINT = 0.35
 """Least cosine of the words of a question and of a condition that is offered instead."""
@@ -142,7 +141,7 @@ class Vocabulary:
         turning = negative_words(words)
         turning_words = None
         if turned.denies or turning:
-            turning_words = turning.difference(_NEGATIONS, WORDS["negations"])
+            turning_words = frozenset(turning - WORDS.denying - WORDS.negations)
         affirming = None
         if turned.denies and turned.subject:
             affirming = self._affirming(index, words, turned)
@@ -260,7 +259,7 @@ class Vocabulary:
 
         ``counted``: behind a number "use" is a noun; else it may be a verb, as "uses" is not.
         """
-        is_use = word in WORDS["uses"] or (counted and word in WORDS["use"])
+        is_use = word in WORDS.uses or (counted and word in WORDS.use)
         for relation in self.relations.values():
             words = relation.words
             if relation == _COLOUR or relation.turning is not None or not words:
