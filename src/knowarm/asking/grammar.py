@@ -22,7 +22,7 @@ from knowarm.asking.lexicon import (
 from knowarm.asking.meanings import IGNORED, NO_VALUE, Match, Meanings
 from knowarm.asking.quotes import quoted
 from knowarm.asking.readings import ReadCondition, ReadingState, joined
-from knowarm.asking.relations import IS, NO_RELATION, Relation
+from knowarm.asking.relations import IS, NO_RELATION, PLACES, Relation
 from knowarm.asking.vocabulary import Entry, Vocabulary
 from knowarm.errors import UserError
 from knowarm.questions import COLOUR_RELATION
@@ -127,7 +127,7 @@ class Reader:
                 return  # the "living room" is no room where something lives
         yield from self.superlatives(state, word)
         if word in EXTREMES and state.is_unsaid:
-            relation = Relation(EXTREMES[word])
+            relation = PLACES[EXTREMES[word]]
             yield state.added(ReadCondition(relation.name, relation), 1)
         if word in BESIDE and state.is_unsaid:
             yield from self.beside(state, BESIDE[word])
@@ -156,7 +156,7 @@ class Reader:
                     left_out = [start + position for position in other.left_out]
                     reached = replace(state, left_out=(*state.left_out, *left_out))
                     text = f"{relation} ({joined(other.done)})"
-                    condition = ReadCondition(text, Relation(relation))
+                    condition = ReadCondition(text, PLACES[relation])
                     length = 1 + other.position
                     yield reached.added(condition, length, cost + other.cost)
             if JOINS[self.words[end]] != "or":
@@ -285,6 +285,12 @@ class Reader:
         has_name = any(match.entry.relation == IS for match in matches)
         for match in matches:
             entry = match.entry
+            is_name = entry.relation is IS
+            if is_name and (not state.is_bare or state.takes_object):
+                continue
+            cost = match.far if is_name else self.cost(state, match)
+            if cost is None:
+                continue
             condition = ReadCondition(
                 entry.text,
                 entry.relation,
@@ -292,13 +298,9 @@ class Reader:
                 is_determined=self.words.is_determined(position),
                 reach=self.words.reach(position),
             )
-            if entry.relation == IS:
-                if state.is_bare and not state.takes_object:
-                    named = replace(condition, name=entry.text)
-                    yield from state.named(named, longest, match.far)
-                continue
-            cost = self.cost(state, match)
-            if cost is None:
+            if is_name:
+                named = replace(condition, name=entry.text)
+                yield from state.named(named, longest, cost)
                 continue
             if has_name and state.is_bare:  # "a brush" is one
                 cost += OTHER_THAN_NAME
@@ -399,7 +401,7 @@ class Reader:
         """Yield the states behind a number: compared with what was said, or of what follows."""
         sign, digits = _COMPARED.findall(word)[0]
         number = f"{sign or '='} {digits}"
-        for relation in sorted(state.strong or ()):
+        for relation in sorted(state.strong or (), key=attrgetter("name")):
             if relation.numbers:
                 yield self.with_number(state, relation, number, 1)
         last = state.last
@@ -423,7 +425,8 @@ class Reader:
         best = _BEST.get(word)
         if best:
             yield state.then(best=best, weak=())
-            for said in sorted(self.vocabulary.said(self.words[end])):
+            relations = self.vocabulary.said(self.words[end])
+            for said in sorted(relations, key=attrgetter("name")):
                 if said.numbers:
                     text = quoted(said.name)
                     yield state.added(ReadCondition(text, said, best=best), 2)

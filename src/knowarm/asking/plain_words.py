@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 from knowarm.asking.grammar import Reader
 from knowarm.asking.lexicon import (
-    BESIDE,
-    EXTREMES,
     UNANSWERED,
     WORDS,
     sentences,
     tokens,
 )
 from knowarm.asking.readings import ReadCondition, is_clear, joined
+from knowarm.asking.relations import PLACES
 from knowarm.asking.vocabulary import Vocabulary
 from knowarm.errors import UserError
 
@@ -95,7 +94,7 @@ def _with_extreme(
         superlative.negated
         or any(condition.best or condition.join == "or" for condition in rest)
         or superlative.join == "or"
-        or not others.isdisjoint((*EXTREMES.values(), *BESIDE.values()))
+        or not others.isdisjoint(PLACES)
     ):
         raise reader.refused(
             "it may hold one superlative, which 'and' joins, and then no place in the image"

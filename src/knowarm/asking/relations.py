@@ -7,7 +7,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 from knowarm.asking.lexicon import (
+    BESIDE,
     DERIVED,
+    EXTREMES,
     FAMILIES,
     INFLECTED,
     WEAK,
@@ -21,25 +23,26 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import RDF_TYPE, RDFS, label_of, name_key
 from knowarm.questions import COLOUR_RELATION
 
+_COLOURS = (name_key(COLOUR_RELATION), name_key("hasColour"))
 _EMPTY = WEAK | WORDS.empty
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, eq=False)
 class Relation:
-    """A relation of a graph, and the English that says it; relations of one name are one."""
+    """A relation of a graph, and the English that says it; of a vocabulary, each is one object."""
 
     name: str
-    words: tuple[str, ...] = field(default=(), compare=False)
+    words: tuple[str, ...] = ()
     """The words of its name or label."""
-    turning: frozenset[str] | None = field(default=None, compare=False)
+    turning: frozenset[str] | None = None
     """Of a relation whose name negates, the words that do so and say it: "unsafe"."""
-    affirming: "Relation | None" = field(default=None, compare=False)
+    affirming: "Relation | None" = None
     """Of a relation that denies, the one that affirms the same."""
-    is_narrow: bool = field(default=False, compare=False)
+    is_narrow: bool = False
     """Whether a broader relation of the graph says the same: locatedIn of storedIn."""
-    numbers: dict[int, float] = field(default_factory=dict, compare=False)
+    numbers: dict[int, float] = field(default_factory=dict)
     """The numbers that it states, by entity."""
-    counts: Counter[int] = field(default_factory=Counter, compare=False)
+    counts: Counter[int] = field(default_factory=Counter)
     """The number of values that it states, by entity."""
 
     @cached_property
@@ -78,6 +81,8 @@ class Relation:
 NO_RELATION = Relation("")
 IS = Relation("is")
 """What stands in place of a relation before the name of an object."""
+PLACES = {name: Relation(name) for name in (*EXTREMES.values(), *BESIDE.values())}
+"""What stands in place of a relation in conditions on places in the image, by its name."""
 
 
 class KindRelations(NamedTuple):
@@ -102,4 +107,4 @@ def kind_relations(graph: KnowledgeGraph) -> KindRelations:
 
 def is_colour(relation: str) -> bool:
     """Return whether the last part of a relation's name is that of colours, in any spelling."""
-    return name_key(relation) in (name_key(COLOUR_RELATION), name_key("hasColour"))
+    return name_key(relation) in _COLOURS

@@ -33,7 +33,6 @@ from knowarm.questions import COLOUR_RELATION
 _HAVE = FAMILIES["part"].weak
 _ROLES = {"can": "verb", "is": "", **dict.fromkeys(_HAVE, "part")}
 """Roles of a value behind its first word: CAN_OPEN, HAS_SWITCH."""
-_COLOUR = Relation(COLOUR_RELATION, ("has", "colour"))
 NEAR_HINT = 0.35
 """Least cosine of the words of a question and of a condition that is offered instead."""
 MOST_HINTS = 9
@@ -60,6 +59,7 @@ class Vocabulary:
 
     Attributes:
         relations: the relations that can be said, by name.
+        colour: the one whose values the image shows.
         entries: what can be asked, once each.
         elsewhere: conditions that the graph states of other entities only.
     """
@@ -73,7 +73,8 @@ class Vocabulary:
     ) -> None:
         self.graph = graph
         self.heads = heads
-        self.relations = {COLOUR_RELATION: _COLOUR}
+        self.colour = Relation(COLOUR_RELATION, ("has", "colour"))
+        self.relations = {COLOUR_RELATION: self.colour}
         self.entries: dict[Entry, None] = {}
         self.elsewhere = set[Entry]()
         self._by_form = defaultdict[str, set[str]](set)
@@ -86,7 +87,7 @@ class Vocabulary:
         self._colours = set(map(name_key, colours))
         for colour in colours:
             text = condition(COLOUR_RELATION, colour)
-            self._add(Entry(words_of(colour), _COLOUR, text))
+            self._add(Entry(words_of(colour), self.colour, text))
         for relation, tail in self._pairs(heads):
             for value in (tail, *self._classes(tail)):
                 self._learn(relation, value)  # "on table" of what is on table_4
@@ -174,8 +175,8 @@ class Vocabulary:
             return
         names = self.graph.names
         words = words_of(self._label(names[tail]))
-        is_seen = inner or name_key(" ".join(words)) in self._colours
-        if is_colour(relation.name) and is_seen:
+        is_seen = is_colour(relation.name)
+        if is_seen and (inner or name_key(" ".join(words)) in self._colours):
             return  # the image shows it
         value = local_name(names[tail])
         text = condition(relation.name, value)
@@ -262,7 +263,7 @@ class Vocabulary:
         is_use = word in WORDS.uses or (counted and word in WORDS.use)
         for relation in self.relations.values():
             words = relation.words
-            if relation == _COLOUR or relation.turning is not None or not words:
+            if relation == self.colour or relation.turning is not None or not words:
                 continue
             family = relation.family
             is_noun = words[0] in _HAVE or family is FAMILIES["part"]
@@ -278,10 +279,12 @@ class Vocabulary:
     def measured(self, word: str) -> tuple[Relation | None, str]:
         """Return the relation of numbers that an adjective is about, and ">" or "<"."""
         for relation in self.relations.values():
-            family = relation.family
-            for sign, adjectives in ((">", family.large), ("<", family.small)):
-                if relation.numbers and near(word, adjectives, INFLECTED):
-                    return relation, sign
+            if not relation.numbers:
+                continue
+            if near(word, relation.family.large, INFLECTED):
+                return relation, ">"
+            if near(word, relation.family.small, INFLECTED):
+                return relation, "<"
         return None, ""
 
     def nearest(self, words: Collection[str], asked: str = "") -> str:
@@ -297,10 +300,10 @@ class Vocabulary:
                 texts.append(entry.text)
             if not entry.inner and entry.relation != IS:
                 examples.setdefault(entry.relation, entry.text)
-            if entry.relation == _COLOUR:
+            if entry.relation == self.colour:
                 colours.append(entry.text)
         texts += self._alike_in_meaning(set(words) - near_words)
-        if not texts and any(_COLOUR in self.said(word) for word in words):
+        if not texts and any(self.colour in self.said(word) for word in words):
             texts = colours
         if set(texts) - {asked}:
             texts = [text for text in dict.fromkeys(texts) if text != asked]
