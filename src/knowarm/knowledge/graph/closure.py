@@ -1,11 +1,12 @@
 """Closure of a graph: what follows from its axioms, and what each new triple follows from."""
 
 from collections.abc import Iterable
+from itertools import chain, filterfalse
 from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.knowledge.graph.axioms import Axioms, denied, general
+from knowarm.knowledge.graph.axioms import Axioms
 from knowarm.knowledge.graph.denials import denial
 from knowarm.knowledge.graph.derivations import Derivations
 from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names
@@ -22,12 +23,13 @@ from knowarm.knowledge.graph.owl import (
     has_axioms,
 )
 from knowarm.knowledge.graph.rules import (
+    COLUMNS,
     MOST,
     MOST_ROUNDS,
     Reasoner,
     TooManyError,
     mixed,
-    stated,
+    steps_of,
 )
 from knowarm.knowledge.graph.terms import RDF, RDFS, local_name
 
@@ -71,38 +73,39 @@ class _Closure:
     Attributes:
         names: names by number, the relations first.
         ids: numbers by name.
+        notes: what was not added, and what is wrong.
     """
 
     def __init__(self, graph: KnowledgeGraph) -> None:
         self.graph = graph
         self.axioms = Axioms(graph)
         self.notes = list[str]()
-        relations = self._relation_names()
+        relations = {*graph.relation_names, *self.axioms.properties, *WORDS.values()}
+        relations.update(*self.axioms.plain.items())
         others = dict.fromkeys(graph.names)
-        for head, _, tail, _ in self.axioms.encoded:
-            others[head] = None
-            others[tail] = None
+        for head, relation, tail in self.axioms.encoded:
+            relations.add(relation)
+            others.update({head: None, tail: None})
         self.names = sorted(relations)
-        self.names += filter(lambda name: name not in relations, others)
+        self.names += filterfalse(relations.__contains__, others)
         self.ids = dict(zip(self.names, range(len(self.names)), strict=True))
         self._of_entity = self._numbers(graph.names)
         is_literal = np.zeros(len(self.names), bool)
         is_literal[self._numbers(graph.names.starting_with('"'))] = True
-        self._is_part = self._parts()
+        self._is_part = np.zeros(len(self.names), bool)
+        structures = graph.names.at(np.unique(graph.heads[self._stated_by(_STRUCTURE)]))
+        parts = [name for name in structures if name.startswith("_:")]
+        self._is_part[self._numbers(parts)] = True
         constants = dict(zip(WORDS, self._numbers(WORDS.values()), strict=True))
         self.reasoner = Reasoner(len(relations), is_literal, self._is_part, constants)
 
-    def _relation_names(self) -> set[str]:
-        properties = self.axioms.properties
-        relations = {*self.graph.relation_names, *properties, *WORDS.values()}
-        for name in properties:
-            relations.update((general(name), denied(name), denial(name)))
-        for _, relation, _, _ in self.axioms.encoded:
-            relations.add(relation)
-        return relations
-
     def _numbers(self, names: Iterable[str]) -> Ids:
         return np.array(list(map(self.ids.__getitem__, names)), np.int32)
+
+    def _stated_by(self, words: str) -> Ids:
+        """Return whether each triple has one of some relations, (n,) bool."""
+        names = map(WORDS.__getitem__, words.split())
+        return np.isin(self.graph.relations, self.graph.relation_names.find_all(names))
 
     def result(self) -> Closed:
         """Reason, and return the graph with what follows."""
@@ -124,47 +127,35 @@ class _Closure:
         """Tell the reasoner the triples, the axioms, and what is a class."""
         graph = self.graph
         relations = self._numbers(graph.relation_names)
-        heads = self._of_entity[graph.heads]
-        tails = self._of_entity[graph.tails]
-        triples = np.stack([heads, relations[graph.relations], tails], axis=1)
-        confidence = np.ones(len(triples))
-        if graph.confidence:
-            for row, triple in enumerate(graph):
-                confidence[row] = graph.confidence.get(triple, 1.0)
-        batch = self.reasoner.add(stated(triples, confidence))
-        keys = mixed([triples[:, 1], triples[:, 0], triples[:, 2]], len(self.names))
-        numbers = np.searchsorted(batch.keys, keys)
-        encoded = np.empty((len(self.axioms.encoded), 3), np.int64)
-        news = stated(encoded)
-        for number, (head, relation, tail, rows) in enumerate(self.axioms.encoded):
-            encoded[number] = [self.ids[head], self.ids[relation], self.ids[tail]]
-            news.premises[number, : len(rows)] = numbers[list(rows)]
-        self.reasoner.add(news)
+        columns = [
+            self._of_entity[graph.heads],
+            relations[graph.relations],
+            self._of_entity[graph.tails],
+        ]
+        confidence = graph.probabilities(np.arange(len(graph)))
+        stated = steps_of(np.stack(columns, axis=1), confidence)
+        batch = self.reasoner.add(stated)
+        numbers = np.searchsorted(batch.steps["key"], stated["key"])
+        encoded = self.axioms.encoded
+        steps = steps_of(self._numbers(chain(*encoded)).reshape(-1, 3))
+        for premises, rows in zip(steps["premises"], encoded.values(), strict=True):
+            premises[: len(rows)] = numbers[list(rows)]
+        self.reasoner.add(steps)
         if self.axioms.properties:
-            self.reasoner.add(stated(self._kinds()))
+            self.reasoner.add(steps_of(self._kinds()))
 
     def _kinds(self) -> Ids:
         """Return by which relation each entity would be put into a class, (E, 3)."""
-        is_class = np.zeros(len(self.graph.names), bool)
-        is_class[self.graph.heads[self._stated_by(_CLASS_HEADS)]] = True
-        is_class[self.graph.tails[self._stated_by(_CLASS_TAILS)]] = True
-        for name in (WORDS["Class"], RDFS + "Class"):
-            entity = self.graph.names.find(name)
-            if entity is not None:
-                is_class[self.graph.heads[self.graph.in_rows(entity)]] = True
+        graph = self.graph
+        is_class = np.zeros(len(graph.names), bool)
+        is_class[graph.heads[self._stated_by(_CLASS_HEADS)]] = True
+        is_class[graph.tails[self._stated_by(_CLASS_TAILS)]] = True
+        for entity in graph.names.find_all((WORDS["Class"], RDFS + "Class")):
+            is_class[graph.heads[graph.in_rows(entity)]] = True
         kinds = np.full((len(is_class), 3), self.ids[WORDS["kind"]])
         kinds[:, 0] = self._of_entity
         kinds[:, 2] = np.where(is_class, self.ids[IS_A[1]], self.ids[IS_A[0]])
-        return kinds[~self._is_part[kinds[:, 0]]]
-
-    def _stated_by(self, words: str) -> Ids:
-        """Return whether each triple has one of some relations, (n,) bool."""
-        relations = list[int]()
-        for word in words.split():
-            relation = self.graph.relation_names.find(WORDS[word])
-            if relation is not None:
-                relations.append(relation)
-        return np.isin(self.graph.relations, relations)
+        return kinds[~self._is_part[self._of_entity]]
 
     def _deny(self) -> None:
         """Add what does not hold, of subclasses of excluded classes only if they are few."""
@@ -184,13 +175,15 @@ class _Closure:
 
     def _extended(self) -> Closed:
         """Return the graph with what the reasoner added, as far as it says something."""
-        everything = self.reasoner.everything()
-        heads, relations, tails = everything.columns
-        premises = everything.premises
-        confidence = everything.confidence
-        relations = self._plain()[relations]
-        is_shown = self._tells()[relations]
-        is_shown &= self._ends()[heads] & self._ends()[tails]
+        steps = self.reasoner.everything()
+        heads, relations, tails = (steps[column] for column in COLUMNS)
+        plain = np.arange(len(self.names))
+        plain[self._numbers(self.axioms.plain)] = self._numbers(
+            self.axioms.plain.values()
+        )
+        relations = plain[relations]
+        ends = self._ends()
+        is_shown = self._tells()[relations] & ends[heads] & ends[tails]
         count = len(self.graph)
         is_shown[:count] = True
 
@@ -202,31 +195,21 @@ class _Closure:
         triples = np.stack(columns, axis=1)
         triples[~is_shown] = -1
 
-        keys = mixed(columns, len(self.names))
-        derived = count + np.flatnonzero(is_shown[count:])
-        derived = derived[~np.isin(keys[derived], keys[:count])]
-        derived = derived[np.lexsort((-confidence[derived], keys[derived]))]
-        _, surest = np.unique(keys[derived], return_index=True)
-        derived = derived[surest]
+        # Of equal triples the stated one stays, or else the surest.
+        keys = mixed(map(columns.__getitem__, (1, 0, 2)), len(self.names))
+        shown = np.flatnonzero(is_shown)
+        order = np.lexsort((-steps["confidence"][shown], shown >= count, keys[shown]))
+        _, firsts = np.unique(keys[shown[order]], return_index=True)
+        kept = shown[order[firsts]]
+        derived = kept[kept >= count]
         if not len(derived):
             return Closed(self.graph, self._message(0))
-        kept = np.concatenate([np.arange(count), derived])
-        graph = KnowledgeGraph(
-            self.graph.names,
-            relation_names,
-            triples[kept],
-            nodes=self.graph.nodes,
-            labels=self.graph.labels,
-            prefixes=self.graph.prefixes,
-            missing=self.graph.missing,
-            derivations=Derivations(triples, premises, derived),
-        )
-        doubtful = self.graph.own_confidence()
-        for step in derived[confidence[derived] < 1]:
-            head, relation, tail = triples[step]
-            triple = (graph.names[head], relation_names[relation], graph.names[tail])
-            doubtful[triple] = float(confidence[step])
-        graph.confidence = doubtful
+        graph = self.graph.with_triples(triples[kept], relation_names)
+        graph.derivations = Derivations(triples, steps["premises"].copy(), derived)
+        confidence = self.graph.own_confidence()
+        for step in derived[steps["confidence"][derived] < 1]:
+            confidence[graph.named(triples[step])] = float(steps["confidence"][step])
+        graph.confidence = confidence
         self._contradictions(graph)
         return Closed(graph, self._message(len(derived)))
 
@@ -235,15 +218,6 @@ class _Closure:
         index = np.full(len(self.names), -1, np.int32)
         index[numbers] = np.arange(len(numbers))
         return index
-
-    def _plain(self) -> Ids:
-        """Return the number of the relation that a graph has for each."""
-        plain = np.arange(len(self.names))
-        for name in self.axioms.properties:
-            plain[self.ids[general(name)]] = self.ids[name]
-            plain[self.ids[denied(name)]] = self.ids[denial(name)]
-        plain[self.ids[WORDS["excludes"]]] = self.ids[NOT_A[1]]
-        return plain
 
     def _tells(self) -> Ids:
         """Return whether triples of each relation say something about things."""
@@ -261,30 +235,19 @@ class _Closure:
             ends[self._numbers(self.graph.names.starting_with(name))] = False
         return ends & ~self._is_part
 
-    def _parts(self) -> Ids:
-        """Return whether each is an anonymous part of an axiom."""
-        is_part = np.zeros(len(self.names), bool)
-        heads = self.graph.heads[self._stated_by(_STRUCTURE)]
-        for name in self.graph.names.at(np.unique(heads)):
-            is_part[self.ids[name]] = name.startswith("_:")
-        return is_part
-
     def _contradictions(self, graph: KnowledgeGraph) -> None:
         """Note what is both said and denied."""
-        relations = dict(zip(NOT_A, IS_A, strict=True))
-        relations[WORDS["differentFrom"]] = WORDS["sameAs"]
+        affirming = dict(zip(NOT_A, IS_A, strict=True))
+        affirming[WORDS["differentFrom"]] = WORDS["sameAs"]
         for name in self.axioms.properties:
-            relations[denial(name)] = name
+            affirming[denial(name)] = name
         both = list[str]()
-        for denying, affirming in sorted(relations.items()):
-            relation = graph.relation_names.find(denying)
-            if relation is None or graph.relation_names.find(affirming) is None:
-                continue
-            for row in np.flatnonzero(graph.relations == relation):
-                head = graph.names[graph.heads[row]]
-                tail = graph.names[graph.tails[row]]
-                if (head, affirming, tail) in graph:
-                    both.append(" ".join(map(local_name, (head, affirming, tail))))
+        for relation in graph.relation_names.find_all(sorted(affirming)):
+            for triple in graph.rows(np.flatnonzero(graph.relations == relation)):
+                head, denying, tail = triple
+                stated = (head, affirming[denying], tail)
+                if stated in graph:
+                    both.append(" ".join(map(local_name, stated)))
         if both:
             self.notes.append(
                 f"it contradicts itself: {len(both)} triples are both stated and denied, such as "
@@ -298,8 +261,9 @@ class _Closure:
             said.append(
                 f"{count:,} triples follow from axioms (RDFS, OWL 2) and were added"
             )
-        if self.axioms.unused:
-            kinds = sorted(self.axioms.unused.items())
-            unused = ", ".join(f"{number} {kind}" for kind, number in kinds)
-            said.append(f"axioms from which nothing is read: {unused}")
+        kinds = [
+            f"{number} {kind}" for kind, number in sorted(self.axioms.unused.items())
+        ]
+        if kinds:
+            said.append(f"axioms from which nothing is read: {', '.join(kinds)}")
         return "; ".join((*said, *self.notes))

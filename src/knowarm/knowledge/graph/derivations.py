@@ -1,7 +1,5 @@
 """What derived triples of a graph follow from."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 Ids = np.ndarray
@@ -17,20 +15,16 @@ class Derivations:
         triples: ids of heads, relations and tails by step, (s, 3) int32; -1 where a step is no
             triple of the graph, but one on the way to others.
         premises: numbers of the steps that each follows from, (s, 4) int32; -1 is none.
-        derived: the steps that are the derived triples, (n,) int64, sorted by triple.
+        derived: the steps that are the derived triples, (n,) int64, sorted by relation,
+            head and tail.
     """
 
     def __init__(self, triples: Ids, premises: Ids, derived: Ids) -> None:
         self.triples = triples
         self.premises = premises
+        self.derived = derived
         self._size = int(triples.max(initial=0)) + 1
-        keys = self._keys(triples[derived])
-        order = np.argsort(keys)
-        self.derived = derived[order]
-        self._sorted_keys = keys[order]
-
-    def __len__(self) -> int:
-        return len(self.derived)
+        self._sorted_keys = self._keys(triples[derived])
 
     def is_derived(self, triples: Ids) -> Ids:
         """Return whether each of some triples (n, 3) was derived, (n,) bool."""
@@ -38,39 +32,20 @@ class Derivations:
 
     def because(self, triple: _IdTriple) -> list[_IdTriple]:
         """Return the triples that a derived one follows from; none of a stated one."""
-        step = self._step(triple)
-        if step is None:
-            return []
-        reasons = list[_IdTriple]()
-        for premise in self._told(step):
-            head, relation, tail = self.triples[premise].tolist()
-            if (head, relation, tail) not in reasons:
-                reasons.append((head, relation, tail))
+        (key,) = self._keys(np.array([triple]))
+        low, high = np.searchsorted(self._sorted_keys, [key, key + 1])
+        start = self.derived[low:high].tolist()
+        waiting = list(start)
+        reasons = dict[_IdTriple, None]()
+        while waiting:
+            step = waiting.pop()
+            head, relation, tail = self.triples[step].tolist()
+            if step in start or head < 0:  # no triple of the graph: what is before it
+                waiting += filter((-1).__ne__, self.premises[step, ::-1].tolist())
+            else:
+                reasons[head, relation, tail] = None
         # "a teapot is a pot" is read before "a pot is a dish"
         return sorted(reasons, key=lambda reason: reason[0] != triple[0])
-
-    def _told(self, step: int) -> Iterator[int]:
-        """Yield the nearest steps before one that are triples of the graph."""
-        waiting = self._before(step)
-        while waiting:
-            premise = waiting.pop()
-            if self.triples[premise, 0] >= 0:
-                yield premise
-            else:
-                waiting += self._before(premise)
-
-    def _before(self, step: int) -> list[int]:
-        """Return the premises of a step, the last one first."""
-        return [
-            premise for premise in self.premises[step, ::-1].tolist() if premise >= 0
-        ]
-
-    def _step(self, triple: _IdTriple) -> int | None:
-        key = self._keys(np.array([triple]))[0]
-        place = int(np.searchsorted(self._sorted_keys, key))
-        if place < len(self) and self._sorted_keys[place] == key:
-            return int(self.derived[place])
-        return None
 
     def _keys(self, triples: Ids) -> Ids:
         heads, relations, tails = triples.T.astype(np.int64)

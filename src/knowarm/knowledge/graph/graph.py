@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.derivations import Derivations
 from knowarm.knowledge.graph.names import Names, Spellings
@@ -145,14 +146,24 @@ class KnowledgeGraph:
             yield entity[h], relation[r], entity[t]
 
     def __contains__(self, triple: Triple) -> bool:
+        for head, relation, tail in self._ids(triple):
+            rows = self.out_rows(head)
+            is_it = (self.relations[rows] == relation) & (self.tails[rows] == tail)
+            return bool(is_it.any())
+        return False
+
+    def _ids(self, triple: Triple) -> Iterator[tuple[int, int, int]]:
+        """Yield the ids of a triple, if all of its names are known."""
         head = self.names.find(triple[0])
         relation = self.relation_names.find(triple[1])
         tail = self.names.find(triple[2])
-        if head is None or tail is None or relation is None:
-            return False
-        rows = self.out_rows(head)
-        is_it = (self.relations[rows] == relation) & (self.tails[rows] == tail)
-        return bool(is_it.any())
+        if head is not None and relation is not None and tail is not None:
+            yield head, relation, tail
+
+    def named(self, ids: Sequence[int] | Ids) -> Triple:
+        """Return the names of a triple by its ids."""
+        head, relation, tail = ids
+        return self.names[head], self.relation_names[relation], self.names[tail]
 
     def __eq__(self, other: object) -> bool:
         """Return whether both graphs hold the same by name: triples, confidence, nodes, labels."""
@@ -203,15 +214,9 @@ class KnowledgeGraph:
         """Return the triples from which a derived one follows in one step; none of a stated one."""
         if self.derivations is None:
             return ()
-        head = self.names.find(triple[0])
-        relation = self.relation_names.find(triple[1])
-        tail = self.names.find(triple[2])
-        if head is None or relation is None or tail is None:
-            return ()
-        reasons = list[Triple]()
-        for h, r, t in self.derivations.because((head, relation, tail)):
-            reasons.append((self.names[h], self.relation_names[r], self.names[t]))
-        return tuple(reasons)
+        for ids in self._ids(triple):
+            return tuple(map(self.named, self.derivations.because(ids)))
+        return ()
 
     def grounds(self, triple: Triple) -> tuple[Triple, ...]:
         """Return the triples from which one follows in the end, in the order of reading.
@@ -254,12 +259,16 @@ class KnowledgeGraph:
         low, high = _range(self.tails_sorted, entity)
         return self.by_tail[low:high]
 
+    def probabilities(self, rows: Ids) -> Floats:
+        """Return the probability that the triple of each row holds, (k,) float64."""
+        shares = np.ones(len(rows))
+        if self.confidence:
+            shares[:] = [self.confidence.get(triple, 1) for triple in self.rows(rows)]
+        return shares
+
     def believed(self, rows: Ids) -> Ids:
         """Return those rows whose triples are as probable as not, (k,)."""
-        if not self.confidence:
-            return rows
-        sure = [self.confidence.get(triple, 1) >= SURE for triple in self.rows(rows)]
-        return rows[np.array(sure, bool)]
+        return rows[self.probabilities(rows) >= SURE]
 
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
@@ -272,11 +281,13 @@ class KnowledgeGraph:
         subgraph._alone = nodes
         return subgraph
 
-    def with_triples(self, triples: Ids) -> "KnowledgeGraph":
+    def with_triples(
+        self, triples: Ids, relation_names: Names | None = None
+    ) -> "KnowledgeGraph":
         """Return a graph with the entities, names and labels of this one and other triples."""
         return KnowledgeGraph(
             self.names,
-            self.relation_names,
+            relation_names or self.relation_names,
             triples,
             nodes=self.nodes,
             labels=self.labels,

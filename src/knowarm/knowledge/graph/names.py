@@ -30,6 +30,10 @@ class Names(tuple[str, ...]):
             return index
         return None
 
+    def find_all(self, names: Iterable[str]) -> list[int]:
+        """Return the ids of those names that are here."""
+        return [index for index in map(self.find, names) if index is not None]
+
     def at(self, ids: Iterable[SupportsIndex]) -> list[str]:
         """Return the names of ids."""
         return list(map(self.__getitem__, ids))

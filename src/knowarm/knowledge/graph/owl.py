@@ -120,12 +120,12 @@ _AXIOMS = (
     "onProperty intersectionOf unionOf oneOf complementOf disjointWith disjointUnionOf members "
     "propertyDisjointWith propertyChainAxiom assertionProperty"
 )
-_AXIOM_CLASSES = ("SymmetricProperty", "TransitiveProperty")
+_AXIOM_CLASSES = "SymmetricProperty TransitiveProperty"
 
 
 def has_axioms(graph: KnowledgeGraph) -> bool:
     """Return whether a graph states anything from which facts follow."""
-    for word in _AXIOMS.split():
-        if graph.relation_names.find(WORDS[word]) is not None:
-            return True
-    return any(graph.names.find(WORDS[word]) is not None for word in _AXIOM_CLASSES)
+    relations = map(WORDS.__getitem__, _AXIOMS.split())
+    classes = map(WORDS.__getitem__, _AXIOM_CLASSES.split())
+    found = graph.relation_names.find_all(relations) + graph.names.find_all(classes)
+    return bool(found)
