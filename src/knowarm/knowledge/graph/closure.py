@@ -205,7 +205,7 @@ class _Closure:
         if not len(derived):
             return Closed(self.graph, self._message(0))
         graph = self.graph.with_triples(triples[kept], relation_names)
-        graph.derivations = Derivations(triples, steps["premises"].copy(), derived)
+        graph.derivations = Derivations(triples, steps["premises"], derived)
         confidence = self.graph.own_confidence()
         for step in derived[steps["confidence"][derived] < 1]:
             confidence[graph.named(triples[step])] = float(steps["confidence"][step])

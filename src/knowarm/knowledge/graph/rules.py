@@ -19,18 +19,16 @@ _Atom = tuple[str, str, str]
 COLUMNS = ("subject", "relation", "object")
 _ORDER = ("relation", "subject", "object")
 """Columns in the order by which steps are sorted."""
-STEP = np.dtype(
-    [
-        *((column, np.int32) for column in COLUMNS),
-        ("key", np.int64),  # one number per triple
-        ("confidence", np.float32),  # probability that it holds
-        ("premises", np.int32, PREMISES),  # numbers of other steps; -1 is none
-        ("unnamed", np.int8),  # how many of these are about parts of axioms
-        ("is_single", bool),  # whether it does not follow by a rule with brackets
-        ("number", np.int32),
-    ]
-)
-"""A triple of ids, and what it follows from."""
+Table = dict[str, Ids]
+"""Columns of equal length by name. A step is a triple of ids and what it follows from:
+
+- subject, relation, object: ids, (n,) int32;
+- confidence: probability that it holds, (n,) float32;
+- premises: numbers of other steps, (n, 4) int32; -1 is none;
+- unnamed: how many of these are about parts of axioms, (n,) int8;
+- is_single: whether it does not follow by a rule with brackets, (n,) bool;
+- key, number: one number per triple, and per step, (n,) int64.
+"""
 
 
 class TooManyError(Exception):
@@ -71,25 +69,40 @@ def _atom(text: str) -> _Atom:
     return subject, relation, value
 
 
-def steps_of(triples: Ids, confidence: Ids | float = 1.0) -> Ids:
-    """Return triples of ids (n, 3) as steps that follow from nothing, (n,) of `STEP`."""
-    steps = np.zeros(len(triples), STEP)
-    for column, ids in zip(COLUMNS, triples.T, strict=True):
-        steps[column] = ids
-    steps["confidence"] = confidence
-    steps["premises"] = -1
-    steps["is_single"] = True
+def steps_of(triples: Ids, confidence: Ids | None = None) -> Table:
+    """Return triples of ids (n, 3) as steps that follow from nothing."""
+    count = len(triples)
+    steps = dict(zip(COLUMNS, triples.T.astype(np.int32), strict=True))
+    steps["confidence"] = np.ones(count, np.float32)
+    if confidence is not None:
+        steps["confidence"] = confidence.astype(np.float32)
+    steps["premises"] = np.full((count, PREMISES), -1, np.int32)
+    steps["unnamed"] = np.zeros(count, np.int8)
+    steps["is_single"] = np.ones(count, bool)
     return steps
+
+
+def _rows(table: Table, rows: Ids) -> Table:
+    """Return some rows of a table, (k,) int or (n,) bool."""
+    return {name: column[rows] for name, column in table.items()}
+
+
+def _stacked(tables: Sequence[Table]) -> Table:
+    """Return the rows of several tables of the same columns."""
+    stacked = Table()
+    for name in tables[0]:
+        stacked[name] = np.concatenate([table[name] for table in tables])
+    return stacked
 
 
 class Batch:
     """Steps sorted by relation, subject and object, indexed as they are searched.
 
     Attributes:
-        steps: the steps, (n,) of `STEP`.
+        steps: the steps.
     """
 
-    def __init__(self, steps: Ids, size: int) -> None:
+    def __init__(self, steps: Table, size: int) -> None:
         """Take steps of ids below a size."""
         self.steps = steps
         self._size = size
@@ -97,7 +110,7 @@ class Batch:
         self._parts: dict[tuple[tuple[int, ...] | None, bool], Batch] = {}
 
     def __len__(self) -> int:
-        return len(self.steps)
+        return len(self.steps["key"])
 
     def part(
         self, relations: tuple[int, ...] | None, *, only_single: bool = False
@@ -109,17 +122,17 @@ class Batch:
         if key not in self._parts:
             steps = self.steps
             if only_single:
-                steps = steps[steps["is_single"]]
+                steps = _rows(steps, steps["is_single"])
             if relations is not None:
-                steps = steps[np.isin(steps["relation"], relations)]
+                steps = _rows(steps, np.isin(steps["relation"], relations))
             self._parts[key] = Batch(steps, self._size)
         return self._parts[key]
 
     def with_(self, other: "Batch") -> "Batch":
         """Return the steps of both."""
-        steps = np.concatenate([self.steps, other.steps])
+        steps = _stacked([self.steps, other.steps])
         order = np.lexsort((-steps["confidence"], steps["key"]))
-        return Batch(steps[order], self._size)
+        return Batch(_rows(steps, order), self._size)
 
     def match(self, bound: Mapping[str, Ids], most: int) -> tuple[Ids, Ids]:
         """Return the pairs (number of the row, place of the step) that agree.
@@ -152,18 +165,18 @@ class Batch:
         if not len(self):
             return np.full(len(keys), -1, np.float32)
         known = self.steps["key"]
-        places = np.searchsorted(known, keys).clip(max=len(known) - 1)
+        places = np.searchsorted(known, keys).clip(max=len(self) - 1)
         is_here = known[places] == keys
         return np.where(is_here, self.steps["confidence"][places], np.float32(-1))
 
 
-_Table = dict[str, Ids]
-"""Rows of ids by variable, with confidence, premises and number of unnamed premises of each."""
-_START: _Table = {
+_START: Table = {
     "confidence": np.ones(1, np.float32),
     "premises": np.empty((1, 0), np.int32),
     "unnamed": np.zeros(1, np.int8),
 }
+"""The row that all joins begin with: rows of ids by variable, and what follows from premises."""
+_NOTHING = steps_of(np.empty((0, 3)))
 _HIERARCHIES = ("subClassOf", "subPropertyOf", "sameAs")
 """Relations that everything has to itself, which says nothing."""
 
@@ -201,17 +214,17 @@ class Reasoner:
         self._most_rows = MOST
         self._allowed: dict[Rule, dict[str, tuple[int, ...]]] = {}
 
-    def add(self, steps: Ids) -> Batch:
+    def add(self, steps: Table) -> Batch:
         """Give new steps their keys and add them.
 
         Of equal triples the surest stays, with the fewest unnamed premises.
         """
         steps["key"] = self._keys(steps)
         order = np.lexsort((steps["unnamed"], -steps["confidence"], steps["key"]))
-        steps = steps[order]
-        steps = steps[np.diff(steps["key"], prepend=-1) > 0]
-        steps["unnamed"] = self._is_about_parts(steps)
-        steps["number"] = self.count + np.arange(len(steps))
+        is_first = np.diff(steps["key"][order], prepend=-1) > 0
+        steps = _rows(steps, order[is_first])
+        steps["unnamed"] = self._is_about_parts(steps).astype(np.int8)
+        steps["number"] = self.count + np.arange(len(steps["key"]))
         batch = Batch(steps, self._size)
         self.batches.append(batch)
         self._allowed.clear()
@@ -228,10 +241,10 @@ class Reasoner:
         """Number of all steps."""
         return sum(map(len, self.batches))
 
-    def everything(self) -> Ids:
-        """Return all steps in the order of their numbers, (n,) of `STEP`."""
-        steps = np.concatenate([batch.steps for batch in self.batches])
-        return steps[np.argsort(steps["number"])]
+    def everything(self) -> Table:
+        """Return all steps in the order of their numbers."""
+        steps = _stacked([batch.steps for batch in self.batches])
+        return _rows(steps, np.argsort(steps["number"]))
 
     def run(
         self, rules: Sequence[Rule], most: int, *, only_named: bool = False
@@ -260,20 +273,20 @@ class Reasoner:
         new = list(self.batches)
         orders = 1  # all is new, so that one order of the atoms finds everything
         for _ in range(MOST_ROUNDS):
-            results = list[Ids]()
+            results = list[Table]()
             for rule in rules:
                 for start in range(len(rule.body))[:orders]:
                     results.append(self._apply(rule, start, new))
             orders = PREMISES
-            steps = np.concatenate(results)
-            if not len(steps):
+            steps = _stacked(results)
+            if not len(steps["unnamed"]):
                 return
             new = [self.add(steps)]
             if self.count > most:
                 break
         raise TooManyError
 
-    def _apply(self, rule: Rule, start: int, new: Sequence[Batch]) -> Ids:
+    def _apply(self, rule: Rule, start: int, new: Sequence[Batch]) -> Table:
         """Return the steps that follow by a rule if one atom of its body is among the new ones."""
         atoms = list(rule.body)
         table = self._join(_START, rule, atoms.pop(start), new)
@@ -282,16 +295,16 @@ class Reasoner:
             atom = atoms.pop(known.index(max(known)))
             table = self._join(table, rule, atom, self.batches)
         if not len(table["confidence"]):
-            return np.empty(0, STEP)
+            return _NOTHING
         bound = self._bound(table, rule.head)
         triples = np.stack([bound[column] for column in COLUMNS], axis=1)
         steps = steps_of(triples, table["confidence"])
         steps["premises"][:, : len(rule.body)] = table["premises"]
         steps["unnamed"] = table["unnamed"]
-        steps["is_single"] = rule.single is None
-        return steps[self._is_new(steps)]
+        steps["is_single"][:] = rule.single is None
+        return _rows(steps, self._is_new(steps))
 
-    def _bound(self, table: _Table, atom: _Atom) -> dict[str, Ids]:
+    def _bound(self, table: Table, atom: _Atom) -> dict[str, Ids]:
         """Return what is known of the columns of an atom, each (n,) int."""
         columns = dict[str, Ids]()
         for column, term in zip(COLUMNS, atom, strict=True):
@@ -322,16 +335,16 @@ class Reasoner:
         return allowed
 
     def _join(
-        self, table: _Table, rule: Rule, atom: _Atom, batches: Iterable[Batch]
-    ) -> _Table:
+        self, table: Table, rule: Rule, atom: _Atom, batches: Iterable[Batch]
+    ) -> Table:
         """Return the rows of a table with all steps that agree with an atom of a rule."""
         bound = self._bound(table, atom)
         relations = self._relations_of(rule).get(atom[1])
-        tables = list[_Table]()
+        tables = list[Table]()
         for batch in batches:
             part = batch.part(relations, only_single=atom == rule.single)
             rows, places = part.match(bound, self._most_rows)
-            joined = {name: column[rows] for name, column in table.items()}
+            joined = _rows(table, rows)
             for column, term in zip(COLUMNS, atom, strict=True):
                 if term.startswith("?") and term not in table:
                     joined[term] = part.steps[column][places]
@@ -342,12 +355,9 @@ class Reasoner:
             tables.append(joined)
         if sum(len(joined["premises"]) for joined in tables) > self._most_rows:
             raise TooManyError
-        columns = dict[str, Ids]()
-        for name in tables[0]:
-            columns[name] = np.concatenate([joined[name] for joined in tables])
-        return columns
+        return _stacked(tables)
 
-    def _is_new(self, steps: Ids) -> Ids:
+    def _is_new(self, steps: Table) -> Ids:
         """Return which steps were not known, or not so surely, (n,) bool."""
         subjects, relations, objects = (steps[column] for column in COLUMNS)
         is_new = (relations < self._relations) & ~self._is_literal[subjects]
@@ -360,11 +370,11 @@ class Reasoner:
             is_new &= steps["confidence"] > batch.confidence_of(keys) * 1.000001
         return is_new
 
-    def _is_about_parts(self, steps: Ids) -> Ids:
+    def _is_about_parts(self, steps: Table) -> Ids:
         """Return whether steps are about parts of axioms, which have no names, (n,) bool."""
         return self._is_part[steps["subject"]] | self._is_part[steps["object"]]
 
-    def _keys(self, steps: Ids) -> Ids:
+    def _keys(self, steps: Table) -> Ids:
         return mixed(map(steps.__getitem__, _ORDER), self._size)
 
 
