@@ -11,11 +11,11 @@ from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedd
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.train import (
+    both_ways,
     filtered_ranks,
     hold_out,
     load_model,
     new_model,
-    reciprocal,
     save_model,
     train,
 )
@@ -62,8 +62,8 @@ def test_ranks_by_hand():
     ]
 
 
-def test_reciprocal():
-    assert reciprocal(np.array([[1, 0, 2]]), 5).tolist() == [[2, 5, 1]]
+def test_both_ways():
+    assert both_ways(np.array([[1, 0, 2]]), 5).tolist() == [[1, 0, 2], [2, 5, 1]]
 
 
 def test_held_out_triples_leave_every_name_in_training():
@@ -142,9 +142,7 @@ def test_one_step_on_all_queries_has_the_gradient_of_all_triples():
     config = KgeConfig(model="complex", dim=8, epochs=1, batch_size=100, n3=0.2)
     done = train(config, triples, 4, 2)
     model = new_model(config, 4, 2)
-    head, relation, tail = torch.from_numpy(
-        np.concatenate([triples, reciprocal(triples, 2)])
-    ).T
+    head, relation, tail = torch.from_numpy(both_ways(triples, 2)).T
     loss = torch.nn.functional.cross_entropy(model(head, relation), tail)
     (loss + 0.2 * model.penalty(head, relation, tail)).backward()
     torch.optim.Adam(model.parameters(), lr=model.learning_rate).step()

@@ -270,6 +270,10 @@ class KnowledgeGraph:
         """Return those rows whose triples are as probable as not, (k,)."""
         return rows[self.probabilities(rows) >= SURE]
 
+    def linking(self, rows: Ids, relations: Sequence[int]) -> Ids:
+        """Return those rows whose triples have one of some relations and are believed, (k,)."""
+        return self.believed(rows[np.isin(self.relations[rows], relations)])
+
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
         """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
         subgraph = copy.copy(self)

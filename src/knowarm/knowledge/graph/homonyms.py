@@ -106,9 +106,10 @@ def is_class(graph: KnowledgeGraph, entity: int) -> bool:
         return False
     if np.isin(graph.relations[graph.in_rows(entity)], kinds).any():
         return True
+    if len(_tails(graph, entity, graph.subclass_relations)):
+        return True
     types = graph.names.at(_tails(graph, entity, graph.type_relations))
-    is_subclass = len(_tails(graph, entity, graph.subclass_relations)) > 0
-    return is_subclass or "Class" in map(local_name, types)
+    return "Class" in map(local_name, types)
 
 
 def is_deed(graph: KnowledgeGraph, entity: int) -> bool:
@@ -133,11 +134,7 @@ def types_of(graph: KnowledgeGraph, entity: int) -> list[int]:
 
 def _tails(graph: KnowledgeGraph, entity: int, relations: list[int]) -> Ids:
     """Return what some relations lead to from an entity, (k,)."""
-    if not relations:
-        return np.empty(0, np.int32)
-    rows = graph.out_rows(entity)
-    rows = rows[np.isin(graph.relations[rows], relations)]
-    return graph.tails[graph.believed(rows)]
+    return graph.tails[graph.linking(graph.out_rows(entity), relations)]
 
 
 def _object(graph: KnowledgeGraph, name: str) -> int | None:
@@ -173,13 +170,8 @@ def _best(
         facts = len(graph.out_rows(entity))
         merits[entity] = (not is_deed(graph, entity), is_class(graph, entity), facts)
     most = max(merits.values())
-    best = []
-    others = []
-    for entity, (_, *merit) in merits.items():
-        if merits[entity] == most:
-            best.append(entity)
-        elif any(merit):
-            others.append(entity)
+    best = [entity for entity in same if merits[entity] == most]
+    others = [e for e in same if merits[e] != most and any(merits[e][1:])]
     return best, others
 
 

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import (
     best_described,
@@ -161,12 +159,13 @@ def values_of(
 
 def _subclasses(graph: KnowledgeGraph, entity: int) -> set[int]:
     """Return a class and all below it."""
-    classes = {entity}
-    waiting = [entity]
-    for kind in waiting:
-        new = set(_heads(graph, kind, graph.subclass_relations)) - classes
+    classes = set[int]()
+    new = {entity}
+    while new:
         classes |= new
-        waiting += sorted(new)
+        for kind in tuple(new):
+            new.update(_heads(graph, kind, graph.subclass_relations))
+        new -= classes
     return classes
 
 
@@ -181,11 +180,7 @@ def _typed(graph: KnowledgeGraph, kind: int) -> list[int]:
 
 def _heads(graph: KnowledgeGraph, tail: int, relations: list[int]) -> list[int]:
     """Return the heads of the triples that lead to a tail by one of some relations."""
-    if not relations:
-        return []
-    rows = graph.in_rows(tail)
-    rows = rows[np.isin(graph.relations[rows], relations)]
-    return graph.heads[graph.believed(rows)].tolist()
+    return graph.heads[graph.linking(graph.in_rows(tail), relations)].tolist()
 
 
 def _has_facts(graph: KnowledgeGraph, entities: Iterable[int]) -> bool:

@@ -36,7 +36,7 @@ class GraphStatistics(NamedTuple):
     """Triples per relation, most frequent first."""
     cycles: tuple[_Cycle, ...]
     """(relation, entities) that reach each other along one relation: a mistake in a hierarchy."""
-    same_labels: dict[str, tuple[str, ...]]
+    same_labels: dict[str, list[str]]
     """Entities that share a label, by label."""
 
 
@@ -53,10 +53,7 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     if graph.labels:
         for name in graph.entities:
             names_by_label[label_of(name, graph.labels)].append(local_name(name))
-    shared = dict[str, tuple[str, ...]]()
-    for label, names in sorted(names_by_label.items()):
-        if len(names) > 1 and len(shared) < MOST:
-            shared[label] = tuple(names)
+    shared = sorted(item for item in names_by_label.items() if len(item[1]) > 1)
     names_by_count = graph.relation_names.at(relations[by_count])
     return GraphStatistics(
         triples=len(graph),
@@ -71,7 +68,7 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
         ),
         by_relation=dict(zip(names_by_count, counts[by_count].tolist(), strict=True)),
         cycles=_cycles(graph),
-        same_labels=shared,
+        same_labels=dict(shared[:MOST]),
     )
 
 

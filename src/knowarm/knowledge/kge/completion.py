@@ -1,14 +1,14 @@
 """Completion of a graph by link prediction: likely triples about some objects are added."""
 
 from collections.abc import Collection
-from itertools import product
+from itertools import filterfalse, product
 
 import numpy as np
 import torch
 
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import hold_out, train
+from knowarm.knowledge.kge.train import both_ways, hold_out, train
 
 HELD_OUT = 0.2
 """Share of the triples that decide which score is high enough."""
@@ -33,28 +33,22 @@ def completed(
         UserError: an unknown model, or too few triples to hold any out.
     """
     kept, held_out = hold_out(graph, HELD_OUT, seed)
-    num_relations = len(graph.relation_names)
+    relations = len(graph.relation_names)
     config = KgeConfig(model=model, seed=seed)
     with torch.enable_grad():  # whatever the caller measures
-        trained = train(
-            config, kept, len(graph.names), num_relations, valid=held_out
-        ).model
+        fitted = train(config, kept, len(graph.names), relations, valid=held_out)
     ids = sorted(map(graph.entity_id, objects))
     about = np.isin(graph.heads, ids)
     pairs = np.unique(graph.triples[about, 1:], axis=0)
+    possible = [(head, *pair) for head, pair in product(ids, pairs.tolist())]
     trained_on = set(map(tuple, kept.tolist()))
-    candidates = list[tuple[int, ...]]()
-    for head, pair in product(ids, pairs.tolist()):
-        if (head, *pair) not in trained_on:
-            candidates.append((head, *pair))
+    candidates = list(filterfalse(trained_on.__contains__, possible))
     if not candidates:
         return graph
-    heads, relations, tails = torch.tensor(candidates).T
+    candidate = torch.from_numpy(both_ways(np.array(candidates), relations))
     with torch.no_grad():
-        all_tails = trained(heads, relations)
-        all_heads = trained(tails, relations + num_relations)
-    as_tails = all_tails.gather(1, tails[:, None])
-    as_heads = all_heads.gather(1, heads[:, None])
+        scores = fitted.model(candidate[:, 0], candidate[:, 1])
+    as_tails, as_heads = scores.gather(1, candidate[:, 2:]).chunk(2)
     order = (-(as_tails + as_heads)[:, 0]).argsort(stable=True).numpy()
     held = set(map(tuple, held_out.tolist()))
     hits = np.cumsum([candidates[index] in held for index in order])

@@ -53,24 +53,12 @@ def filtered_ranks(model: KgeModel, triples: Ids, known: Ids) -> Ids:
         The ranks of the tails of all triples, then of the heads, (2 n,) float64.
     """
     model.eval()
-    tails = _tail_ranks(model, triples, known)
-    inverse = reciprocal(triples, model.relations)
-    heads = _tail_ranks(model, inverse, reciprocal(known, model.relations))
-    return np.concatenate([tails, heads])
-
-
-def reciprocal(triples: Ids, relations: int) -> Ids:
-    """Return (t, r + R, h) for each (h, r, t), (n, 3) int64."""
-    head, relation, tail = triples.T
-    return np.stack([tail, relation + relations, head], axis=1)
-
-
-def _tail_ranks(model: KgeModel, triples: Ids, known: Ids) -> Ids:
     answers: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for h, r, t in known.tolist():
+    for h, r, t in both_ways(known, model.relations).tolist():
         answers[h, r].append(t)
     ranks = [np.empty(0)]
-    for batch in torch.from_numpy(triples).split(RANKED_AT_ONCE):
+    asked = torch.from_numpy(both_ways(triples, model.relations))
+    for batch in asked.split(RANKED_AT_ONCE):
         head, relation, tail = batch.T
         scores = model(head, relation)
         if not torch.isfinite(scores).all():
@@ -82,6 +70,13 @@ def _tail_ranks(model: KgeModel, triples: Ids, known: Ids) -> Ids:
         equal = (scores == true).sum(dim=1)  # the true one itself was filtered too
         ranks.append((1.0 + higher + equal / 2.0).double().numpy())
     return np.concatenate(ranks)
+
+
+def both_ways(triples: Ids, relations: int) -> Ids:
+    """Return triples (n, 3), then (t, r + R, h) for each (h, r, t) of them, (2 n, 3) int64."""
+    head, relation, tail = triples.T
+    inverse = np.stack([tail, relation + relations, head], axis=1)
+    return np.concatenate([triples, inverse])
 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
@@ -132,10 +127,9 @@ def train(
         optimizer = torch.optim.Adam(model.parameters(), lr=rate)
         order = Generator().manual_seed(config.seed + 1)
         negatives = Generator().manual_seed(config.seed + 2)
-        queries = _Queries.of(np.concatenate([triples, reciprocal(triples, relations)]))
+        queries = _Queries.of(both_ways(triples, relations))
         losses: list[float] = []
         evaluations: list[tuple[int, float]] = []
-        best_mrr = -1.0
         best_epoch = 0
         best_state = deepcopy(model.state_dict())
         for epoch in range(1, config.epochs + 1):
@@ -157,11 +151,10 @@ def train(
                 best_epoch = epoch
             elif epoch % config.evaluate_every == 0 or epoch == config.epochs:
                 mrr = float((1.0 / filtered_ranks(model, valid, known)).mean())
-                evaluations.append((epoch, mrr))
-                if mrr > best_mrr:
-                    best_mrr = mrr
+                if mrr > max(dict(evaluations).values(), default=-1):
                     best_epoch = epoch
                     best_state = deepcopy(model.state_dict())
+                evaluations.append((epoch, mrr))
             if on_epoch is not None:
                 on_epoch(epoch, losses[-1], mrr)
             if epoch - best_epoch >= config.patience * config.evaluate_every:

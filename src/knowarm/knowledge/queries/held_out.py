@@ -65,11 +65,10 @@ class HeldOutQuestions:
 
     def hold_instances(self, rng: Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
-        by_kind: dict[str, list[str]] = defaultdict(list)
-        for name in sorted(self._instances() - self.objects):
-            by_kind[kind_of(name)].append(name)
+        shown = sorted(self._instances() - self.objects)
         held: _ObjectNames = set()
-        for _, names in sorted(by_kind.items()):
+        for kind in sorted(set(map(kind_of, shown))):
+            names = [name for name in shown if kind_of(name) == kind]
             count = round(SHARES["S3a"] * len(names))
             held.update(rng.permutation(names)[:count].tolist())
         if len(set(map(kind_of, held))) <= per_episode:
@@ -185,8 +184,7 @@ class HeldOutQuestions:
 
     def _holders_of(self, values: Collection[str]) -> list[_ObjectNames]:
         """Return the objects of each fact with one of the values."""
-        facts = (fact for fact in self.facts if fact.value in values)
-        return [set(self.holders[fact]) for fact in facts]
+        return [set(self.holders[fact]) for fact in self.facts if fact.value in values]
 
     def _with_values(self, values: Collection[str]) -> _ObjectNames:
         """Return the objects that some of the values belong to."""
@@ -226,17 +224,16 @@ class HeldOutQuestions:
     def _left_out(self, queries: Sequence[Query]) -> tuple[Mask, Mask, Mask]:
         """Return what training leaves out: objects (1, O), values (Q, 1) and pairs (Q, O)."""
         objects = np.isin(self.asked.objects, list(self.objects))
-        rows = defaultdict[Condition, Mask](lambda: np.zeros(len(objects), bool))
+        columns = defaultdict[Condition, list[int]](list)
         for condition, name in self.pairs:
-            rows[condition][self._numbers[name]] = True
-        values = np.zeros(len(queries), bool)
+            columns[condition].append(self._numbers[name])
+        values = np.zeros((len(queries), 1), bool)
         pairs = np.zeros((len(queries), len(objects)), bool)
         for number, query in enumerate(queries):
             for condition in query.conditions:
                 values[number] |= condition.value in self.values
-                if condition in rows:
-                    pairs[number] |= rows[condition]
-        return objects[None], values[:, None], pairs
+                pairs[number, columns.get(condition, [])] = True
+        return objects[None], values, pairs
 
     def in_training(self, queries: Sequence[Query]) -> Mask:
         """Return whether training may ask each query for each object, (Q, O)."""
@@ -277,12 +274,11 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
     wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))
     swapped = dict[Condition, Condition]()  # both of each pair, by the other one
     for first, second in combinations(order, 2):
+        is_alike = first.relation == second.relation
         is_disjoint = set(held.holders[first]).isdisjoint(held.holders[second])
         is_free = swapped.keys().isdisjoint((first, second))
-        fits = first.relation == second.relation and is_disjoint and is_free
-        if fits and len(swapped) < 2 * wanted:
-            swapped[first] = second
-            swapped[second] = first
+        if is_alike and is_disjoint and is_free and len(swapped) < 2 * wanted:
+            swapped.update({first: second, second: first})
     if not swapped:
         raise UserError(
             "no two values of one relation belong to different objects, so none can be swapped. "

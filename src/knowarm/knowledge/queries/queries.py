@@ -35,21 +35,19 @@ Pairs = Literal["none", "colour", "all"]
 
 def parse_query(text: str) -> Query:
     """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
-    parts: list[str] = []
-    for part in text.split(AND):
-        if parts and " " not in part.strip():  # a value with an "and"
-            parts[-1] += AND + part
-        else:
-            parts.append(part)
     conditions = list[tuple[str, str]]()
-    for part in parts:
+    for part in text.split(AND):
         relation, _, value = part.strip().partition(" ")
-        if not value:
+        if value:
+            conditions.append((relation, value.strip()))
+        elif conditions:  # a value with an "and"
+            relation, value = conditions.pop()
+            conditions.append((relation, value + AND + part.strip()))
+        else:
             raise UserError(
                 f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', or two "
                 f"of these joined by 'and'; got {relation!r}."
             )
-        conditions.append((relation, value.strip()))
     return Query.of(*conditions)
 
 
@@ -196,12 +194,13 @@ class QueryGraph:
         """Return the probability that relations lead from each object to a value, (n,)."""
         graph = self.graph
         has_relation = np.isin(graph.relations, relations)
-        is_stated = has_relation & np.isin(graph.tails, values)
-        triples = graph.rows(np.flatnonzero(is_stated))
+        rows = np.flatnonzero(has_relation & np.isin(graph.tails, values))
         if not graph.confidence:
-            return np.isin(self._ids, triples.heads).astype(float)
+            return np.isin(self._ids, graph.heads[rows]).astype(float)
         # Probability that no triple about an object holds
         wrong = np.ones(len(self._ids))
-        for head, triple in zip(triples.heads, triples, strict=True):
-            wrong[self._ids == head] *= 1 - graph.confidence.get(triple, 1)
+        for head, share in zip(
+            graph.heads[rows], graph.probabilities(rows), strict=True
+        ):
+            wrong[self._ids == head] *= 1 - share
         return 1 - wrong

@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED, shipped_graph
-from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.vectors.source import (
     Coverage,
@@ -69,11 +70,8 @@ class EntityLookup:
         self.entities = entities
         self.relations = relations
         ends = np.concatenate([graph.heads, graph.tails])
-        self.entity_shares = np.bincount(ends, minlength=len(entities)) / max(
-            len(ends), 1
-        )
-        uses = np.bincount(graph.relations, minlength=len(relations))
-        self.relation_shares = uses / max(len(graph), 1)
+        self.entity_shares = _shares(ends, len(entities))
+        self.relation_shares = _shares(graph.relations, len(relations))
 
     def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return the vector of an entity or relation; its frequency is its share of triples."""
@@ -83,6 +81,11 @@ class EntityLookup:
             return Found(self.relations[row], self.relation_shares[row])
         row = [self.graph.entity_id(part.name)]
         return Found(self.entities[row], self.entity_shares[row])
+
+
+def _shares(ids: Ids, size: int) -> Floats:
+    """Return how often each id below a size occurs, as a share of all, (size,)."""
+    return np.bincount(ids, minlength=size) / max(len(ids), 1)
 
 
 def embed_graph(
@@ -103,11 +106,11 @@ def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
     """Read the vectors of a model that `kge.train.save_model` wrote."""
     from knowarm.knowledge.kge.train import load_model  # torch takes a second to import
 
-    stored = load_model(path)
-    entities = _rows(path, "entity", stored.entities, graph.names)
-    relations = _rows(path, "relation", stored.relations, graph.relation_names)
-    entity_vectors = stored.model.entity.detach().numpy()[entities]
-    relation_vectors = stored.model.relation.detach().numpy()[relations]
+    _, model, entities, relations = load_model(path)
+    entity_rows = _rows(path, "entity", entities, graph.names)
+    relation_rows = _rows(path, "relation", relations, graph.relation_names)
+    entity_vectors = model.entity.detach().numpy()[entity_rows]
+    relation_vectors = model.relation.detach().numpy()[relation_rows]
     return EntityLookup(path.name, graph, entity_vectors, relation_vectors)
 
 
