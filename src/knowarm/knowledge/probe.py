@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -130,10 +131,8 @@ def _population(
     if len(rows) > MOST_OTHERS:
         rng = np.random.default_rng(config.seed)
         rows = rng.choice(rows, MOST_OTHERS, replace=False)
-    population = list(facets)
-    for head, _, tail in graph.rows(np.sort(rows)):
-        population.append((head, tail))
-    return population
+    others = graph.rows(np.sort(rows))
+    return [*facets, *map(itemgetter(0, 2), others)]
 
 
 def _predict(vectors: Vectors, targets: Vectors, held: Mask) -> Vectors:
@@ -142,9 +141,9 @@ def _predict(vectors: Vectors, targets: Vectors, held: Mask) -> Vectors:
     mean = vectors[train].mean(axis=0)
     centre = targets[train].mean(axis=0)
     x = vectors[train] - mean
-    y = targets[train] - centre
     gram = x @ x.T + RIDGE * np.eye(len(x))
-    return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
+    weights = np.linalg.solve(gram, targets[train] - centre)
+    return (vectors[held] - mean) @ x.T @ weights + centre
 
 
 def _leave_out(
@@ -156,16 +155,14 @@ def _leave_out(
         The shares of the true values that are predicted, and those that are guessed by how
         frequent values are; NaN where no value was predicted, (S,).
     """
-    shares = np.full(len(groups), np.nan)
-    guess = shares.copy()
+    shares = np.full((2, len(groups)), np.nan)
     for group in np.unique(groups[asked]):
         held = groups == group
         frequent = true[~held].mean(axis=0)
         predicted = _predict(vectors, true, held)
-        for row, score in zip(np.flatnonzero(held), predicted, strict=True):
-            shares[row] = _share_found(score, true[row])
-            guess[row] = _share_found(frequent, true[row])
-    return shares, guess
+        for row, scores in zip(np.flatnonzero(held), predicted, strict=True):
+            shares[:, row] = [_share_found(s, true[row]) for s in (scores, frequent)]
+    return shares[0], shares[1]
 
 
 def _scores(shares: Vectors, guess: Vectors, in_task: Mask) -> Scores:

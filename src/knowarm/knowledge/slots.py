@@ -119,8 +119,8 @@ def slots_of(
 def _labels_of_slot(parts: Sentence, name: str | None) -> SlotLabels:
     """Return the labels of a sentence, with the value of this name apart, if there is one."""
     rest = [part for part in parts if part.name != name]
-    values = [part for part in parts if part.name == name]
-    return SlotLabels(parts, values[0] if values else None, rest)
+    values = (part for part in parts if part.name == name)
+    return SlotLabels(parts, next(values, None), rest)
 
 
 def _condition_parts(
@@ -158,10 +158,8 @@ def graph_facets(
 
     An object without a colour gets the pair (object, ""), which only detail "partial" accepts.
     """
-    relation = graph.relation_names.find(colour_relation)
-    relations = graph.relation_names.find_local(colour_relation)
-    if relation is not None:
-        relations = [relation]
+    names = graph.relation_names
+    relations = names.find_all([colour_relation]) or names.find_local(colour_relation)
     pairs = list[tuple[str, str]]()
     for name in objects:
         rows = graph.out_rows(object_id(graph, name))
@@ -321,16 +319,12 @@ def scene_subgraph(
 ) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
     graph, by_name = _subgraphs(config, facets, run_seed)
-    triples = [np.empty((0, 3), np.int64)]
-    nodes = [np.empty(0, np.int32)]
-    for subgraph in by_name.values():
-        triples.append(subgraph.triples)
-        nodes.append(subgraph.nodes)
+    subgraphs = [graph.rows(np.empty(0, np.int64)), *by_name.values()]
     return KnowledgeGraph(
         graph.names,
         graph.relation_names,
-        np.concatenate(triples),
-        nodes=np.concatenate(nodes),
+        np.concatenate([subgraph.triples for subgraph in subgraphs]),
+        nodes=np.concatenate([subgraph.nodes for subgraph in subgraphs]),
         labels=graph.labels,
     )
 

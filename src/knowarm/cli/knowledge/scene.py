@@ -126,9 +126,8 @@ class ProbeCommand(SceneOptions):
         print_table(title, columns, rows)
         if separation.recovered:
             columns = ["target", "the task's", "all objects'", "by guessing"]
-            shares = []
-            for name, share in separation.recovered.items():
-                shares.append([name, share["task"], share["all"], share["guess"]])
+            recovered = separation.recovered.items()
+            shares = [[name, *share.values()] for name, share in recovered]
             print_table("Share recovered by a linear probe", columns, shares)
         elif not config.source.placebo:
             print(

@@ -159,13 +159,12 @@ class _Maker:
         self.asked = asked
         self.pairs = pairs
         self.objects = objects
-        self.owner = asked.owner
         self.queries = asked.queries(pairs)
         self.satisfies = asked.answers(self.queries)
         holders = dict[Condition, list[str]]()
         for query, row in zip(self.queries, self.satisfies, strict=True):
             if len(query.conditions) == 1:
-                names = {asked.objects[number] for number in self.owner[row]}
+                names = {asked.objects[number] for number in asked.owner[row]}
                 holders[query.conditions[0]] = sorted(names)
         self.held = HeldOutQuestions(asked, holders)
 
@@ -185,14 +184,14 @@ class _Maker:
         satisfies = self.satisfies
         shown = self.asked.possible()
         if show is None:
-            shown &= ~self._of(self.held.objects)
-        else:
-            shown &= self._of(show)
+            show = set(self.asked.objects) - self.held.objects
+        shown &= self._of(show)
         related = self.related
-        allowed = satisfies & rule(self.queries)[:, self.owner]
+        owner = self.asked.owner
+        allowed = satisfies & rule(self.queries)[:, owner]
         while True:
             askable = with_distractors(
-                allowed & shown, satisfies, related, shown, self.owner, self.objects
+                allowed & shown, satisfies, related, shown, owner, self.objects
             )
             targets = shown & askable.any(0)
             if (targets == shown).all():
@@ -215,7 +214,8 @@ class _Maker:
         satisfies = other.answers(queries)
         before = self.asked.answers(queries)
         shown = other.possible() & ~self._of(self.held.objects)
-        in_training = self.held.in_training(queries)[:, self.owner]
+        owner = self.asked.owner
+        in_training = self.held.in_training(queries)[:, owner]
         new = satisfies & ~before & in_training & shown
         if not new.any():
             raise UserError(
@@ -225,7 +225,7 @@ class _Maker:
         single = np.array([len(query.conditions) == 1 for query in queries])
         related = _related(np.concatenate([satisfies[single], before[single]]))
         askable = with_distractors(
-            new, satisfies, related, shown, self.owner, self.objects
+            new, satisfies, related, shown, owner, self.objects
         )
         kept = np.any(satisfies, axis=1)
         kept_queries = list(compress(queries, kept))
@@ -234,7 +234,7 @@ class _Maker:
     def _of(self, names: Collection[str]) -> Mask:
         """Return which facets are those of some objects, (F,) bool."""
         numbers = map(self.asked.objects.index, names)
-        return np.isin(self.owner, list(numbers))
+        return np.isin(self.asked.owner, list(numbers))
 
     def _table(
         self,

@@ -65,18 +65,16 @@ def _source_of_kind(cls: type[VectorSource], kind: str, value: str) -> VectorSou
     if issubclass(cls, Placebo):
         return cls(matches=source_named(value)) if value else cls()
     names = [field.name for field in fields(cls) if field.name != "kind"]
+    if value and not names:
+        raise UserError(
+            f"The source {kind!r} takes no value, got {f'{kind}:{value}'!r}. Give {kind!r}."
+        )
     try:
-        if not value:
-            return cls()
-        if names:
-            return cls(**{names[0]: value})
+        return cls(**{names[0]: value}) if value else cls()
     except TypeError as error:
         raise UserError(
             f"{kind!r} needs a value for {names[0]}: {kind}:{names[0]}."
         ) from error
-    raise UserError(
-        f"The source {kind!r} takes no value, got {f'{kind}:{value}'!r}. Give {kind!r}."
-    )
 
 
 __all__ = ["SOURCES", "VectorSource", "source_named"]

@@ -178,9 +178,7 @@ class WrongObject(DrawnPlacebo):
             )
         rng = np.random.default_rng(seed)
         drawn = rng.choice(others, len(task_objects), replace=False)
-        wrong = dict(
-            zip(task_objects, map(graph.names.__getitem__, drawn), strict=True)
-        )
+        wrong = dict(zip(task_objects, graph.names.at(drawn), strict=True))
         return _number_colours(
             [facet._replace(object=wrong[facet.object]) for facet in facets]
         )
