@@ -4,7 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import cycle
+from itertools import chain, cycle
 from operator import attrgetter
 
 import numpy as np
@@ -146,36 +146,28 @@ def _columns(graph: KnowledgeGraph, beside: _Neighbours, roots: list[int]) -> _B
     if not roots:
         roots = np.unique(graph.heads).tolist()
     boxes = _Boxes()
-    colours = zip(dict.fromkeys(roots), cycle(COLOURS), strict=False)
-    _add_columns(graph, beside, boxes, dict(colours))
-    for node in graph.nodes.tolist():  # the components without a root
-        if node not in boxes:
-            _add_columns(graph, beside, boxes, {node: GREY})
-    return boxes
-
-
-def _add_columns(
-    graph: KnowledgeGraph, beside: _Neighbours, boxes: _Boxes, roots: dict[int, str]
-) -> None:
-    """Add the boxes of roots with their colours, and of all that can be reached from these."""
 
     def add(entity: int, column: int, group: str, colour: str) -> None:
-        text = label_of(graph.names[entity], graph.labels)
-        boxes[entity] = _Box(text, column, group, colour)
+        if entity not in boxes:
+            text = label_of(graph.names[entity], graph.labels)
+            boxes[entity] = _Box(text, column, group, colour)
+            reached.append(entity)
 
-    for root, colour in roots.items():
-        add(root, 0, "", colour)
-    frontier = list(roots)
-    column = 0
-    while frontier:
-        column += 1
+    colours = dict(zip(dict.fromkeys(roots), cycle(COLOURS), strict=False))
+    unreached = ({node: GREY} for node in graph.nodes.tolist())
+    for starts in chain([colours], unreached):  # last the components without a root
         reached = list[int]()
-        for entity in frontier:
-            for words, other in beside[entity]:
-                if other not in boxes:
+        for root, colour in starts.items():
+            add(root, 0, "", colour)
+        column = 0
+        while reached:
+            column += 1
+            frontier = sorted(reached) if column > 1 else reached
+            reached = []
+            for entity in frontier:
+                for words, other in beside[entity]:
                     add(other, column, words, boxes[entity].colour)
-                    reached.append(other)
-        frontier = sorted(reached)
+    return boxes
 
 
 def _headings(boxes: _Boxes, beside: _Neighbours) -> list[str]:
@@ -185,8 +177,11 @@ def _headings(boxes: _Boxes, beside: _Neighbours) -> list[str]:
         columns[box.column].append(entity)
 
     def order(entity: int) -> tuple[str, float, str]:
+        """Return group, mean height of the neighbours in earlier columns, and label."""
         box = boxes[entity]
-        return box.group, _barycentre(boxes, beside, entity), box.label
+        neighbours = [boxes[other] for _, other in beside[entity]]
+        heights = [other.y for other in neighbours if other.column < box.column]
+        return box.group, math.fsum(heights) / max(len(heights), 1), box.label
 
     headings = list[str]()
     x = 24.0
@@ -213,13 +208,6 @@ def _headings(boxes: _Boxes, beside: _Neighbours) -> list[str]:
         for number, box in enumerate(roots):
             box.y = TOP + step * (number + 0.5) - ROW / 2
     return headings
-
-
-def _barycentre(boxes: _Boxes, beside: _Neighbours, entity: int) -> float:
-    """Return the mean height of the neighbours in earlier columns."""
-    neighbours = [boxes[other] for _, other in beside[entity]]
-    heights = [box.y for box in neighbours if box.column < boxes[entity].column]
-    return math.fsum(heights) / max(len(heights), 1)
 
 
 def _edge(head: _Box, words: str, tail: _Box) -> str:

@@ -26,6 +26,7 @@ from knowarm.knowledge.slots import (
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Facet,
+    Found,
     Request,
     VectorLookup,
     Vectors,
@@ -190,12 +191,10 @@ class QueryEmbedding(Embedding):
             )
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
-            seen = [c for c in query.conditions if c.is_seen]
-            facts = [c for c in query.conditions if not c.is_seen]
-            for place, condition in enumerate(facts):
-                row[place] = slots[condition]
-            for place, condition in enumerate(seen, self.width - len(seen)):
-                row[place] = slots[condition]
+            seen = [slots[c] for c in query.conditions if c.is_seen]
+            facts = [slots[c] for c in query.conditions if not c.is_seen]
+            between = [np.zeros(self.slot_dim)] * (self.width - len(query.conditions))
+            row[:] = [*facts, *between, *seen]
         return rows.reshape(len(queries), -1)
 
 
@@ -348,14 +347,11 @@ def _vectors(
 
 def _centre(lookup: VectorLookup, parts: Sentence) -> Vectors:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
-    matrices = [np.empty((0, lookup.dim), np.float32)]
+    found = [Found(np.empty((0, lookup.dim), np.float32), np.empty(0))]
     for part in parts:
         with suppress(UserError):
-            matrices.append(lookup.find(part, Coverage()).vectors)
-    vectors = np.concatenate(matrices)
-    if not len(vectors):
-        return np.zeros(lookup.dim)
-    return vectors.mean(axis=0, dtype=np.float64)
+            found.append(lookup.find(part, Coverage()))
+    return pool(found, "mean", 0)
 
 
 def _unit(vector: Vectors) -> Vectors:

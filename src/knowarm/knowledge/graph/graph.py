@@ -72,27 +72,24 @@ class KnowledgeGraph:
         confidence: Mapping[Triple, float] | None = None,
         prefixes: Mapping[str, str] | None = None,
         missing: tuple[str, ...] = (),
-        derivations: Derivations | None = None,
     ) -> None:
         """Make a graph of ids (n, 3) int: head, relation, tail, in any order.
 
         Duplicates are merged; ``nodes`` (m,) int32 are ids of entities that may have no triple.
         """
-        order = np.lexsort((triples[:, 2], triples[:, 1], triples[:, 0]))
-        triples = triples[order].astype(np.int32, copy=False)
-        if len(triples):
-            is_new = np.ones(len(triples), bool)
-            np.any(triples[1:] != triples[:-1], axis=1, out=is_new[1:])
-            triples = triples[is_new]
+        heads, relations, tails = triples.T.astype(np.int64)
+        keys = (heads * len(relation_names) + relations) * len(names) + tails
+        _, rows = np.unique(keys, return_index=True)
+        columns = np.ascontiguousarray(triples[rows].T.astype(np.int32))
         self.names = names
         self.relation_names = relation_names
-        self.heads, self.relations, self.tails = np.ascontiguousarray(triples.T)
+        self.heads, self.relations, self.tails = columns
         self._alone = nodes
         self.labels: Mapping[str, str] = labels or {}
         self.confidence: Mapping[Triple, float] = confidence or {}
         self.prefixes: Mapping[str, str] = prefixes or {}
         self.missing = missing
-        self.derivations = derivations
+        self.derivations: Derivations | None = None
         self.entity_spellings = Spellings(names, self.labels)
         self.relation_spellings = Spellings(relation_names, self.labels)
 
@@ -322,11 +319,8 @@ class KnowledgeGraph:
 
     def values(self, name: str) -> list[int]:
         """Return the ids of what a value names: an entity, and all literals of this text."""
-        ids = list(filter(self.has_node, self.names.find_literals(name)))
-        entity = self.find_entity(name)
-        if entity is not None and entity not in ids:
-            ids.insert(0, entity)
-        return ids
+        ids = dict.fromkeys([self.find_entity(name), *self.names.find_literals(name)])
+        return [i for i in ids if i is not None and self.has_node(i)]
 
     def alike(self, name: str) -> list[int]:
         """Return the ids of all entities and literals that a name may stand for."""
@@ -397,14 +391,16 @@ def gamma(
     allowed = None
     if relations is not None:
         allowed = list(map(graph.relation_id, relations))
-
-    def around(edges_of: Callable[[int], Ids], ends: Ids) -> list[Ids]:
-        """Return the rows of the edges in one direction that are at most `hops` away."""
-        rows = [np.empty(0, np.int64)]
+    # The edges of an entity, and what is at their other ends
+    sides = list[tuple[Callable[[int], Ids], Ids]]()
+    if direction != "in":
+        sides.append((graph.out_rows, graph.tails))
+    if direction != "out":
+        sides.append((graph.in_rows, graph.heads))
+    rows = [np.empty(0, np.int64)]
+    for edges_of, ends in sides:
         seen = frontier = start
         for hop in range(hops):
-            if not len(frontier):
-                break
             reached = [_NO_NODES]
             for entity in frontier:
                 edges = edges_of(entity)
@@ -416,11 +412,4 @@ def gamma(
                 reached.append(ends[edges])
             frontier = np.setdiff1d(np.concatenate(reached), seen)
             seen = np.union1d(seen, frontier)
-        return rows
-
-    rows = list[Ids]()
-    if direction != "in":
-        rows += around(graph.out_rows, graph.tails)
-    if direction != "out":
-        rows += around(graph.in_rows, graph.heads)
     return graph.rows(np.unique(np.concatenate(rows)), nodes=start)

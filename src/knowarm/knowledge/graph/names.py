@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import chain, compress
 from typing import SupportsIndex
 
 import numpy as np
@@ -171,10 +172,7 @@ class Spellings:
         Raises:
             AmbiguousNameError: several ids that count are found alike.
         """
-        exact = self.names.find(name)
-        if exact is not None and counts(exact):
-            return exact
-        for candidates in self.alike(name):
+        for candidates in chain([self.names.find_all([name])], self.alike(name)):
             ids = list(filter(counts, candidates))
             if len(ids) > 1:
                 raise several(name, kind, self.names.at(ids))
@@ -189,17 +187,12 @@ class Spellings:
         as its name, last part or label, they have one spelling in common, such as the plural.
         """
         by_local, by_label, alike = self.alike(name)
-        ids = {*by_local, *by_label}
-        exact = self.names.find(name)
-        if exact is not None:
-            ids.add(exact)
+        ids = {*by_local, *by_label, *self.names.find_all([name])}
         if any(map(counts, ids)):
             letters = letters_of(local_name(name))
-            for index in alike:
-                if letters_of(local_name(self.names[index])) == letters:
-                    ids.add(index)
-        else:
-            ids.update(alike)
+            locals_ = map(local_name, self.names.at(alike))
+            alike = list(compress(alike, (letters_of(n) == letters for n in locals_)))
+        ids.update(alike)
         return sorted(filter(counts, ids))
 
     def near(self, name: str) -> list[str]:
@@ -232,8 +225,7 @@ class Spellings:
         """The label by id."""
         labels = {}
         for name, label in self.labels.items():
-            index = self.names.find(name)
-            if index is not None:
+            for index in self.names.find_all([name]):
                 labels[index] = label
         return labels
 

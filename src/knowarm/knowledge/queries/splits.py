@@ -102,12 +102,14 @@ def query_splits(
     maker = _Maker(asked, pairs, objects)
     held = maker.held
     reasons = dict.fromkeys(HELD_OUT, NOT_NAMED)
+    drawn = list[str]()
     for name, (number, hold) in DRAWN.items():
         rng = np.random.default_rng(seed_sequence(seed, "splits", number))
         try:
             if name in hold_out:
                 report(f"What {name} holds out ...")
                 hold(held, rng, objects)
+                drawn.append(name)
         except UserError as error:
             reasons[name] = str(error)
     report(f"Questions of training, out of {len(maker.queries):,} queries ...")
@@ -119,16 +121,12 @@ def query_splits(
             "objects per episode, or hold out less."
         )
     tables: dict[str, QuestionTable | None] = {"S1": train}
-    if held.pairs:
-        report("Questions of S2 ...")
-        tables["S2"] = maker.table(held.is_new_pair)
-    for name in NEW_OBJECTS:
-        if name in held.new:
+    rules = {"S2": held.is_new_pair, **dict.fromkeys(NEW_OBJECTS, held.is_new_object)}
+    rules["S4"] = held.is_new_value
+    for name, rule in rules.items():
+        if name in drawn:
             report(f"Questions of {name} ...")
-            tables[name] = maker.table(held.is_new_object, show=held.new[name])
-    if held.values:
-        report("Questions of S4 ...")
-        tables["S4"] = maker.table(held.is_new_value)
+            tables[name] = maker.table(rule, show=held.new.get(name))
     report("Questions of S5 ...")
     try:
         if edited is None:
@@ -224,17 +222,14 @@ class _Maker:
             )
         single = np.array([len(query.conditions) == 1 for query in queries])
         related = _related(np.concatenate([satisfies[single], before[single]]))
-        askable = with_distractors(
-            new, satisfies, related, shown, owner, self.objects
-        )
+        askable = with_distractors(new, satisfies, related, shown, owner, self.objects)
         kept = np.any(satisfies, axis=1)
         kept_queries = list(compress(queries, kept))
         return self._table(kept_queries, satisfies[kept], askable[kept], related, shown)
 
     def _of(self, names: Collection[str]) -> Mask:
         """Return which facets are those of some objects, (F,) bool."""
-        numbers = map(self.asked.objects.index, names)
-        return np.isin(self.asked.owner, list(numbers))
+        return np.isin(self.asked.objects, list(names))[self.asked.owner]
 
     def _table(
         self,

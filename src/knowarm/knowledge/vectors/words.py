@@ -189,13 +189,9 @@ def _parse(numbers: list[bytes]) -> Vectors:
 
 def _median_length(lines: list[bytes], dim: int) -> float:
     """Return the median length of the vectors of some lines; 1 if none of them holds one."""
-    lengths = list[float]()
-    for line in lines:
-        numbers = line.rstrip(b" ").rsplit(b" ", dim)[1:]
-        length = float(np.linalg.norm(_parse(numbers)))
-        if math.isfinite(length):
-            lengths.append(length)
-    return float(np.median(lengths or [1.0]))
+    numbers = (line.rstrip(b" ").rsplit(b" ", dim)[1:] for line in lines)
+    lengths = map(float, map(np.linalg.norm, map(_parse, numbers)))
+    return float(np.median(list(filter(math.isfinite, lengths)) or [1.0]))
 
 
 def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
@@ -316,18 +312,13 @@ class WordLookup:
         missing = list[str]()
         kind = "words"
         for word in words:
-            if word in self.words.index:
-                rows += self._known([word])
-                continue
+            itself = self._known([word])
             aliases = self._known(self.aliases.get(word, ()))
             forms = self._known(word_forms(word))
-            if aliases:
-                kind = "alias"
-                rows += aliases
-            elif forms:
-                kind = "form"
-                rows.append(forms[0])
-            else:
+            rows += itself or aliases or forms[:1]
+            if not itself:
+                kind = "alias" if aliases else "form"
+            if not (itself or aliases or forms):
                 missing.append(word)
         if missing:
             kind = "part" if rows else "missing"
@@ -340,15 +331,15 @@ class WordLookup:
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
-        vectors = list[Vectors]()
-        for word in label.split():
+        words = label.split()
+        vectors = np.empty((len(words), self.dim), np.float32)
+        for row, word in enumerate(words):
             seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
             vector = np.random.default_rng(seed).standard_normal(self.dim)
-            vectors.append(vector * (self.words.length / np.linalg.norm(vector)))
+            vectors[row] = vector * (self.words.length / np.linalg.norm(vector))
         coverage.how[label] = "hash"
-        coverage.missing.update(label.split())
-        rarest = np.full(len(vectors), 1.0 / self.words.size)
-        return Found(np.array(vectors, np.float32).reshape(-1, self.dim), rarest)
+        coverage.missing.update(words)
+        return Found(vectors, np.full(len(words), 1.0 / self.words.size))
 
 
 def joined_forms(label: str) -> list[str]:
@@ -371,10 +362,7 @@ def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
     words = [*label.split(), *other_words.get(label, ())]
     for word in tuple(words):
         words += other_words.get(word, ())
-    forms = {label, *joined_forms(label), *words}
-    for word in words:
-        forms.update(word_forms(word))
-    return forms
+    return {label, *joined_forms(label), *words, *chain(*map(word_forms, words))}
 
 
 def _word_aliases(aliases: Mapping[str, str]) -> dict[str, list[str]]:
