@@ -55,19 +55,14 @@ class ObjectOptions(GraphOptions):
 
     def facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
         """Return the objects with the colours that each can have."""
-        names = self.objects
-        if not names:
-            names = tuple(self._names(graph))
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets: list[tuple[str, str]] = []
-        for name in names:
+        for name in self.objects or self._names(graph):
             colours = self.colours
             if name in TARGETS:
                 colours = tuple(TARGETS[name].colours)
-            elif states_colours:
-                stated = _colours_in(graph, name)
-                if stated[0]:
-                    colours = stated
+            elif states_colours and any(_colours_in(graph, name)):
+                colours = _colours_in(graph, name)
             facets += product([name], colours)
         return facets
 

@@ -153,8 +153,7 @@ def _print_conditions(query_graph: QueryGraph, query_count: int) -> Names:
     conditions = {}
     rows = []
     for query, is_answer in zip(queries, query_graph.answers(queries), strict=True):
-        facets = dict(compress(query_graph.facets, is_answer))
-        names = list(facets)
+        names = list(dict(compress(query_graph.facets, is_answer)))
         conditions[query.name] = names
         is_all = len(names) == len(query_graph.objects)
         rows.append([query.name, "all" if is_all else _listed(names)])
@@ -209,10 +208,9 @@ def _print_sizes(splits: QuerySplits, conditions: Names) -> dict[str, dict[str, 
 def _held_out(query_graph: QueryGraph, splits: QuerySplits) -> Names:
     """Return what training leaves out, and what is new in the edited graph, by split."""
     held = splits.held_out
-    pairs = [f"{name}: {condition.name}" for condition, name in held.pairs]
     edits = set(splits.edited or ()) - set(query_graph.graph)
     return {
-        "S2": sorted(pairs),
+        "S2": sorted(f"{name}: {condition.name}" for condition, name in held.pairs),
         "S3": [],
         **{split: sorted(objects) for split, objects in held.new.items()},
         "S4": sorted(held.values),

@@ -86,6 +86,7 @@ class _Closure:
         for head, relation, tail in self.axioms.encoded:
             relations.add(relation)
             others.update({head: None, tail: None})
+        self._relations = len(relations)
         self.names = sorted(relations)
         self.names += filterfalse(relations.__contains__, others)
         self.ids = dict(zip(self.names, range(len(self.names)), strict=True))
@@ -182,12 +183,12 @@ class _Closure:
             self.axioms.plain.values()
         )
         relations = plain[relations]
-        ends = self._ends()
-        is_shown = self._tells()[relations] & ends[heads] & ends[tails]
+        is_end = self._is_end()
+        is_shown = self._tells()[relations] & is_end[heads] & is_end[tails]
         count = len(self.graph)
         is_shown[:count] = True
 
-        used = map(self.names.__getitem__, np.unique(relations[is_shown]))
+        used = [self.names[relation] for relation in np.unique(relations[is_shown])]
         relation_names = Names(sorted({*self.graph.relation_names, *used}))
         entity_of = self._inverse(self._of_entity)
         relation_of = self._inverse(self._numbers(relation_names))
@@ -220,20 +221,20 @@ class _Closure:
         return index
 
     def _tells(self) -> Ids:
-        """Return whether triples of each relation say something about things."""
-        tells = np.zeros(len(self.names), bool)
-        for number, name in enumerate(self.names):
-            is_own = name.startswith((FRESH, "_:", *_VOCABULARIES))
-            tells[number] = not is_own or name in _SAYS_SOMETHING
-        return tells
+        """Return whether triples of each relation say something about things, (R,) bool."""
+        own = (FRESH, "_:", *_VOCABULARIES)
+        relations = self.names[: self._relations]
+        return np.array(
+            [n in _SAYS_SOMETHING or not n.startswith(own) for n in relations]
+        )
 
-    def _ends(self) -> Ids:
+    def _is_end(self) -> Ids:
         """Return whether each is a thing, a class or a value, and no part of an axiom."""
-        ends = np.zeros(len(self.names), bool)
-        ends[self._of_entity] = True
+        is_end = np.zeros(len(self.names), bool)
+        is_end[self._of_entity] = True
         for name in _VOCABULARIES:
-            ends[self._numbers(self.graph.names.starting_with(name))] = False
-        return ends & ~self._is_part
+            is_end[self._numbers(self.graph.names.starting_with(name))] = False
+        return is_end & ~self._is_part
 
     def _contradictions(self, graph: KnowledgeGraph) -> None:
         """Note what is both said and denied."""

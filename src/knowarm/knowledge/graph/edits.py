@@ -28,23 +28,22 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 "'+ mug usedFor lighting'; put names with spaces in double quotes."
             )
         sign, head, relation, tail = words
-        head = _known(head, graph.find_entity, graph.names)
-        relation = _known(relation, graph.find_relation, graph.relation_names)
-        tail = _known(tail, graph.find_entity, graph.names)
-        triple = (head, relation, tail)
+        triple = (
+            _known(head, graph.find_entity, graph.names),
+            _known(relation, graph.find_relation, graph.relation_names),
+            _known(tail, graph.find_entity, graph.names),
+        )
         if sign == "+":
             graph = with_facts(graph, [triple])
             continue
         if triple not in graph:
-            facts = [" ".join(fact) for fact in graph if fact[0] == head]
-            stated = "; ".join(facts) or f"nothing about {head}"
+            facts = [" ".join(fact) for fact in graph if fact[0] == triple[0]]
+            stated = "; ".join(facts) or f"nothing about {triple[0]}"
             raise UserError(
                 f"The edit {text!r} removes a triple that the graph does not hold. It states: "
                 f"{stated}."
             )
-        reasons = [
-            " ".join(map(local_name, reason)) for reason in graph.because(triple)
-        ]
+        reasons = [" ".join(map(local_name, why)) for why in graph.because(triple)]
         if reasons:
             raise UserError(
                 f"The edit {text!r} removes a triple that follows from others: "

@@ -252,9 +252,9 @@ def held_out_rows(graph: KnowledgeGraph, count: int, seed: int) -> list[int]:
             uses[relation] -= 1
             held.append(int(row))
     if not held:
-        why = "by a share below one triple: give a larger share"
-        if count:
-            why = "so that every entity stays in training: give a larger graph"
+        why = "so that every entity stays in training: give a larger graph"
+        if not count:
+            why = "by a share below one triple: give a larger share"
         raise UserError(f"No triple of {len(triples)} can be held out {why}.")
     return held
 

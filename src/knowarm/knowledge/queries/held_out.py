@@ -96,11 +96,9 @@ class HeldOutQuestions:
             if len(holders) > 1:
                 shared.append(holders)
         held: set[str] = set()
-        for index in rng.permutation(len(names)):
-            larger = held | {names[index]}
-            keeps_half = all(
-                2 * len(larger & holders) <= len(holders) for holders in shared
-            )
+        for name in rng.permutation(names).tolist():
+            larger = held | {name}
+            keeps_half = all(2 * len(larger & some) <= len(some) for some in shared)
             if len(larger) <= wanted and keeps_half:
                 held = larger
         if len(held) < wanted or len(names) - len(held) <= per_episode:
@@ -117,14 +115,13 @@ class HeldOutQuestions:
         They belong to enough objects for an episode of which each can be asked for.
         """
         values = {condition.value for condition in self.facts}
-        order = sorted(values)
         links = self._links(values)
         answering = self._with_values(values)
         wanted = max(1, round(SHARES["S4"] * len(values)))
         held: set[str] = set()
         beside = 0
-        for index in rng.permutation(len(order)):
-            larger = held | {order[index]}
+        for name in rng.permutation(sorted(values)).tolist():
+            larger = held | {name}
             if len(larger) > wanted and beside >= per_episode - 1:
                 continue
             is_linked = all(links[value] - larger for value in larger)
@@ -153,9 +150,7 @@ class HeldOutQuestions:
             conditions_of.update(kinds)
             if not condition.is_seen and condition.value not in self.values:
                 facts_of.update(kinds)
-        conditions = list(self.holders)
-        for index in rng.permutation(len(conditions)):
-            condition = conditions[index]
+        for condition in _shuffled(rng, list(self.holders)):
             members = set(self.holders[condition]) - self.objects
             member_kinds = sorted(set(map(kind_of, members)))
             is_object = condition.relation == OBJECT_RELATION
@@ -258,6 +253,10 @@ class HeldOutQuestions:
         return values & ~(objects | pairs)
 
 
+def _shuffled(rng: Generator, conditions: Sequence[Condition]) -> list[Condition]:
+    return [conditions[index] for index in rng.permutation(len(conditions))]
+
+
 def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
     """Swap values of one relation: what was for drinking is for lighting, and the reverse (S5).
 
@@ -270,7 +269,7 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
         is_shown = not held.objects.issuperset(held.holders[condition])
         if is_shown and condition.value not in held.values:
             free.append(condition)
-    order = [free[index] for index in rng.permutation(len(free))]
+    order = _shuffled(rng, free)
     wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))
     swapped = dict[Condition, Condition]()  # both of each pair, by the other one
     for first, second in combinations(order, 2):

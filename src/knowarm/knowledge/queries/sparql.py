@@ -4,7 +4,6 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from operator import methodcaller
 from typing import Any, NamedTuple
 from urllib.parse import urljoin
 
@@ -83,8 +82,7 @@ class SparqlQuery:
     """
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
-        text = _QUIET_OR_IRI.sub(lambda quiet: " " if quiet["comment"] else "_", query)
-        for match in _REMOTE.finditer(text):
+        for match in _REMOTE.finditer(_keywords(query, "_")):
             if not match[1]:
                 raise UserError(
                     f"SPARQL query: {match[2].upper()} refers to other data, but a query reads the "
@@ -152,14 +150,11 @@ class SparqlQuery:
         In doubt they may: where a variable or a path can stand for any relation.
         """
         iris, _ = self._names()
-        if any(map(methodcaller("__contains__", local), (self.query, *iris))):
+        if any(local in text for text in (self.query, *iris)):
             return True
         if "\\" in self.query or "%" in self.query:  # other spellings of the name
             return True
-        text = _QUIET_OR_IRI.sub(
-            lambda quiet: " " if quiet["comment"] else " _ ", self.query
-        )
-        return _ANY_RELATION.search(text) is not None
+        return _ANY_RELATION.search(_keywords(self.query, " _ ")) is not None
 
     def _run(self, name: Callable[[Any], str], about: str | None) -> Answer:
         """Run the query; ``name`` gives the terms their names."""
@@ -201,11 +196,9 @@ class SparqlQuery:
 
     def _holds(self, name: str) -> bool:
         """Return whether a name occurs in the graph."""
-        graph = self.graph
-        if name in LABEL_RELATIONS:
-            return True
-        is_relation = graph.relation_names.find(name) is not None
-        return is_relation or graph.names.find(name) is not None
+        names = self.graph.names.find_all([name])
+        relations = self.graph.relation_names.find_all([name])
+        return bool(names or relations or name in LABEL_RELATIONS)
 
     def _alike(self, local: str) -> str | None:
         """Return the IRI of the graph's only entity or relation with this last part."""
@@ -232,6 +225,11 @@ class SparqlQuery:
             f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "
             f"declared with PREFIX. Example: {EXAMPLE}"
         )
+
+
+def _keywords(query: str, mark: str) -> str:
+    """Return a query with a mark for strings and IRIs, and without comments."""
+    return _QUIET_OR_IRI.sub(lambda quiet: " " if quiet["comment"] else mark, query)
 
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:
