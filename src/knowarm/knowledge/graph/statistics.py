@@ -36,7 +36,7 @@ class GraphStatistics(NamedTuple):
     """Triples per relation, most frequent first."""
     cycles: tuple[_Cycle, ...]
     """(relation, entities) that reach each other along one relation: a mistake in a hierarchy."""
-    same_labels: dict[str, list[str]]
+    same_labels: dict[str, tuple[str, ...]]
     """Entities that share a label, by label."""
 
 
@@ -53,7 +53,10 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     if graph.labels:
         for name in graph.entities:
             names_by_label[label_of(name, graph.labels)].append(local_name(name))
-    shared = sorted(item for item in names_by_label.items() if len(item[1]) > 1)
+    shared = list[tuple[str, tuple[str, ...]]]()
+    for label, names in sorted(names_by_label.items()):
+        if len(names) > 1:
+            shared.append((label, tuple(names)))
     names_by_count = graph.relation_names.at(relations[by_count])
     return GraphStatistics(
         triples=len(graph),
