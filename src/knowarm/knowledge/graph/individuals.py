@@ -180,6 +180,8 @@ def _typed(graph: KnowledgeGraph, kind: int) -> list[int]:
 
 def _heads(graph: KnowledgeGraph, tail: int, relations: list[int]) -> list[int]:
     """Return the heads of the triples that lead to a tail by one of some relations."""
+    if not relations:  # without them a large graph is never sorted by its tails
+        return []
     return graph.heads[graph.linking(graph.in_rows(tail), relations)].tolist()
 
 
