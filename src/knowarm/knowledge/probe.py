@@ -161,7 +161,8 @@ def _leave_out(
         frequent = true[~held].mean(axis=0)
         predicted = _predict(vectors, true, held)
         for row, scores in zip(np.flatnonzero(held), predicted, strict=True):
-            shares[:, row] = [_share_found(s, true[row]) for s in (scores, frequent)]
+            shares[0, row] = _share_found(scores, true[row])
+            shares[1, row] = _share_found(frequent, true[row])
     return shares[0], shares[1]
 
 

@@ -119,8 +119,11 @@ def slots_of(
 def _labels_of_slot(parts: Sentence, name: str | None) -> SlotLabels:
     """Return the labels of a sentence, with the value of this name apart, if there is one."""
     rest = [part for part in parts if part.name != name]
-    values = (part for part in parts if part.name == name)
-    return SlotLabels(parts, next(values, None), rest)
+    value = None
+    for part in parts:
+        if part.name == name and value is None:
+            value = part
+    return SlotLabels(parts, value, rest)
 
 
 def _condition_parts(

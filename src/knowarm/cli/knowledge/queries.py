@@ -95,7 +95,9 @@ class Queries(ObjectOptions, TableCommand):
         if self.split is None:
             return _print_overview(query_graph, splits)
         questions = _questions(splits.test(self.split))
-        rows = [[query, _listed(list(names))] for query, names in questions.items()]
+        rows = []
+        for query, targets in questions.items():
+            rows.append([query, _listed(list(targets))])
         _print_rows(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
         return {"split": self.split, "questions": questions}
 
@@ -113,7 +115,10 @@ class Queries(ObjectOptions, TableCommand):
         return [facet for facet in facets if facet[0] in kept]
 
     def _print_agreement(self, agent: str, query_graph: QueryGraph) -> Values:
-        known = {n: e.knows for n, e in AGENTS.items() if e.knows.scope == "query"}
+        known = {}
+        for name, entry in AGENTS.items():
+            if entry.knows.scope == "query":
+                known[name] = entry.knows
         if agent not in known:
             raise unknown_name("agent with knowledge of queries", agent, known)
         knows = cast(KnowledgeConfig, known[agent])

@@ -16,7 +16,10 @@ _MOST_MEMBERS = 300
 """Most members of a list of which each excludes all others."""
 _Numbers = Mapping[str, range | None]
 """Kinds of restrictions, and the numbers with which they count; None without a number."""
-_SURELY: _Numbers = {"someValuesFrom": None, "hasValue": None}
+_SURELY: _Numbers = {
+    "someValuesFrom": None,
+    "hasValue": None,
+}
 _FROM_ONE = range(1, 10**9)
 _SOME: _Numbers = {
     **_SURELY,
@@ -24,14 +27,21 @@ _SOME: _Numbers = {
     "minQualifiedCardinality": _FROM_ONE,
 }
 """Of their values one or more are demanded."""
-_ENOUGH: _Numbers = {**_SURELY, "minQualifiedCardinality": range(1, 2)}
+_ENOUGH: _Numbers = {
+    **_SURELY,
+    "minQualifiedCardinality": range(1, 2),
+}
 """Of their values one is enough."""
 _NONE: _Numbers = {
     "qualifiedCardinality": range(1),
     "maxQualifiedCardinality": range(1),
 }
 """Of their values none is allowed."""
-_MEMBERS = {"unionOf": "subClassOf", "disjointUnionOf": "subClassOf", "oneOf": "type"}
+_MEMBERS = {
+    "unionOf": "subClassOf",
+    "disjointUnionOf": "subClassOf",
+    "oneOf": "type",
+}
 """What puts the members of a list into the class."""
 _NOT_USED = (
     "minCardinality",
@@ -41,8 +51,15 @@ _NOT_USED = (
     "hasKey",
     "onDataRange",
 )
-_NOT_USED_TYPES = ("FunctionalProperty", "InverseFunctionalProperty")
-_PROPERTY_TYPES = ("SymmetricProperty", "TransitiveProperty", *_NOT_USED_TYPES)
+_NOT_USED_TYPES = (
+    "FunctionalProperty",
+    "InverseFunctionalProperty",
+)
+_PROPERTY_TYPES = (
+    "SymmetricProperty",
+    "TransitiveProperty",
+    *_NOT_USED_TYPES,
+)
 _SUBJECTS = (
     "subPropertyOf equivalentProperty inverseOf propertyDisjointWith domain range "
     "propertyChainAxiom"

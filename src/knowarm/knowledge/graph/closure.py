@@ -98,7 +98,12 @@ class _Closure:
         parts = [name for name in structures if name.startswith("_:")]
         self._is_part[self._numbers(parts)] = True
         constants = dict(zip(WORDS, self._numbers(WORDS.values()), strict=True))
-        self.reasoner = Reasoner(len(relations), is_literal, self._is_part, constants)
+        self.reasoner = Reasoner(
+            len(relations),
+            is_literal,
+            self._is_part,
+            constants,
+        )
 
     def _numbers(self, names: Iterable[str]) -> Ids:
         return np.array(list(map(self.ids.__getitem__, names)), np.int32)
@@ -178,10 +183,9 @@ class _Closure:
         """Return the graph with what the reasoner added, as far as it says something."""
         steps = self.reasoner.everything()
         heads, relations, tails = (steps[column] for column in COLUMNS)
+        encoded = self._numbers(self.axioms.plain)
         plain = np.arange(len(self.names))
-        plain[self._numbers(self.axioms.plain)] = self._numbers(
-            self.axioms.plain.values()
-        )
+        plain[encoded] = self._numbers(self.axioms.plain.values())
         relations = plain[relations]
         is_end = self._is_end()
         is_shown = self._tells()[relations] & is_end[heads] & is_end[tails]
@@ -197,20 +201,24 @@ class _Closure:
         triples[~is_shown] = -1
 
         # Of equal triples the stated one stays, or else the surest.
-        keys = mixed(map(columns.__getitem__, (1, 0, 2)), len(self.names))
+        keys = mixed([columns[1], columns[0], columns[2]], len(self.names))
+        confidence = steps["confidence"]
         shown = np.flatnonzero(is_shown)
-        order = np.lexsort((-steps["confidence"][shown], shown >= count, keys[shown]))
-        _, firsts = np.unique(keys[shown[order]], return_index=True)
-        kept = shown[order[firsts]]
+        is_derived = shown >= count
+        order = np.lexsort((-confidence[shown], is_derived, keys[shown]))
+        shown = shown[order]
+        _, firsts = np.unique(keys[shown], return_index=True)
+        kept = shown[firsts]
         derived = kept[kept >= count]
         if not len(derived):
             return Closed(self.graph, self._message(0))
         graph = self.graph.with_triples(triples[kept], relation_names)
         graph.derivations = Derivations(triples, steps["premises"], derived)
-        confidence = self.graph.own_confidence()
-        for step in derived[steps["confidence"][derived] < 1]:
-            confidence[graph.named(triples[step])] = float(steps["confidence"][step])
-        graph.confidence = confidence
+        doubtful = self.graph.own_confidence()
+        for step in derived[confidence[derived] < 1]:
+            triple = graph.named(triples[step])
+            doubtful[triple] = float(confidence[step])
+        graph.confidence = doubtful
         self._contradictions(graph)
         return Closed(graph, self._message(len(derived)))
 
@@ -224,9 +232,11 @@ class _Closure:
         """Return whether triples of each relation say something about things, (R,) bool."""
         own = (FRESH, "_:", *_VOCABULARIES)
         relations = self.names[: self._relations]
-        return np.array(
-            [n in _SAYS_SOMETHING or not n.startswith(own) for n in relations]
-        )
+        tells = np.zeros(len(relations), bool)
+        for number, name in enumerate(relations):
+            is_own = name.startswith(own)
+            tells[number] = not is_own or name in _SAYS_SOMETHING
+        return tells
 
     def _is_end(self) -> Ids:
         """Return whether each is a thing, a class or a value, and no part of an axiom."""

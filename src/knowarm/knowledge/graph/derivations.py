@@ -40,10 +40,12 @@ class Derivations:
         while waiting:
             step = waiting.pop()
             head, relation, tail = self.triples[step].tolist()
-            if step in start or head < 0:  # no triple of the graph: what is before it
-                waiting += filter((-1).__ne__, self.premises[step, ::-1].tolist())
-            else:
+            if step not in start and head >= 0:
                 reasons[head, relation, tail] = None
+                continue
+            # No triple of the graph: what is before it
+            premises = self.premises[step, ::-1]
+            waiting += premises[premises >= 0].tolist()
         # "a teapot is a pot" is read before "a pot is a dish"
         return sorted(reasons, key=lambda reason: reason[0] != triple[0])
 

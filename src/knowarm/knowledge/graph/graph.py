@@ -319,8 +319,11 @@ class KnowledgeGraph:
 
     def values(self, name: str) -> list[int]:
         """Return the ids of what a value names: an entity, and all literals of this text."""
-        ids = dict.fromkeys([self.find_entity(name), *self.names.find_literals(name)])
-        return [i for i in ids if i is not None and self.has_node(i)]
+        ids = list(filter(self.has_node, self.names.find_literals(name)))
+        entity = self.find_entity(name)
+        if entity is not None and entity not in ids:
+            ids.insert(0, entity)
+        return ids
 
     def alike(self, name: str) -> list[int]:
         """Return the ids of all entities and literals that a name may stand for."""

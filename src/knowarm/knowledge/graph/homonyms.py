@@ -170,8 +170,13 @@ def _best(
         facts = len(graph.out_rows(entity))
         merits[entity] = (not is_deed(graph, entity), is_class(graph, entity), facts)
     most = max(merits.values())
-    best = [entity for entity in same if merits[entity] == most]
-    others = [e for e in same if merits[e] != most and any(merits[e][1:])]
+    best = []
+    others = []
+    for entity, (_, *merit) in merits.items():
+        if merits[entity] == most:
+            best.append(entity)
+        elif any(merit):
+            others.append(entity)
     return best, others
 
 

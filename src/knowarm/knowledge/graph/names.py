@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import chain, compress
+from itertools import chain
 from typing import SupportsIndex
 
 import numpy as np
@@ -190,9 +190,12 @@ class Spellings:
         ids = {*by_local, *by_label, *self.names.find_all([name])}
         if any(map(counts, ids)):
             letters = letters_of(local_name(name))
-            locals_ = map(local_name, self.names.at(alike))
-            alike = list(compress(alike, (letters_of(n) == letters for n in locals_)))
-        ids.update(alike)
+            for index in alike:
+                local = local_name(self.names[index])
+                if letters_of(local) == letters:
+                    ids.add(index)
+        else:
+            ids.update(alike)
         return sorted(filter(counts, ids))
 
     def near(self, name: str) -> list[str]:

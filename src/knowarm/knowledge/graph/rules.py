@@ -16,8 +16,16 @@ PREMISES = 4
 """Most triples from which one follows in one step."""
 _Atom = tuple[str, str, str]
 """Subject, relation and object: a variable ("?x") or the word of a constant."""
-COLUMNS = ("subject", "relation", "object")
-_ORDER = ("relation", "subject", "object")
+COLUMNS = (
+    "subject",
+    "relation",
+    "object",
+)
+_ORDER = (
+    "relation",
+    "subject",
+    "object",
+)
 """Columns in the order by which steps are sorted."""
 Table = dict[str, Ids]
 """Columns of equal length by name. A step is a triple of ids and what it follows from:
@@ -95,7 +103,7 @@ def _stacked(tables: Sequence[Table]) -> Table:
     return stacked
 
 
-class Batch:
+class StepBatch:
     """Steps sorted by relation, subject and object, indexed as they are searched.
 
     Attributes:
@@ -107,14 +115,14 @@ class Batch:
         self.steps = steps
         self._size = size
         self._indices: dict[tuple[str, ...], tuple[Ids, Ids]] = {}
-        self._parts: dict[tuple[tuple[int, ...] | None, bool], Batch] = {}
+        self._parts: dict[tuple[tuple[int, ...] | None, bool], StepBatch] = {}
 
     def __len__(self) -> int:
         return len(self.steps["key"])
 
     def part(
         self, relations: tuple[int, ...] | None, *, only_single: bool = False
-    ) -> "Batch":
+    ) -> "StepBatch":
         """Return the steps of some relations, or of all, and of these only the single ones."""
         key = (relations, only_single)
         if key == (None, False):
@@ -125,14 +133,14 @@ class Batch:
                 steps = _rows(steps, steps["is_single"])
             if relations is not None:
                 steps = _rows(steps, np.isin(steps["relation"], relations))
-            self._parts[key] = Batch(steps, self._size)
+            self._parts[key] = StepBatch(steps, self._size)
         return self._parts[key]
 
-    def with_(self, other: "Batch") -> "Batch":
+    def with_(self, other: "StepBatch") -> "StepBatch":
         """Return the steps of both."""
         steps = _stacked([self.steps, other.steps])
         order = np.lexsort((-steps["confidence"], steps["key"]))
-        return Batch(_rows(steps, order), self._size)
+        return StepBatch(_rows(steps, order), self._size)
 
     def match(self, bound: Mapping[str, Ids], most: int) -> tuple[Ids, Ids]:
         """Return the pairs (number of the row, place of the step) that agree.
@@ -177,7 +185,11 @@ _START: Table = {
 }
 """The row that all joins begin with: rows of ids by variable, and what follows from premises."""
 _NOTHING = steps_of(np.empty((0, 3)))
-_HIERARCHIES = ("subClassOf", "subPropertyOf", "sameAs")
+_HIERARCHIES = (
+    "subClassOf",
+    "subPropertyOf",
+    "sameAs",
+)
 """Relations that everything has to itself, which says nothing."""
 
 
@@ -203,7 +215,7 @@ class Reasoner:
             is_part: whether each id is a part of an axiom, (size,) bool.
             constants: ids of the words in rules.
         """
-        self.batches = list[Batch]()
+        self.batches = list[StepBatch]()
         self._size = len(is_literal)
         self._relations = relations
         self._is_literal = is_literal
@@ -214,7 +226,7 @@ class Reasoner:
         self._most_rows = MOST
         self._allowed: dict[Rule, dict[str, tuple[int, ...]]] = {}
 
-    def add(self, steps: Table) -> Batch:
+    def add(self, steps: Table) -> StepBatch:
         """Give new steps their keys and add them.
 
         Of equal triples the surest stays, with the fewest unnamed premises.
@@ -225,15 +237,15 @@ class Reasoner:
         steps = _rows(steps, order[is_first])
         steps["unnamed"] = self._is_about_parts(steps).astype(np.int8)
         steps["number"] = self.count + np.arange(len(steps["key"]))
-        batch = Batch(steps, self._size)
+        batch = StepBatch(steps, self._size)
         self.batches.append(batch)
         self._allowed.clear()
         # Few large batches are searched faster than many small ones.
-        while len(self.batches) > 2 and len(self.batches[-2]) < 2 * len(
-            self.batches[-1]
-        ):
-            last = self.batches.pop()
-            self.batches[-1] = self.batches[-1].with_(last)
+        while len(self.batches) > 2:
+            *_, previous, last = self.batches
+            if len(previous) >= 2 * len(last):
+                break
+            self.batches[-2:] = [previous.with_(last)]
         return batch
 
     @property
@@ -275,8 +287,10 @@ class Reasoner:
         for _ in range(MOST_ROUNDS):
             results = list[Table]()
             for rule in rules:
-                for start in range(len(rule.body))[:orders]:
-                    results.append(self._apply(rule, start, new))
+                starts = range(len(rule.body))
+                for start in starts[:orders]:
+                    result = self._apply(rule, start, new)
+                    results.append(result)
             orders = PREMISES
             steps = _stacked(results)
             if not len(steps["unnamed"]):
@@ -286,7 +300,7 @@ class Reasoner:
                 break
         raise TooManyError
 
-    def _apply(self, rule: Rule, start: int, new: Sequence[Batch]) -> Table:
+    def _apply(self, rule: Rule, start: int, new: Sequence[StepBatch]) -> Table:
         """Return the steps that follow by a rule if one atom of its body is among the new ones."""
         atoms = list(rule.body)
         table = self._join(_START, rule, atoms.pop(start), new)
@@ -335,7 +349,7 @@ class Reasoner:
         return allowed
 
     def _join(
-        self, table: Table, rule: Rule, atom: _Atom, batches: Iterable[Batch]
+        self, table: Table, rule: Rule, atom: _Atom, batches: Iterable[StepBatch]
     ) -> Table:
         """Return the rows of a table with all steps that agree with an atom of a rule."""
         bound = self._bound(table, atom)
@@ -353,9 +367,10 @@ class Reasoner:
             joined["confidence"] *= part.steps["confidence"][places]
             joined["unnamed"] += part.steps["unnamed"][places]
             tables.append(joined)
-        if sum(len(joined["premises"]) for joined in tables) > self._most_rows:
+        joined = _stacked(tables)
+        if len(joined["confidence"]) > self._most_rows:
             raise TooManyError
-        return _stacked(tables)
+        return joined
 
     def _is_new(self, steps: Table) -> Ids:
         """Return which steps were not known, or not so surely, (n,) bool."""

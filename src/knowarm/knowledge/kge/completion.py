@@ -1,7 +1,7 @@
 """Completion of a graph by link prediction: likely triples about some objects are added."""
 
 from collections.abc import Collection
-from itertools import filterfalse, product
+from itertools import product
 
 import numpy as np
 import torch
@@ -40,16 +40,20 @@ def completed(
     ids = sorted(map(graph.entity_id, objects))
     about = np.isin(graph.heads, ids)
     pairs = np.unique(graph.triples[about, 1:], axis=0)
-    possible = [(head, *pair) for head, pair in product(ids, pairs.tolist())]
     trained_on = set(map(tuple, kept.tolist()))
-    candidates = list(filterfalse(trained_on.__contains__, possible))
+    candidates = list[tuple[int, ...]]()
+    for head, pair in product(ids, pairs.tolist()):
+        candidate = (head, *pair)
+        if candidate not in trained_on:
+            candidates.append(candidate)
     if not candidates:
         return graph
-    candidate = torch.from_numpy(both_ways(np.array(candidates), relations))
+    asked = torch.from_numpy(both_ways(np.array(candidates), relations))
     with torch.no_grad():
-        scores = fitted.model(candidate[:, 0], candidate[:, 1])
-    as_tails, as_heads = scores.gather(1, candidate[:, 2:]).chunk(2)
-    order = (-(as_tails + as_heads)[:, 0]).argsort(stable=True).numpy()
+        all_scores = fitted.model(asked[:, 0], asked[:, 1])
+    as_tails, as_heads = all_scores.gather(1, asked[:, 2:]).chunk(2)
+    scores = (as_tails + as_heads)[:, 0]
+    order = (-scores).argsort(stable=True).numpy()
     held = set(map(tuple, held_out.tolist()))
     hits = np.cumsum([candidates[index] in held for index in order])
     if hits[-1] == 0:

@@ -98,8 +98,9 @@ class HeldOutQuestions:
         held: set[str] = set()
         for name in rng.permutation(names).tolist():
             larger = held | {name}
-            keeps_half = all(2 * len(larger & some) <= len(some) for some in shared)
-            if len(larger) <= wanted and keeps_half:
+            if len(larger) > wanted:
+                continue
+            if all(2 * len(larger & some) <= len(some) for some in shared):
                 held = larger
         if len(held) < wanted or len(names) - len(held) <= per_episode:
             raise UserError(
@@ -179,7 +180,11 @@ class HeldOutQuestions:
 
     def _holders_of(self, values: Collection[str]) -> list[_ObjectNames]:
         """Return the objects of each fact with one of the values."""
-        return [set(self.holders[fact]) for fact in self.facts if fact.value in values]
+        holders = list[_ObjectNames]()
+        for fact in self.facts:
+            if fact.value in values:
+                holders.append(set(self.holders[fact]))
+        return holders
 
     def _with_values(self, values: Collection[str]) -> _ObjectNames:
         """Return the objects that some of the values belong to."""
@@ -276,8 +281,11 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
         is_alike = first.relation == second.relation
         is_disjoint = set(held.holders[first]).isdisjoint(held.holders[second])
         is_free = swapped.keys().isdisjoint((first, second))
-        if is_alike and is_disjoint and is_free and len(swapped) < 2 * wanted:
-            swapped.update({first: second, second: first})
+        if is_alike and is_disjoint and is_free:
+            swapped[first] = second
+            swapped[second] = first
+        if len(swapped) == 2 * wanted:
+            break
     if not swapped:
         raise UserError(
             "no two values of one relation belong to different objects, so none can be swapped. "

@@ -189,9 +189,13 @@ def _parse(numbers: list[bytes]) -> Vectors:
 
 def _median_length(lines: list[bytes], dim: int) -> float:
     """Return the median length of the vectors of some lines; 1 if none of them holds one."""
-    numbers = (line.rstrip(b" ").rsplit(b" ", dim)[1:] for line in lines)
-    lengths = map(float, map(np.linalg.norm, map(_parse, numbers)))
-    return float(np.median(list(filter(math.isfinite, lengths)) or [1.0]))
+    lengths = list[float]()
+    for line in lines:
+        numbers = line.rstrip(b" ").rsplit(b" ", dim)[1:]
+        length = float(np.linalg.norm(_parse(numbers)))
+        if math.isfinite(length):
+            lengths.append(length)
+    return float(np.median(lengths or [1.0]))
 
 
 def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
