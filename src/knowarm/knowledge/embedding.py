@@ -191,10 +191,12 @@ class QueryEmbedding(Embedding):
             )
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
-            seen = [slots[c] for c in query.conditions if c.is_seen]
-            facts = [slots[c] for c in query.conditions if not c.is_seen]
-            between = [np.zeros(self.slot_dim)] * (self.width - len(query.conditions))
-            row[:] = [*facts, *between, *seen]
+            seen = [c for c in query.conditions if c.is_seen]
+            facts = [c for c in query.conditions if not c.is_seen]
+            for place, condition in enumerate(facts):
+                row[place] = slots[condition]
+            for place, condition in enumerate(seen, self.width - len(seen)):
+                row[place] = slots[condition]
         return rows.reshape(len(queries), -1)
 
 

@@ -111,9 +111,9 @@ class Axioms:
         self.plain = {WORDS["excludes"]: NOT_A[1]}
         self._relations()
         for word in _NOT_USED:
-            self.unused.update([word] * len(self.of(word)))
+            self.unused += Counter({word: len(self.of(word))})
         for word in _NOT_USED_TYPES:
-            self.unused.update([word] * len(self._of_type(word)))
+            self.unused += Counter({word: len(self._of_type(word))})
 
     def _find(self, word: str) -> dict[str, list[_Row]]:
         """Return the tails of a relation by head."""
