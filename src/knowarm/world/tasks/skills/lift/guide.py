@@ -1,6 +1,6 @@
 """Guide of lifting: a way to a grasp that touches nothing else, by trying several of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -31,7 +31,8 @@ SETTLE_STEPS = 2  # Steps until the arm has followed its joint targets
 TO_APPROACH = 1.0
 ON_APPROACH = 0.5
 NEAR_GRASP = 0.2
-NEAR_POSES = 3  # Poses of the approach that are near the grasp
+NEAR_POSES = 5  # Poses of the approach at which the object may be between the fingers
+MOST_STEPS = 4.0  # Between two poses of the approach; more where the arm would turn over
 
 
 class Turn(NamedTuple):
@@ -86,6 +87,34 @@ class Candidate(NamedTuple):
     """Whether the arm reaches all of it, (k,)."""
 
 
+class Leg(NamedTuple):
+    """A piece of the ways of n episodes, on which the fingers do not move."""
+
+    points: Floats
+    """Joint angles, (n, W, A) [rad]."""
+    fingers: Floats
+    """How far each finger is closed, (n,) [m]."""
+    tolerance: Floats
+    """Largest error of a joint at which each point is passed [largest steps], (W,)."""
+    pause: int
+    """Steps at the last point."""
+
+
+def joined(legs: Sequence[Leg], largest_step: float) -> Way:
+    """Return the way along legs one after the other."""
+    points = []
+    pauses = []
+    for leg in legs:
+        count = leg.points.shape[1]
+        fingers = np.repeat(leg.fingers[:, None, None], count, axis=1)
+        points.append(np.concatenate([leg.points, fingers], axis=2))
+        pauses += [0] * (count - 1) + [leg.pause]
+    tolerance = np.concatenate([leg.tolerance for leg in legs])
+    return Way(
+        np.concatenate(points, axis=1), largest_step, tolerance, np.array(pauses)
+    )
+
+
 class LiftGuide(Guide):
     """Moves around other objects to a grasp, closes the fingers, and lifts.
 
@@ -103,6 +132,7 @@ class LiftGuide(Guide):
     def __init__(self, scene: LiftScene, *args: Any, **options: Any) -> None:
         super().__init__(scene, *args, **options)
         self._lifting = scene
+        self._closed_m = float(scene.joint_upper[-1])
         self._arm = build_scene(scene.robot, scene.targets[:1])
         self._solver = InverseKinematics(self._arm, starts=4, seed=self._seed)
         self._follower = InverseKinematics(self._arm, starts=1, seed=self._seed)
@@ -129,7 +159,36 @@ class LiftGuide(Guide):
             self.is_free[chosen] = True
         assert poses is not None
         path = self._path(start, poses)
-        return self._closing(path, poses.shape[1], closed)
+        grasp = path[:, -1]
+        fingers = closed * self._closed_m
+        tolerance = np.full(path.shape[1], TO_APPROACH)
+        tolerance[-poses.shape[1] :] = ON_APPROACH
+        tolerance[-NEAR_POSES:] = NEAR_GRASP
+        legs = [
+            Leg(path, fingers, tolerance, SETTLE_STEPS),
+            self._standing(grasp, self._closed_m, GRIP_STEPS),
+            *self._after_grip(sight, grasp, surroundings),
+        ]
+        return joined(legs, self._largest)
+
+    def _after_grip(
+        self, sight: Sight, grasp: Floats, surroundings: "Surroundings"
+    ) -> list[Leg]:
+        """Return the legs after the fingers have closed at joint angles (n, A)."""
+        position, matrix = self._follower.pose(grasp)
+        shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
+        rise = self._follower.solve_way(position, matrix, grasp, shifts)
+        return [self._moving(rise.transpose(1, 0, 2), self._closed_m)]
+
+    def _standing(self, joints: Floats, fingers: float, pause: int) -> Leg:
+        """Return the leg of an arm that stands at joint angles (n, A) while fingers move."""
+        tolerance = np.full(1, NEAR_GRASP)
+        return Leg(joints[:, None], np.full(len(joints), fingers), tolerance, pause)
+
+    def _moving(self, points: Floats, fingers: float) -> Leg:
+        """Return the leg of an arm that passes points (n, W, A)."""
+        tolerance = np.full(points.shape[1], TO_APPROACH)
+        return Leg(points, np.full(len(points), fingers), tolerance, 0)
 
     def _candidates(self, sight: Sight) -> Iterator[Candidate]:
         """Yield ways for the episodes without a free one yet, first one for each."""
@@ -179,7 +238,8 @@ class LiftGuide(Guide):
             sight.position[ids], matrix, joints, np.stack(shifts)
         )
         poses = np.concatenate([way[::-1], joints[None]]).transpose(1, 0, 2)
-        is_reached = cost < UNREACHED
+        jumps = np.abs(np.diff(poses, axis=1)).max(axis=(1, 2)) / self._largest
+        is_reached = (cost < UNREACHED) & (jumps < MOST_STEPS)
         for closed, left_out in product(CLOSED, reversed(range(len(OVER_M) + 1))):
             is_open = ~self.is_free[ids]
             lowered = poses[is_open]
@@ -194,25 +254,6 @@ class LiftGuide(Guide):
         share = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
         before = start[:, None] + share * way[:, None]
         return np.concatenate([before, poses], axis=1)
-
-    def _closing(self, path: Floats, near: int, closed: Floats) -> Way:
-        """Return the way along a path, whose end are ``near`` poses, with grip and rise."""
-        grasp = path[:, -1]
-        position, matrix = self._follower.pose(grasp)
-        shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
-        rise = self._follower.solve_way(position, matrix, grasp, shifts)
-        arm = np.concatenate([path, grasp[:, None], rise.transpose(1, 0, 2)], axis=1)
-        count = path.shape[1]
-        fingers = np.full(arm.shape[:2], self._lifting.joint_upper[-1])
-        fingers[:, :count] *= closed[:, None]
-        tolerance = np.full(arm.shape[1], TO_APPROACH)
-        tolerance[count - near : count] = ON_APPROACH
-        tolerance[count - NEAR_POSES : count + 1] = NEAR_GRASP
-        pause = np.zeros(arm.shape[1], np.int64)
-        pause[count - 1] = SETTLE_STEPS
-        pause[count] = GRIP_STEPS
-        points = np.concatenate([arm, fingers[:, :, None]], axis=2)
-        return Way(points, self._largest, tolerance, pause)
 
 
 class Surroundings:
@@ -254,12 +295,15 @@ class Surroundings:
             left = np.flatnonzero(is_free)
             if not len(left):
                 break
-            fingers = np.full(len(left), closed * self._closed_m)
-            pose = np.column_stack([joints[left], fingers])
-            self._simulator.set_joints(pose, ids[left])
+            self._pose(ids[left], joints[left], closed)
             touches = self._contacts[ids[left]] > self._others[ids[left]]
             is_free[left] = ~touches
         return is_free
+
+    def _pose(self, ids: Indices, joints: Floats, closed: float) -> None:
+        """Put the arms of episodes (k,) at joint angles (k, A)."""
+        fingers = np.full(len(ids), closed * self._closed_m)
+        self._simulator.set_joints(np.column_stack([joints, fingers]), ids)
 
 
 def _rotation(axis: int, angle_deg: float) -> Floats:
