@@ -8,6 +8,7 @@ SKILLS = Registry(
     {
         "reach": "knowarm.world.tasks.skills.reach:Reach",
         "lift": "knowarm.world.tasks.skills.lift.lift:Lift",
+        "place": "knowarm.world.tasks.skills.place.place:Place",
     },
 )
 """Skills by ``kind``. To add one, add an entry."""

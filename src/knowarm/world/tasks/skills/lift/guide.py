@@ -22,6 +22,7 @@ OVER_M = (
 )  # Heights above its first pose, of which some may be left out
 RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the way upwards
 CLOSED = (0.0, 0.35)  # Shares of their way that fingers are closed before the grasp
+FAR_M = 100.0  # Where nothing is touched
 UNREACHED = 1000.0  # Cost of a grasp that the arm does not reach [steps]
 CLEARANCE_M = 0.006  # Least distance from other objects
 GRIP_STEPS = 3  # Steps until closing fingers have gripped
@@ -32,7 +33,9 @@ TO_APPROACH = 1.0
 ON_APPROACH = 0.5
 NEAR_GRASP = 0.2
 NEAR_POSES = 5  # Poses of the approach at which the object may be between the fingers
-MOST_STEPS = 4.0  # Between two poses of the approach; more where the arm would turn over
+MOST_STEPS = (
+    4.0  # Between two poses of the approach; more where the arm would turn over
+)
 
 
 class Turn(NamedTuple):
@@ -49,9 +52,9 @@ class Turn(NamedTuple):
 
     def of(self, matrix: Floats) -> Floats:
         """Turn grasp frames, row-major rotations (n, 9)."""
-        vertical = _rotation(2, self.about_vertical_deg)
-        tilt = _rotation(1, self.about_fingers_deg)
-        flip = _rotation(2, 180.0 * self.is_flipped)
+        vertical = rotation(2, self.about_vertical_deg)
+        tilt = rotation(1, self.about_fingers_deg)
+        flip = rotation(2, 180.0 * self.is_flipped)
         turned = vertical @ matrix.reshape(-1, 3, 3) @ tilt @ flip
         return turned.reshape(-1, 9)
 
@@ -284,6 +287,9 @@ class Surroundings:
         # Of the objects with what they stand on
         self._others = contacts.copy()
         self._closed_m = scene.joint_upper[-1]
+        self._home = scene.home[:-1]
+        self._target = sight.objects[:, 0]
+        self._held: tuple[Floats, Floats] | None = None  # Its pose in the gripper
 
     def are_free(self, ids: Indices, path: Floats, closed: float) -> Mask:
         """Return in which episodes (k,) nothing is touched on a path (k, W, A) [rad], (k,).
@@ -300,13 +306,38 @@ class Surroundings:
             is_free[left] = ~touches
         return is_free
 
+    def hold(self, grasp: Floats) -> None:
+        """Let the gripper hold the object that is meant, from joint angles (n, A) on."""
+        simulator = self._simulator
+        ids = np.arange(len(grasp))
+        self._pose(ids, grasp, 0.0)
+        gripper = simulator.tcp_matrix.reshape(-1, 3, 3)
+        place, turn = simulator.pose(self._target)
+        back = gripper.transpose(0, 2, 1)
+        offset = (back @ (place - simulator.tcp_position)[..., None])[..., 0]
+        held = (offset, back @ turn)
+        # Without what the object stands on
+        simulator.set_pose(ids, self._target, place + FAR_M, turn)
+        self._pose(ids, np.tile(self._home, (len(ids), 1)), 0.0)
+        self._others = self._contacts.copy()
+        self._held = held
+
     def _pose(self, ids: Indices, joints: Floats, closed: float) -> None:
-        """Put the arms of episodes (k,) at joint angles (k, A)."""
+        """Put the arms of episodes (k,) at joint angles (k, A), with what they hold."""
+        simulator = self._simulator
         fingers = np.full(len(ids), closed * self._closed_m)
-        self._simulator.set_joints(np.column_stack([joints, fingers]), ids)
+        pose = np.column_stack([joints, fingers])
+        simulator.set_joints(pose, ids)
+        if self._held is None:
+            return
+        offset, turn = (part[ids] for part in self._held)
+        gripper = simulator.tcp_matrix[ids].reshape(-1, 3, 3)
+        place = simulator.tcp_position[ids] + (gripper @ offset[..., None])[..., 0]
+        simulator.set_pose(ids, self._target[ids], place, gripper @ turn)
+        simulator.set_joints(pose, ids)
 
 
-def _rotation(axis: int, angle_deg: float) -> Floats:
+def rotation(axis: int, angle_deg: float) -> Floats:
     """Return the rotation about the y (1) or z (2) axis, (3, 3)."""
     angle = np.radians(angle_deg)
     cosine = np.cos(angle)

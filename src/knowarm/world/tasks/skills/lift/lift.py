@@ -166,7 +166,7 @@ class Lift(Skill):
 
     def success(self, state: State) -> Mask:
         """Return which objects were held up long enough, with no other one disturbed, (n,) bool."""
-        return (state.memory["held"] >= self.hold_steps) & ~_disturbed(state)
+        return (state.memory["held"] >= self.hold_steps) & ~disturbed(state)
 
     def failure(self, state: State) -> Mask:
         """Return which episodes are lost, (n,) bool.
@@ -177,7 +177,7 @@ class Lift(Skill):
         place = state.simulator.place(state.target)
         moved = np.linalg.norm(place - state.positions[:, 0], axis=1)
         is_lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
-        return (is_lost & ~state.success) | _disturbed(state)
+        return (is_lost & ~state.success) | disturbed(state)
 
     def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
@@ -195,8 +195,11 @@ class Lift(Skill):
     def infos(self, state: State) -> NamedArrays:
         """Add the object's rise [m], whether both fingers touch it, and whether others moved."""
         gripped = state.simulator.touched(state.target)
-        disturbed = _disturbed(state)
-        return {"rise": _rise(state), "gripped": gripped, "disturbed": disturbed}
+        return {
+            "rise": _rise(state),
+            "gripped": gripped,
+            "disturbed": disturbed(state),
+        }
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store rise, touch and what was disturbed at the end of each episode."""
@@ -213,7 +216,7 @@ def _rise(state: State) -> Floats:
     return state.simulator.rise(state.target)
 
 
-def _disturbed(state: State) -> Mask:
+def disturbed(state: State) -> Mask:
     """Return in which episodes an object that is not meant has moved, (n,) bool."""
     is_disturbed = np.zeros(len(state.steps), bool)
     for which in range(1, state.objects.shape[1]):

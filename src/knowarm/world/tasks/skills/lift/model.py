@@ -1,6 +1,6 @@
 """Scene of lifting: fingers that move, and objects that are solid and free to move."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import product
@@ -68,6 +68,7 @@ def build_lift_scene(
     targets: Sequence[Target],
     distractors: int = 0,
     timestep_s: float = TIMESTEP_S,
+    furnish: Callable[[MjSpec], None] = lambda spec: None,
 ) -> LiftScene:
     """Compose and compile the scene of an arm that lifts.
 
@@ -75,12 +76,14 @@ def build_lift_scene(
     a box each, slide along the y axis of the tool centre point, coupled as in a parallel gripper,
     by up to ``GRIP_FORCE_N`` each. Objects have their mass, distributed as in their file over its
     shapes, which collide with robot, support and each other. Friction cones are elliptic.
+    ``furnish`` adds what else stands there.
 
     Raises:
         UserError: the robot names no fingers, or its file lacks them.
     """
     with compiling(robot, targets):
         spec = compose(robot, targets, distractors)
+        furnish(spec)
         spec.option.timestep = timestep_s
         spec.option.cone = mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = IMPRATIO

@@ -2,6 +2,7 @@
 
 import numpy as np
 from mujoco import MjData, mj_comPos, mj_kinematics, mjtStage
+from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
@@ -76,9 +77,27 @@ class LiftSimulator(MujocoSimulator):
         rest[:, :2] += places
         return np.linalg.norm(self.centre(targets) - rest, axis=1)
 
+    def pose(self, targets: Integers) -> tuple[Floats, Floats]:
+        """Return origin (n, 3) [m] and rotation (n, 3, 3) of one target per environment, world."""
+        pose = self._qpos[self._rows[:, None], self._poses[targets]]
+        turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
+        return pose[:, :3], turn.as_matrix()
+
+    def set_pose(
+        self, ids: Indices, targets: Integers, origin: Floats, turn: Floats
+    ) -> None:
+        """Put one target of each of some environments (k,) somewhere, as by ``pose``."""
+        quaternion = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        pose = np.column_stack([origin, quaternion])
+        self._qpos[ids[:, None], self._poses[targets]] = pose
+
     def touched(self, targets: Integers) -> Mask:
         """Return whether both fingers touch one target per environment, (n,)."""
         return (self._touch[self._rows, targets] > 0).all(axis=1)
+
+    def released(self, targets: Integers) -> Mask:
+        """Return whether no finger touches one target per environment, (n,)."""
+        return (self._touch[self._rows, targets] == 0).all(axis=1)
 
     def _place_targets(
         self, ids: Indices, position: Floats, visible: Mask | None
@@ -104,7 +123,7 @@ class LiftSimulator(MujocoSimulator):
         distance = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(
             axis=1
         )
-        can_grip = (distance < NEAR_M) & (joint_targets[:, -1] > 0)
+        can_grip = (distance < NEAR_M) & self._may_grip(joint_targets)
         self._advance(np.flatnonzero(~can_grip), self._free_substeps)
         self._advance(np.flatnonzero(can_grip), self._substeps)
 
@@ -115,6 +134,10 @@ class LiftSimulator(MujocoSimulator):
         rows = np.arange(len(joint_positions)) if env_ids is None else env_ids
         self._qpos[rows[:, None], self._fingers] = joint_positions[:, -1:]
         super().set_joints(joint_positions, env_ids)
+
+    def _may_grip(self, joint_targets: Floats) -> Mask:
+        """Return where the fingers are closing or closed, (n,)."""
+        return joint_targets[:, -1] > 0
 
     def _advance(self, ids: Indices, substeps: int) -> None:
         """Advance environments (k,) by a control period in a number of physics steps."""

@@ -1,0 +1,1 @@
+"""Placing: the tray, its skill, and the guide to it."""

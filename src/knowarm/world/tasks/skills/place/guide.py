@@ -1,0 +1,130 @@
+"""Guide of placing: after the grip, a way for arm and object to the tray, and back without it."""
+
+from itertools import product
+
+import numpy as np
+
+from knowarm.arrays import Floats
+from knowarm.world.tasks.skills.guides import Sight
+from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M
+from knowarm.world.tasks.skills.lift.guide import (
+    BACK_M,
+    GRIP_STEPS,
+    ON_APPROACH,
+    SETTLE_STEPS,
+    Leg,
+    LiftGuide,
+    Surroundings,
+    rotation,
+)
+from knowarm.world.tasks.skills.place.tray import THICK_M, centre_m
+from knowarm.world.tasks.state import Frames
+
+CARRY_M = (0.10, 0.18, 0.28)  # Heights at which the object is carried
+RELEASE_M = 0.004  # Height above the tray at which it is let go
+TURNS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
+"""Turns of the object about the vertical on the way to the tray."""
+
+RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of the height on the way up
+LOWER = np.array([0.0, 0.1, 0.3, 0.6, 1.0])  # and over the tray, from below
+AWAY_M = 0.10  # Way upwards after the gripper has left the object
+UNREACHED = 1000.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class PlaceGuide(LiftGuide):
+    """Takes an object as `LiftGuide`, carries it to the tray, lets it go and leaves.
+
+    Of several turns of the object and heights it takes the first way on which arm and object touch
+    nothing, short ones first. Where there is none, it takes the shortest.
+    """
+
+    def _after_grip(
+        self, sight: Sight, grasp: Floats, surroundings: Surroundings
+    ) -> list[Leg]:
+        """Return the legs to the tray, and away from it."""
+        surroundings.hold(grasp)
+        start = self._follower.pose(grasp)
+        joints, (position, matrix), cost = self._over_tray(start, sight, grasp)
+        n = len(grasp)
+        rise = np.zeros((n, len(RISE), grasp.shape[1]))
+        lower = np.zeros((n, len(LOWER), grasp.shape[1]))
+        is_free = np.zeros(n, bool)
+        is_solved = False
+        for ranked, height in product(np.argsort(cost, axis=0), CARRY_M):
+            ids = np.flatnonzero(~is_free)
+            if not len(ids):
+                break
+            chosen = (ranked[ids], ids)
+            up = self._vertical(start[0][ids], start[1][ids], grasp[ids], height * RISE)
+            down = self._vertical(
+                position[chosen], matrix[chosen], joints[chosen], height * LOWER
+            )[:, ::-1]
+            path = np.concatenate([up, self._path(up[:, -1], down[:, :-1])], axis=1)
+            is_good = cost[chosen] < UNREACHED
+            is_good &= surroundings.are_free(ids, path, 0.0)
+            taken = is_good if is_solved else np.ones(len(ids), bool)
+            rise[ids[taken]] = up[taken]
+            lower[ids[taken]] = down[taken]
+            is_free[ids] = is_good
+            is_solved = True
+        self.is_free &= is_free
+        return self._legs(rise, lower)
+
+    def _over_tray(
+        self, start: Frames, sight: Sight, grasp: Floats
+    ) -> tuple[Floats, Frames, Floats]:
+        """Solve for the gripper where the object is let go, by T turns of the object.
+
+        Returns:
+            Joint angles (T, n, A), positions (T, n, 3) and rotations (T, n, 9) of the gripper, and
+            the steps to there, (T, n).
+        """
+        position, matrix = start
+        offset = position.copy()
+        offset[:, :2] -= sight.places[:, 0]
+        tray = np.array([*centre_m(self._lifting.robot), THICK_M + RELEASE_M])
+        joints = []
+        positions = []
+        matrices = []
+        costs = []
+        for degrees in TURNS_DEG:
+            turn = rotation(2, degrees)
+            goal = tray + offset @ turn.T
+            turned = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
+            solution = self._solver.solve(goal, turned, grasp, attempts=1)
+            steps = np.abs(solution.joints - grasp).max(axis=1) / self._largest
+            is_reached = solution.within(REACHED_M, REACHED_DEG)
+            joints.append(solution.joints)
+            positions.append(goal)
+            matrices.append(turned)
+            costs.append(np.where(is_reached, steps, UNREACHED))
+        frames = (np.stack(positions), np.stack(matrices))
+        return np.stack(joints), frames, np.stack(costs)
+
+    def _vertical(
+        self, position: Floats, matrix: Floats, joints: Floats, heights: Floats
+    ) -> Floats:
+        """Solve for heights above a pose (k,), one after the other, (k, W, A)."""
+        shifts = np.outer(heights, UP)
+        way = self._follower.solve_way(position, matrix, joints, shifts)
+        return way.transpose(1, 0, 2)
+
+    def _legs(self, rise: Floats, lower: Floats) -> list[Leg]:
+        """Return the legs from rising (n, W, A) to lowering (n, V, A), letting go and leaving."""
+        n = len(rise)
+        closed = self._closed_m
+        released = lower[:, -1]
+        careful = np.full(lower.shape[1], ON_APPROACH)
+        position, matrix = self._follower.pose(released)
+        back = -matrix.reshape(-1, 3, 3)[:, :, 2]
+        shifts = [distance * back for distance in reversed(BACK_M)]
+        shifts.append(shifts[-1] + AWAY_M * UP)
+        leave = self._follower.solve_way(position, matrix, released, np.stack(shifts))
+        return [
+            self._moving(rise, closed),
+            self._moving(self._path(rise[:, -1], lower[:, :1]), closed),
+            Leg(lower, np.full(n, closed), careful, SETTLE_STEPS),
+            self._standing(released, 0.0, GRIP_STEPS),
+            self._moving(leave.transpose(1, 0, 2), 0.0),
+        ]

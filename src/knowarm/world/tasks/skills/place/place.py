@@ -1,0 +1,240 @@
+"""Placing: take the solid object that is meant and put it down on a tray."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from mujoco import MjSpec, mjtGeom
+
+from knowarm.arrays import Floats, Integers, Mask, Names
+from knowarm.config import at_least
+from knowarm.errors import UserError
+from knowarm.world.backend import Dynamics
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.compose import ROBOT_BIT, SUPPORT_BIT
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.reward import SUCCESS_REWARD, paper_reward
+from knowarm.world.tasks.skills.lift.lift import (
+    FALLEN_M,
+    LOST_M,
+    Lift,
+    State,
+    disturbed,
+)
+from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
+from knowarm.world.tasks.skills.place.guide import PlaceGuide
+from knowarm.world.tasks.skills.place.tray import HALF_M, THICK_M, centre_m
+from knowarm.world.tasks.skills.teacher import Teacher
+from knowarm.world.tasks.state import NamedArrays
+
+TRAY_RGBA = (0.30, 0.36, 0.46, 1.0)
+LIFTED_M = 0.03  # Rise from which an object counts as taken
+DOWN_M = 0.02  # Rise below which a released object has been put down
+STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
+UPRIGHT_DEG = 15.0
+TOPPLED_DEG = 45.0
+HELD_REWARD = 5.0
+
+OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unfinished")
+"""How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
+tray; another object moved or taken; none of these within the time limit."""
+
+
+class PlaceSimulator(LiftSimulator):
+    """Physics of placing: also fingers that open take small steps."""
+
+    def _may_grip(self, joint_targets: Floats) -> Mask:
+        """Return where fingers are not fully open, (n,)."""
+        return super()._may_grip(joint_targets) | (self.joint_positions[:, -1] > 0.001)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place(Lift):
+    """Put the object that is meant down on the tray beside the others, where it stood upright.
+
+    Actions and physics are those of lifting. The tray stands at the robot's ``tray_m``.
+    """
+
+    max_steps = 160
+    column_meanings: ClassVar[dict[str, str]] = {
+        "placing": f"how the episode ended: {', '.join(OUTCOMES)}",
+        "tray_distance_m": "from the object's centre of mass to the tray's centre [m]",
+    }
+    probes = ()
+    kind: Literal["place"] = "place"  # type: ignore[assignment]
+    """Tag of this skill in JSON."""
+    rest_steps: int = 3
+    """Consecutive steps at rest on the tray, released, that count as success."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 1, "rest_steps", where="task.")
+
+    def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
+        """Refuse imitation."""
+        if algorithm == "distil":
+            raise UserError(
+                "Placing has no teacher, so it cannot be imitated. Train by reward, or let "
+                "`knowarm evaluate RUN --seen` solve what a network sees."
+            )
+        return {}
+
+    def areas_to_try(self, robot: Robot) -> Iterable[dict[str, Any]]:
+        """Propose none: that of lifting is taken."""
+        return ()
+
+    def area_of(self, robot: Robot) -> str:
+        """Check that the robot has a tray."""
+        centre_m(robot)
+        return self.area
+
+    @staticmethod
+    def build_scene(
+        robot: Robot, targets: Sequence[Target], distractors: int
+    ) -> LiftScene:
+        """Build the scene of lifting with a tray."""
+        x, y = centre_m(robot)
+
+        def add_tray(spec: MjSpec) -> None:
+            height = robot.support_height_m + THICK_M / 2
+            spec.worldbody.add_geom(
+                name="tray",
+                type=mjtGeom.mjGEOM_BOX,
+                size=[HALF_M, HALF_M, THICK_M / 2],
+                pos=[x, y, height],
+                rgba=TRAY_RGBA,
+                contype=SUPPORT_BIT,
+                conaffinity=ROBOT_BIT,
+            )
+
+        return build_lift_scene(robot, targets, distractors, furnish=add_tray)
+
+    def simulator(
+        self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
+    ) -> PlaceSimulator:
+        """Make the physics of n environments with contacts."""
+        assert isinstance(scene, LiftScene)
+        return PlaceSimulator(scene, num_envs, num_threads)
+
+    def teacher(self, state: State) -> Teacher:  # type: ignore[override]
+        """Refuse: what to do does not follow from the state alone."""
+        raise UserError(
+            "Placing has no teacher, so it cannot be imitated: train by reward."
+        )
+
+    def guide(self, straight: bool) -> type[PlaceGuide]:
+        """Return what takes the object to the tray."""
+        return PlaceGuide
+
+    def memory(self, num_envs: int) -> NamedArrays:
+        """Remember whether the object was taken, where it was, and for how long it has rested."""
+        return {
+            "taken": np.zeros(num_envs, bool),
+            "rested": np.zeros(num_envs, np.int64),
+            "centre": np.zeros((num_envs, 3)),
+        }
+
+    def remember(self, state: State) -> NamedArrays:
+        """Compare with the step before."""
+        centre = state.simulator.centre(state.target)
+        moved = np.linalg.norm(centre - state.memory["centre"], axis=1)
+        rests = state.memory["taken"] & _is_placed(state) & (moved < STILL_M)
+        is_up = state.simulator.rise(state.target) > LIFTED_M
+        return {
+            "taken": state.memory["taken"] | is_up,
+            "rested": np.where(rests, state.memory["rested"] + 1, 0),
+            "centre": centre,
+        }
+
+    def done_to(self, state: State, which: Integers) -> Mask:
+        """Return which visible objects (n,) are taken, (n,) bool."""
+        objects = state.objects[np.arange(len(which)), which]
+        is_up = state.simulator.rise(objects) > LIFTED_M
+        return state.simulator.touched(objects) & is_up
+
+    def success(self, state: State) -> Mask:
+        """Return which objects have come to rest on the tray, with no other one disturbed, (n,)."""
+        return (state.memory["rested"] >= self.rest_steps) & ~disturbed(state)
+
+    def failure(self, state: State) -> Mask:
+        """Return which episodes are lost, (n,) bool: the outcomes but the first and the last."""
+        outcome = self._outcome(state)
+        return np.isin(outcome, OUTCOMES[1:-1])
+
+    def reward(self, state: State) -> Floats:
+        """Compute the reward of a step, (n,).
+
+        100 on success; otherwise, while both fingers touch the object, 5 - 10 d with d its distance
+        from the tray [m]; otherwise the paper's -2 d^2 - a / 70 to the grasp frame.
+        """
+        held = HELD_REWARD - 10 * np.linalg.norm(_tray_offset(state), axis=1)
+        to_grasp = paper_reward(state.distance, state.angle, state.success)
+        value = np.where(state.simulator.touched(state.target), held, to_grasp)
+        return np.where(state.success, SUCCESS_REWARD, value)
+
+    def infos(self, state: State) -> NamedArrays:
+        """Add how far the object is from the tray [m], and how the episode ends."""
+        return {
+            "rise": state.simulator.rise(state.target),
+            "gripped": state.simulator.touched(state.target),
+            "disturbed": disturbed(state),
+            "tray_distance": np.linalg.norm(_tray_offset(state), axis=1),
+            "placing": self._outcome(state),
+        }
+
+    def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
+        """Store how each episode ended, and how far from the tray."""
+        return {
+            "placing": infos["placing"],
+            "tray_distance_m": infos["tray_distance"],
+        }
+
+    def _outcome(self, state: State) -> Names:
+        """Return how episodes stand, (n,), of ``OUTCOMES``."""
+        simulator = state.simulator
+        target = state.target
+        is_free = simulator.released(target)
+        is_taken = state.memory["taken"]
+        rise = simulator.rise(target)
+        way = np.linalg.norm(simulator.place(target) - state.positions[:, 0], axis=1)
+        has_fallen = rise < -FALLEN_M
+        has_fallen |= is_free & (_tilt_deg(state) > TOPPLED_DEG)
+        has_fallen |= ~is_taken & (way > LOST_M)
+        is_beside = is_taken & is_free & (rise < DOWN_M) & ~_is_over_tray(state)
+        outcome = np.full(len(way), "unfinished", "U10")
+        outcome[is_beside] = "beside"
+        outcome[has_fallen] = "fallen"
+        outcome[disturbed(state)] = "disturbed"
+        outcome[self.success(state)] = "placed"
+        return outcome
+
+
+def _tray_offset(state: State) -> Floats:
+    """Return x and y from the tray's centre to the object's centre of mass, (n, 2) [m]."""
+    centre = state.simulator.centre(state.target)[:, :2]
+    return centre - np.array(centre_m(state.scene.robot))
+
+
+def _is_over_tray(state: State) -> Mask:
+    """Return whether the centre of mass is above the tray, (n,)."""
+    return (np.abs(_tray_offset(state)) < HALF_M).all(axis=1)
+
+
+def _tilt_deg(state: State) -> Floats:
+    """Return the angle between the object's vertical and the world's, (n,) [deg]."""
+    _, turn = state.simulator.pose(state.target)
+    return np.degrees(np.arccos(turn[:, 2, 2].clip(-1.0, 1.0)))
+
+
+def _is_placed(state: State) -> Mask:
+    """Return whether the object stands upright on the tray without the gripper, (n,)."""
+    simulator = state.simulator
+    is_down = simulator.rise(state.target) < DOWN_M
+    is_upright = _tilt_deg(state) < UPRIGHT_DEG
+    return (
+        simulator.released(state.target) & is_down & is_upright & _is_over_tray(state)
+    )
