@@ -29,6 +29,7 @@ from knowarm.own_robot.poses import Fields, rounded
 from knowarm.own_robot.robot_check import EVALUATION_M, MAX_BLIND, fixed_list_success
 from knowarm.own_robot.servo_check import MAX_LAG_RAD, best_frequency, servo_lag
 from knowarm.reading import one_line
+from knowarm.world.agents.scripted import TeacherAgent
 from knowarm.world.config import SUCCESS_DISTANCE_M, EnvConfig
 from knowarm.world.objects import find_targets
 from knowarm.world.robots.robot import Robot
@@ -332,11 +333,11 @@ def _view(
     return view | values
 
 
-ENOUGH = MIN_ORACLE + 0.1  # Success of the oracle from which no other area is tried
+ENOUGH = MIN_ORACLE + 0.1  # Success of the teacher from which no other area is tried
 
 
 def find_area(draft: Draft, skill: Skill) -> tuple[Fields, str]:
-    """Find the area, of those that a skill proposes, in which its oracle succeeds most often.
+    """Find the area, of those that a skill proposes, in which its teacher succeeds most often.
 
     What two fingers do with an object depends on their contacts, which inverse kinematics does not
     see. Return the fields of the area, empty if nothing can be done, and what was found.
@@ -346,7 +347,8 @@ def find_area(draft: Draft, skill: Skill) -> tuple[Fields, str]:
     for area in skill.areas_to_try(draft.robot):
         with written(draft, areas={skill.area: area}) as file:
             try:
-                success = oracle_success(EnvConfig(robot=file, task=Task(skill=skill)))
+                config = EnvConfig(robot=file, task=Task(skill=skill))
+                success = oracle_success(config, TeacherAgent)
             except UserError as error:
                 return {}, f"not possible: {error}"
         if success > best:
@@ -357,9 +359,9 @@ def find_area(draft: Draft, skill: Skill) -> tuple[Fields, str]:
     if not best_area:
         return (
             {},
-            "not possible: the oracle succeeds in none of the areas that were tried",
+            "not possible: the teacher succeeds in none of the areas that were tried",
         )
-    found = f"the oracle succeeds in {100 * best:.0f} % of the episodes in its area"
+    found = f"the teacher succeeds in {100 * best:.0f} % of the episodes in its area"
     return best_area, found
 
 

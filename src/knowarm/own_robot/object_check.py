@@ -16,6 +16,7 @@ from knowarm.own_robot.robot_check import JointWay, check_reach, check_visible
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import PrivilegedAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -69,11 +70,13 @@ def check_objects(
     return checks
 
 
-def oracle_success(config: EnvConfig) -> float:
-    """Return the share of ``EPISODES`` episodes of a task that the oracle solves."""
+def oracle_success(
+    config: EnvConfig, agent: type[PrivilegedAgent] = OracleAgent
+) -> float:
+    """Return the share of ``EPISODES`` episodes of a task that the oracle, or another, solves."""
     env = ArmVectorEnv(replace(config, image_size=1), EPISODES)
     episodes = evaluation_episodes(env.config, EPISODES, 2)
-    return float(play(OracleAgent(env), env, episodes).success.mean())
+    return float(play(agent(env), env, episodes).success.mean())
 
 
 def _check_oracle(config: EnvConfig, area: str) -> Check:

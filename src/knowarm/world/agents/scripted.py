@@ -110,6 +110,21 @@ class ApproachAgent(OracleAgent):
     _straight = True
 
 
+class TeacherAgent(PrivilegedAgent):
+    """Acts as the teacher of imitation says, at all levels.
+
+    Its success tells where a student has something to learn from.
+    """
+
+    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
+        super().__init__(env, seed)
+        self.teacher = env.config.task.skill.teacher(env.running)
+
+    def act(self, observations: Observations) -> Integers:
+        """Choose for each joint the action that ends nearest to what the teacher says, (n, J)."""
+        return nearest_levels(self.teacher.error())
+
+
 class InformedAgent:
     """Plays an agent on changed queries or knowledge of the episodes.
 

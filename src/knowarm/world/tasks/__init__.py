@@ -28,7 +28,16 @@ if TYPE_CHECKING:  # Importing this package imports no simulator.
     from knowarm.world.tasks.skills.skill import Skill
     from knowarm.world.tasks.task import Task
 
-TASKS = ("reach", "lift", "choose", "purpose", "families", "choose-lift")
+TASKS = (
+    "reach",
+    "lift",
+    "place",
+    "choose",
+    "purpose",
+    "families",
+    "choose-lift",
+    "choose-place",
+)
 """Shipped tasks with Gymnasium ids and listed experiments; `find_task` finds every combination."""
 
 DEFAULT_TASK = DEFAULT_SKILL

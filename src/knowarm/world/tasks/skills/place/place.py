@@ -75,12 +75,7 @@ class Place(Lift):
         at_least(self, 1, "rest_steps", where="task.")
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
-        """Refuse imitation."""
-        if algorithm == "distil":
-            raise UserError(
-                "Placing has no teacher, so it cannot be imitated. Train by reward, or let "
-                "`knowarm evaluate RUN --seen` solve what a network sees."
-            )
+        """Train as an algorithm does by default."""
         return {}
 
     def areas_to_try(self, robot: Robot) -> Iterable[dict[str, Any]]:
@@ -123,7 +118,8 @@ class Place(Lift):
     def teacher(self, state: State) -> Teacher:  # type: ignore[override]
         """Refuse: what to do does not follow from the state alone."""
         raise UserError(
-            "Placing has no teacher, so it cannot be imitated: train by reward."
+            "Placing has no teacher, so it cannot be imitated. Train by reward, or let "
+            "`knowarm evaluate RUN --seen` solve what a network sees."
         )
 
     def guide(self, straight: bool) -> type[PlaceGuide]:
