@@ -132,3 +132,7 @@ class PrivilegedAgent:
             raise UserError(
                 f"This {type(self).__name__} was made for another environment; make one for this."
             )
+
+    def act(self, observations: Observations) -> Integers:
+        """Choose actions, as `AgentProtocol`."""
+        raise NotImplementedError

@@ -15,6 +15,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.skills.lift.guide import LiftGuide
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
@@ -68,7 +69,7 @@ class Lift(Skill):
         "disturbed": "whether another object had moved by 3 cm at the end",
     }
 
-    probes = (LiftProbe,)
+    probes: ClassVar[tuple[type[BaseProbe], ...]] = (LiftProbe,)
 
     kind: Literal["lift"] = "lift"
     """Tag of this skill in JSON."""

@@ -1,6 +1,6 @@
 """Placing: take the solid object that is meant and put it down on a tray."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -78,9 +78,9 @@ class Place(Lift):
         """Train as an algorithm does by default."""
         return {}
 
-    def areas_to_try(self, robot: Robot) -> Iterable[dict[str, Any]]:
+    def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
         """Propose none: that of lifting is taken."""
-        return ()
+        return iter(())
 
     def area_of(self, robot: Robot) -> str:
         """Check that the robot has a tray."""
@@ -217,7 +217,8 @@ def _tray_offset(state: State) -> Floats:
 
 def _is_over_tray(state: State) -> Mask:
     """Return whether the centre of mass is above the tray, (n,)."""
-    return (np.abs(_tray_offset(state)) < HALF_M).all(axis=1)
+    is_within: Mask = np.abs(_tray_offset(state)) < HALF_M
+    return np.all(is_within, axis=1)
 
 
 def _tilt_deg(state: State) -> Floats:
