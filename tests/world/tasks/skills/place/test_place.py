@@ -1,0 +1,151 @@
+"""Placing: what counts as placed, what ends an episode, and the oracle that does it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import knowarm
+from knowarm.errors import UserError
+from knowarm.world.agents import Batch
+from knowarm.world.config import scene_of
+from knowarm.world.robots import ROBOTS, find_robot
+from knowarm.world.tasks import find_task
+from knowarm.world.tasks.skills.guides import Guide, Sight
+from knowarm.world.tasks.skills.lift.guide import Surroundings
+from knowarm.world.tasks.skills.place.place import OUTCOMES, Place
+from knowarm.world.tasks.skills.place.tray import HALF_M
+
+OPEN = 2  # Level of the largest step that opens the fingers
+
+
+def make_env(robot="irb120", count=8, task="place"):
+    return knowarm.make(robot, num_envs=count, task=task, image_size=8)
+
+
+def started(env, seed=0):
+    episodes = knowarm.evaluation_episodes(env.config, env.num_envs, seed)
+    env.reset(options={"episodes": episodes})
+    agent = knowarm.OracleAgent(env)
+    agent.reset(Batch.of(env))
+    return agent
+
+
+def nothing(env):
+    return np.zeros(env.num_envs, bool)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_oracle_places_objects_on_the_tray(robot):
+    env = make_env(robot)
+    episodes = knowarm.evaluation_episodes(env.config, 8, seed=0)
+    result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
+    assert result.success.mean() >= 0.85
+    assert (result.infos["placing"][result.success] == "placed").all()
+    assert (result.infos["tray_distance"][result.success] < HALF_M * 2**0.5).all()
+    assert not result.infos["gripped"][result.success].any()
+
+
+def test_of_several_objects_the_oracle_places_the_one_that_answers():
+    env = make_env(count=12, task="choose-place")
+    episodes = knowarm.evaluation_episodes(env.config, 12, seed=0)
+    result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
+    assert result.success.mean() >= 0.75
+    assert not result.infos["disturbed"][result.success].any()
+    assert set(result.infos["placing"]) <= set(OUTCOMES)
+
+
+def test_what_is_let_go_on_the_way_is_no_success():
+    env = make_env()
+    agent = started(env)
+    ended = {}
+    for _ in range(140):
+        actions = agent.act({})
+        offset = env.running.infos()["tray_distance"]
+        dropping = env.running.memory["taken"] & (offset > 2 * HALF_M)
+        actions[dropping, -1] = OPEN
+        _, _, terminated, _, infos = env.advance(actions, nothing(env))
+        for number in np.flatnonzero(terminated):
+            ended.setdefault(int(number), infos["placing"][number])
+        assert not infos["is_success"][dropping].any()
+    assert len(ended) >= 6
+    assert set(ended.values()) <= {"beside", "fallen"}
+    assert "beside" in ended.values()
+
+
+def test_what_is_held_over_the_tray_is_not_placed_yet():
+    env = make_env()
+    agent = started(env)
+    held = nothing(env)
+    for _ in range(120):
+        actions = agent.act({})
+        over = env.running.infos()["tray_distance"] < HALF_M / 2
+        held |= over & env.running.memory["taken"]
+        actions[over, -1] = 1  # The fingers stay closed.
+        _, _, terminated, _, infos = env.advance(actions, nothing(env))
+        assert not infos["is_success"].any()
+    assert held.sum() >= 6
+
+
+def test_taking_another_object_ends_the_episode():
+    env = make_env(count=4, task="choose-place")
+    env.reset(seed=3)
+    state = env.running
+    agent = knowarm.OracleAgent(env)
+    agent.reset(Batch.of(env))
+    state.objects = np.roll(state.objects, -1, axis=1)
+    state.positions = np.roll(state.positions, -1, axis=1)
+    ended = nothing(env)
+    for _ in range(90):
+        _, _, terminated, _, infos = env.advance(agent.act({}), nothing(env))
+        ended |= terminated
+        assert not infos["is_success"].any()
+    assert ended.sum() >= 3
+
+
+def test_a_restored_state_continues_to_the_byte():
+    env = make_env(count=4)
+    agent = started(env)
+    for _ in range(60):
+        env.advance(agent.act({}), nothing(env))
+    state = env.get_state()
+    actions = np.ones((4, 7), np.int64)
+    first = [env.advance(actions, nothing(env))[1] for _ in range(5)]
+    env.set_state(state)
+    again = [env.advance(actions, nothing(env))[1] for _ in range(5)]
+    np.testing.assert_array_equal(first, again)
+
+
+def test_what_is_held_may_touch_nothing_either():
+    """Above another object there is a height that is free without what the gripper holds."""
+    env = make_env(count=6, task="choose-place")
+    started(env)
+    state = env.running
+    sight = Sight.true(state)
+    arm = replace(env.config, task=find_task("choose"), dynamics="kinematic")
+    guide = Guide(scene_of(arm), 0.05, 15.0, False)
+    joints = sight._replace(joints=sight.joints[:, :-1])
+    alone = Surroundings(state.scene, sight)
+    holding = Surroundings(state.scene, sight)
+    holding.hold(guide.way(joints).points[:, 0])
+    ids = np.arange(6)
+    differs = nothing(env)
+    for height in np.arange(0.04, 0.24, 0.04):
+        above = state.grasp_positions()[:, 1] + [0, 0, height]
+        pose = guide.way(joints._replace(position=above)).points
+        is_free = holding.are_free(ids, pose, 0.0)
+        assert not (is_free & ~alone.are_free(ids, pose, 0.0)).any()
+        differs |= alone.are_free(ids, pose, 0.0) & ~is_free
+    assert differs.sum() >= 3
+
+
+def test_a_robot_without_a_tray_is_refused_with_a_remedy():
+    robot = replace(find_robot("irb120"), tray_m=None)
+    with pytest.raises(UserError, match=r"Set tray_m = \[x, y\]"):
+        Place().area_of(robot)
+
+
+def test_there_is_no_teacher_to_imitate():
+    env = make_env(count=1)
+    with pytest.raises(UserError, match="cannot be imitated"):
+        env.config.task.skill.teacher(env.running)
