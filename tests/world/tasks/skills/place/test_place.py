@@ -82,7 +82,7 @@ def test_what_is_held_over_the_tray_is_not_placed_yet():
         over = env.running.infos()["tray_distance"] < HALF_M / 2
         held |= over & env.running.memory["taken"]
         actions[over, -1] = 1  # The fingers stay closed.
-        _, _, terminated, _, infos = env.advance(actions, nothing(env))
+        _, _, _terminated, _, infos = env.advance(actions, nothing(env))
         assert not infos["is_success"].any()
     assert held.sum() >= 6
 
