@@ -31,6 +31,7 @@ from knowarm.perception.agent import FrameRecognition
 from knowarm.reading import digest, read_bytes, replacing, write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
+from knowarm.world.robots.robot import FINGERS_JOINT
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene, target_places
 
@@ -79,8 +80,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
     ``joint_map`` is a TOML file whose table of that name replaces that of the robot.
 
     Raises:
-        UserError: the policy closes fingers, its MPI is larger than that of the robot, or the joint
-            map does not fit.
+        UserError: its MPI is larger than that of the robot, or the joint map does not fit.
     """
     env = trained.config.env
     rows = env.task.asked.knowledge_rows(facets_of(env))
@@ -98,11 +98,6 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "when": "in the first image of an episode",
         }
     scene = scene_of(env)
-    if scene.joint_names != scene.robot.joints:
-        raise UserError(
-            f"Policies of the task {env.task.name!r} close fingers, which deployments "
-            "cannot do. Export a policy of another task."
-        )
     if not table.size:
         table = np.zeros((1, 0))
         rows = ["any"]
@@ -246,7 +241,7 @@ def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Descrip
     """Describe the policy's joints, and those of the real arm where they differ."""
     joints: Description = {
         "robot": scene.robot.name,
-        "names": scene.robot.joints,
+        "names": scene.joint_names,
         "unit": "rad (slides: m)",
         "lower": scene.joint_lower.tolist(),
         "upper": scene.joint_upper.tolist(),
@@ -256,6 +251,14 @@ def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Descrip
         "increments": increments.tolist(),
         "command": "position target: previous target + increments[action], clipped to the limits",
     }
+    if scene.fingers is not None:
+        joints["gripper"] = {
+            "joint": FINGERS_JOINT,
+            "unit": "m of each finger, from 0 (open); targets beyond closed press harder",
+            "closed": scene.fingers.closed_m,
+            "mpi": joints["mpi"],
+            "force_n": scene.fingers.force_n,
+        }
     real = real_joints(scene, joint_map)
     same = [(name, 1.0, 0.0) for name in scene.joint_names]
     if [(joint["name"], joint["scale"], joint["offset"]) for joint in real] != same:

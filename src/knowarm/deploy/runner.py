@@ -18,6 +18,7 @@ import numpy as np
 
 FORMAT = "knowarm-contract-2"
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
+RESTING_M = 0.005  # how far beyond their limits fingers may rest
 Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
 Arrays = Mapping[str, np.ndarray]
 Model = Callable[[Arrays], Sequence[np.ndarray]]  # named inputs to outputs in order
@@ -80,7 +81,8 @@ class Runner:
 
     Raises `ValueError` for a contract, table, input or output that is damaged or does not fit.
     ``targets`` are the joint angles that the actions have commanded, (n, J) [rad], and
-    ``joint_map`` converts them to what the real arm is sent, and its readings to them.
+    ``joint_map`` converts them to what the real arm is sent, and its readings to them. Policies
+    that close fingers have these as one more joint, number ``fingers``, in metres of each finger.
     """
 
     def __init__(
@@ -96,6 +98,16 @@ class Runner:
         self.lower = np.array(joints["lower"], float)
         self.upper = np.array(joints["upper"], float)
         self.increments = np.array(joints["increments"], float)
+        gripper = joints.get("gripper")
+        self.fingers = None  # Number of the joint that closes the gripper
+        self._closed_m = 1.0
+        self._resting = np.full(len(self.joint_names), RESTING_RAD)
+        if gripper:
+            is_joint = gripper["joint"] in self.joint_names
+            _require(is_joint, "the gripper is one of its joints")
+            self.fingers = self.joint_names.index(gripper["joint"])
+            self._closed_m = float(gripper["closed"])
+            self._resting[self.fingers] = RESTING_M
         self._table = knowledge
         self._check_contract()
         self.joint_map = JointMap(joints)
@@ -114,6 +126,7 @@ class Runner:
             contract["control_period_s"],
             contract["max_episode_steps"],
             mpi,
+            self._closed_m,
             contract["camera"]["size"],
             contract["recurrent"]["size"],
         ]
@@ -161,8 +174,8 @@ class Runner:
             raise ValueError(f"joints lack {', '.join(missing)}; got {[*batch.joints]}")
         columns = [batch.joints[name] for name in self.joint_names]
         angles = np.atleast_2d(np.transpose(columns))
-        above = angles > self.lower - RESTING_RAD
-        below = angles < self.upper + RESTING_RAD
+        above = angles > self.lower - self._resting
+        below = angles < self.upper + self._resting
         if not (above & below).all():
             raise ValueError(
                 f"joint angles {angles.tolist()} are not finite and within the limits"
@@ -221,6 +234,12 @@ class Runner:
         targets = self.targets + self.increments[levels]
         self.targets = targets.clip(self.lower, self.upper)
         return levels
+
+    def closed(self, targets: np.ndarray) -> np.ndarray:
+        """Return how far joint targets (..., J) close the gripper, from 0 (open) to 1 (closed)."""
+        if self.fingers is None:
+            raise ValueError("this policy moves no gripper")
+        return (targets[..., self.fingers] / self._closed_m).clip(0.0, 1.0)
 
     def _check_outputs(self, levels: np.ndarray, h: np.ndarray, c: np.ndarray) -> None:
         """Raise `ValueError` for outputs of the policy by which nothing should move."""

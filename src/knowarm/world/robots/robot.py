@@ -47,6 +47,9 @@ class Area:
     """Yaw of single targets by name [deg]."""
 
 
+FINGERS_JOINT = "fingers"
+"""Name of the two fingers, which move alike, as one joint."""
+
 _AREA_FIELDS = {
     "rectangle_centre_m": "centre_m",
     "rectangle_half_size_m": "half_size_m",

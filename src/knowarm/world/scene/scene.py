@@ -29,6 +29,14 @@ Indices = NDArray[np.intp]
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
 
 
+@dataclass(frozen=True)
+class Fingers:
+    """Two fingers that move alike: the last joint of a scene, 0 where they are open."""
+
+    closed_m: float  # Way of each from open to closed
+    force_n: float  # Largest force of each
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Scene:
     """A compiled model and the indices of its parts.
@@ -61,6 +69,7 @@ class Scene:
     # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
     grasp_position: Floats
     grasp_matrix: Floats  # Rotation from grasp frame to world, (K, 3, 3)
+    fingers: Fingers | None = None  # None: the agent moves no fingers
 
     @property
     def num_joints(self) -> int:

@@ -12,7 +12,7 @@ from knowarm.errors import UserError
 from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.robot import Robot
+from knowarm.world.robots.robot import FINGERS_JOINT, Robot
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.probe import BaseProbe
@@ -131,7 +131,7 @@ class Lift(Skill):
 
     def joint_names(self, robot: Robot) -> tuple[str, ...]:
         """Name the joints of the arm and the fingers, which move together."""
-        return (*robot.joints, "fingers")
+        return (*robot.joints, FINGERS_JOINT)
 
     def teacher(self, state: State) -> LiftTeacher:
         """Make what approaches, closes the fingers and lifts."""

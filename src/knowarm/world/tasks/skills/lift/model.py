@@ -28,10 +28,10 @@ from mujoco import (
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.world.objects.target import Target
-from knowarm.world.robots.robot import Robot
+from knowarm.world.robots.robot import FINGERS_JOINT, Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
 from knowarm.world.scene.mjcf import read_mjcf
-from knowarm.world.scene.scene import Scene, compiling, describe_model
+from knowarm.world.scene.scene import Fingers, Scene, compiling, describe_model
 from knowarm.world.scene.surface import surface_points
 from knowarm.world.tasks.state import Indices
 
@@ -96,7 +96,8 @@ def build_lift_scene(
             _sense_touch(spec, finger, name)
         model = spec.compile()
     scene = dict(vars(describe_model(model, robot, targets, distractors)))
-    scene["joint_names"] = (*robot.joints, "fingers")
+    scene["joint_names"] = (*robot.joints, FINGERS_JOINT)
+    scene["fingers"] = Fingers(closed_m=opening / 2, force_n=GRIP_FORCE_N)
     last = {
         "qpos_index": model.joint(FINGERS[0]).qposadr,
         "joint_lower": 0.0,

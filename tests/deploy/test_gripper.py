@@ -1,0 +1,151 @@
+"""Policies that close fingers leave the simulator with them: same actions, same outcomes."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.deploy.contract import deployment
+from knowarm.deploy.runner import Runner, Start
+from knowarm.experiment.load import load_agent
+from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from tests.source_tree import ROOT
+
+RUN = ROOT / "zoo" / "tiago-lift-full-distil"
+IMAGE = np.zeros((64, 64, 3), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return load_agent(RUN)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The folder that the command writes."""
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    folder = tmp_path_factory.mktemp("exported")
+    assert main(["export", str(RUN), "--to", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def env(trained):
+    return ArmVectorEnv(trained.config.env, 8)
+
+
+@pytest.fixture(scope="module")
+def episodes(trained):
+    return evaluation_episodes(trained.config.env, 16, 3)
+
+
+@pytest.fixture(scope="module")
+def played(trained, env, episodes):
+    """The episodes as the policy plays them in process."""
+    results = play(trained.agent, env, episodes)
+    assert results.success.mean() > 0.8
+    return results
+
+
+def assert_plays_alike(results, played):
+    np.testing.assert_array_equal(results.steps.actions, played.steps.actions)
+    np.testing.assert_array_equal(results.success, played.success)
+    np.testing.assert_array_equal(results.length, played.length)
+
+
+@pytest.fixture
+def runner(trained):
+    return deployment(trained).runner()
+
+
+def home_of(runner, **changes):
+    home = runner.contract["joints"]["home"]
+    return dict(zip(runner.joint_names, home, strict=True)) | changes
+
+
+@pytest.mark.slow
+def test_the_exported_runner_lifts_as_the_policy_does(exported, env, episodes, played):
+    assert_plays_alike(play(Runner.load(exported), env, episodes), played)
+
+
+def test_the_contract_says_what_a_gripper_needs(exported, trained):
+    joints = json.loads((exported / "contract.json").read_text())["joints"]
+    gripper = joints["gripper"]
+    assert joints["names"][-1] == gripper["joint"] == "fingers"
+    assert len(joints["lower"]) == trained.policy.shape.joints == 8
+    assert joints["lower"][-1] == joints["home"][-1] == joints["start_offset"][-1] == 0
+    assert gripper["closed"] == pytest.approx(0.039)
+    assert joints["upper"][-1] == pytest.approx(0.039 + 0.02)
+    assert gripper["unit"].startswith("m of each finger")
+    assert (gripper["mpi"], gripper["force_n"]) == (joints["mpi"], 40.0)
+
+
+def test_an_arm_alone_has_no_gripper(trained):
+    alone = deployment(load_agent(ROOT / "zoo" / "tiago-full-fast"))
+    assert "gripper" not in alone.contract["joints"]
+    with pytest.raises(ValueError, match="moves no gripper"):
+        alone.runner().closed(np.zeros((1, 7)))
+
+
+def test_the_runner_of_a_gripper_needs_no_package(exported, tmp_path):
+    code = """
+import sys, numpy as np
+sys.path.insert(0, sys.argv[1])
+from runner import Runner, Start
+r = Runner.load(sys.argv[1])
+r.reset(Start(dict(zip(r.joint_names, r.contract["joints"]["home"]))))
+assert r.closed(r.targets).tolist() == [0.0]
+r.act({"image": np.zeros((1, 64, 64, 3), np.uint8)})
+assert r.targets.shape == (1, 8) and 0 <= r.closed(r.targets)[0] <= 1
+assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
+"""
+    command = [sys.executable, "-c", code, str(exported)]
+    subprocess.run(command, check=True, cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("metres", "share"),
+    [(0.0, 0.0), (0.0195, 0.5), (0.039, 1.0), (0.059, 1.0)],
+)
+def test_targets_close_from_0_to_1(runner, metres, share):
+    targets = np.zeros((3, 8))
+    targets[1, -1] = metres
+    np.testing.assert_allclose(runner.closed(targets), [0, share, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("metres", [-0.01, 0.078, 1.0, 100.0, float("nan")], ids=str)
+def test_a_start_that_counts_the_fingers_otherwise_is_refused(runner, metres):
+    """As a gap of both fingers, as 0 to 1, in per cent, or with the other sign."""
+    with pytest.raises(ValueError, match="not finite and within the limits"):
+        runner.reset(Start(home_of(runner, fingers=metres)))
+    runner.reset(Start(home_of(runner, fingers=0.041)))
+
+
+def test_a_start_without_the_fingers_is_refused(runner):
+    angles = home_of(runner)
+    del angles["fingers"]
+    with pytest.raises(ValueError, match="joints lack fingers"):
+        runner.reset(Start(angles))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"joint": "jaw"}, "the gripper is one of its joints"),
+        ({"closed": 0.0}, "larger than 0"),
+        ({"closed": float("nan")}, "numbers are finite"),
+    ],
+    ids=str,
+)
+def test_a_damaged_gripper_moves_nothing(trained, change, words):
+    contract = deployment(trained).contract
+    joints = contract["joints"]
+    damaged = joints | {"gripper": joints["gripper"] | change}
+    with pytest.raises(ValueError, match=words):
+        Runner(contract | {"joints": damaged}, np.zeros((1, 0)), lambda inputs: ())
