@@ -1,8 +1,10 @@
 """Policies that close fingers leave the simulator with them: same actions, same outcomes."""
 
 import json
+import re
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -54,9 +56,11 @@ def played(trained, env, episodes):
 
 
 def assert_plays_alike(results, played):
-    np.testing.assert_array_equal(results.steps.actions, played.steps.actions)
+    """The same path of arm and fingers to the byte, and the same end of every episode."""
+    ours, theirs = played.steps.joint_positions, results.steps.joint_positions
+    np.testing.assert_array_equal(theirs, ours)
     np.testing.assert_array_equal(results.success, played.success)
-    np.testing.assert_array_equal(results.length, played.length)
+    np.testing.assert_array_equal(results.infos["rise"], played.infos["rise"])
 
 
 @pytest.fixture
@@ -71,7 +75,9 @@ def home_of(runner, **changes):
 
 @pytest.mark.slow
 def test_the_exported_runner_lifts_as_the_policy_does(exported, env, episodes, played):
-    assert_plays_alike(play(Runner.load(exported), env, episodes), played)
+    results = play(Runner.load(exported), env, episodes)
+    np.testing.assert_array_equal(results.steps.actions, played.steps.actions)
+    assert_plays_alike(results, played)
 
 
 def test_the_contract_says_what_a_gripper_needs(exported, trained):
@@ -149,3 +155,51 @@ def test_a_damaged_gripper_moves_nothing(trained, change, words):
     damaged = joints | {"gripper": joints["gripper"] | change}
     with pytest.raises(ValueError, match=words):
         Runner(contract | {"joints": damaged}, np.zeros((1, 0)), lambda inputs: ())
+
+
+@pytest.fixture
+def url(trained):
+    """The address of a server of the policy."""
+    pytest.importorskip("websockets")
+    pytest.importorskip("msgpack")
+    from knowarm.deploy.serve import PolicyServer
+
+    server = PolicyServer(deployment(trained).runner, port=0)
+    threading.Thread(target=server.run, daemon=True).start()
+    yield f"ws://127.0.0.1:{server.port}"
+    server.close()
+
+
+@pytest.mark.slow
+def test_the_served_policy_lifts_as_the_policy_does(url, env, episodes, played):
+    """A client finds levels that lead to the same targets; at a limit several do."""
+    from knowarm.deploy.client import Client
+
+    assert_plays_alike(play(Client(url), env, episodes), played)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (np.zeros(7), "must hold .*arm_7_joint, fingers as an episode starts, got 7"),
+        (np.zeros(9), "arm_7_joint, fingers as an episode starts, got 9"),
+        ([0.206, -0.036, -1.35, 1.81, 0.52, 0.0, 0.95, 0.078], "within the limits"),
+    ],
+)
+def test_the_server_reads_the_fingers_as_an_episode_starts(url, state, words):
+    from websockets.sync.client import connect
+
+    from knowarm.deploy.messages import pack, unpack
+
+    with connect(url, compression=None) as link:
+        about = unpack(link.recv())
+        assert about["joints"]["gripper"]["closed"] == pytest.approx(0.039)
+        assert "arm_7_joint, fingers" in about["observation"]["observation/state"]
+        home = np.array(about["joints"]["home"])
+        image = {"observation/image": IMAGE, "prompt": None, "reset": True}
+        link.send(pack(image | {"observation/state": home}))
+        assert unpack(link.recv())["actions"].shape == (1, 8)
+        link.send(pack(image | {"observation/state": np.array(state)}))
+        answer = link.recv()
+        assert isinstance(answer, str)
+        assert re.search(words, answer)
