@@ -7,15 +7,22 @@ import sys
 import threading
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from knowarm.cli.main import main
 from knowarm.deploy.contract import deployment
-from knowarm.deploy.runner import Runner, Start
+from knowarm.deploy.joint_map import real_joints
+from knowarm.deploy.runner import JointMap, Runner, Start
+from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.world.agents.play import play
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.robots.robot import RealJoint
+from knowarm.world.scene.scene import Fingers
+from tests.deploy.test_joint_map import scene_with
 from tests.source_tree import ROOT
 
 RUN = ROOT / "zoo" / "tiago-lift-full-distil"
@@ -203,3 +210,131 @@ def test_the_server_reads_the_fingers_as_an_episode_starts(url, state, words):
         answer = link.recv()
         assert isinstance(answer, str)
         assert re.search(words, answer)
+
+
+def mapped(tmp_path, *lines):
+    """Write a map of the arm's joints as the model has them, and further lines."""
+    arm = [f"{name} = {{}}" for name in ROBOTS["tiago"].joints]
+    file = tmp_path / "map.toml"
+    file.write_text("\n".join(["[joint_map]", *arm, *lines]))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("fields", "unit", "values"),
+    [
+        ("", "m", [0, 0.0195, 0.039, 0.039]),
+        ("sign = -1, offset = 0.039", "m", [0.039, 0.0195, 0, 0]),
+        ("sign = -1, scale = 2, offset = 0.078", "m", [0.078, 0.039, 0, 0]),
+        ('unit = "range_0_1"', "range_0_1", [0, 0.5, 1, 1]),
+        (
+            'unit = "range_0_100", sign = -1, offset = 100, name = "gripper.pos"',
+            "range_0_100",
+            [100, 50, 0, 0],
+        ),
+        ('unit = "range_m100_100"', "range_m100_100", [-100, 0, 100, 100]),
+        ('unit = "range_0_1", range = [0, 0.0195]', "range_0_1", [0, 1, 1, 1]),
+        (
+            'unit = "range_0_1", range = [0, 0.078]',
+            "range_0_1",
+            [0, 0.25, 0.5, 59 / 78],
+        ),
+    ],
+)
+def test_a_real_gripper_is_sent_open_to_closed(trained, tmp_path, fields, unit, values):
+    """From open over half to closed; the policy's targets end beyond, the gripper's do not."""
+    file = mapped(tmp_path, f"fingers = {{{fields}}}")
+    contract = deployment(trained, file).contract
+    (*_, entry) = contract["joints"]["real"]
+    assert (entry["joint"], entry["unit"]) == ("fingers", unit)
+    joint_map = JointMap(json.loads(json.dumps(contract["joints"])))
+    targets = np.zeros((4, 8))
+    targets[:, -1] = [0, 0.0195, 0.039, 0.059]
+    sent = joint_map.to_real(targets)
+    np.testing.assert_allclose(sent[:, -1], values, atol=1e-9)
+    back = joint_map.from_real(sent[:2])
+    reachable = 1 if "0.0195]" in fields else 2
+    np.testing.assert_allclose(back[:reachable], targets[:reachable], atol=1e-9)
+
+
+def test_without_a_map_targets_go_beyond_closed(runner):
+    targets = np.full((1, 8), 0.059)
+    np.testing.assert_array_equal(runner.joint_map.to_real(targets), targets)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('fingers = {unit = "deg"}', "deg is of joints that turn"),
+        ('fingers = {name = "arm_1_joint"}', "a name twice"),
+        ("jaw = {}", "joint_map names 'jaw'"),
+    ],
+)
+def test_a_map_that_does_not_fit_the_gripper_is_refused(trained, tmp_path, line, words):
+    with pytest.raises(UserError, match=words):
+        deployment(trained, mapped(tmp_path, line))
+
+
+def test_a_map_that_holds_the_jaw_of_a_gripper_that_moves_is_refused():
+    """Else the jaw is told to stay open while the policy closes fingers that no arm has."""
+    robot = ROBOTS["irb120"]
+    fewer = {"joints": robot.joints[:5], "home": robot.home[:5], "areas": {}}
+    joint_map = dict.fromkeys(robot.joints, RealJoint())
+    scene = scene_with(joint_map, **fewer)
+    assert len(real_joints(scene)) == 6
+    scene.fingers = Fingers(closed_m=0.03, force_n=40.0)
+    with pytest.raises(UserError, match="holds joint_6 still, and this task moves"):
+        real_joints(scene)
+    scene = scene_with(joint_map | {"fingers": RealJoint(name="jaw")}, **fewer)
+    assert real_joints(scene)[-1]["name"] == "jaw"
+
+
+@pytest.mark.parametrize(
+    ("fields", "value"),
+    [
+        ("sign = -1, offset = 0.039", 0.039),
+        ('unit = "range_0_100", sign = -1, offset = 100', 100.0),
+        ('unit = "range_0_1"', 0.0),
+        ('unit = "range_0_1", range = [0.001, 0.041]', -0.025),
+    ],
+)
+def test_a_policy_of_the_arm_alone_sends_a_gripper_of_the_map_open(
+    tmp_path, fields, value
+):
+    arm = load_agent(ROOT / "zoo" / "tiago-full-fast")
+    file = mapped(tmp_path, f"fingers = {{{fields}}}")
+    runner = deployment(arm, file).runner()
+    assert runner.joint_map.names[-1] == "fingers"
+    assert runner.joint_map.to_real(np.zeros((1, 7)))[0, -1] == pytest.approx(value)
+
+
+def features(folder):
+    return json.loads((folder / "meta/info.json").read_text())["features"]
+
+
+def test_a_dataset_has_the_gripper_as_its_own_entry(tmp_path):
+    """In metres, and with a map as LeRobot counts grippers: 100 is open."""
+    fields = 'name = "gripper.pos", unit = "range_0_100", sign = -1, offset = 100'
+    file = mapped(tmp_path, f"fingers = {{{fields}}}")
+    options = {"plain": [], "real": ["--joint-map", str(file)]}
+    frames = {}
+    for name, more in options.items():
+        folder = tmp_path / name
+        command = ["record", str(RUN), "--episodes", "1", "--to", str(folder), *more]
+        assert main(command) == 0
+        frames[name] = pq.read_table(folder / "data").to_pylist()
+    for column in ("observation.state", "action"):
+        plain = features(tmp_path / "plain")[column]
+        real = features(tmp_path / "real")[column]
+        assert (plain["names"][-1], plain["units"][-1]) == ("fingers", "m")
+        assert (real["names"][-1], real["units"][-1]) == ("gripper.pos", "range_0_100")
+        assert plain["shape"] == real["shape"] == [8]
+        metres = np.array([frame[column][-1] for frame in frames["plain"]])
+        sent = np.array([frame[column][-1] for frame in frames["real"]])
+        np.testing.assert_allclose(
+            sent, (100 - metres / 0.00039).clip(0, 100), atol=1e-3
+        )
+        assert sent[0] == 100
+        assert sent[-1] < 60, "it closed"
+    assert metres.max() > 0.039, "a target beyond closed"
+    assert features(tmp_path / "plain")["action.levels"]["names"][-1] == "fingers"

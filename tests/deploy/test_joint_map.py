@@ -53,7 +53,12 @@ def scene_with(joint_map, **changes):
     robot = replace(ROBOTS["irb120"], joint_map=joint_map, **changes)
     count = len(robot.joints)
     lower, upper = np.full(count, -1.5), np.linspace(0.5, 3, count)
-    limits = {"joint_lower": lower, "joint_upper": upper, "qpos_index": range(count)}
+    limits = {
+        "joint_lower": lower,
+        "joint_upper": upper,
+        "qpos_index": range(count),
+        "fingers": None,
+    }
     return SimpleNamespace(robot=robot, joint_names=robot.joints, model=MODEL, **limits)
 
 

@@ -9,15 +9,26 @@ import mujoco
 from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.reading import read_toml
-from knowarm.world.robots.robot import RealJoint
+from knowarm.world.robots.robot import FINGERS_JOINT, RealJoint
 from knowarm.world.scene.mjcf import check_names, read_mjcf
 from knowarm.world.scene.scene import Scene
+
+TURNS = {"rad": 1.0, "deg": math.degrees(1)}
+"""Scales of units of the angle."""
+RANGES = {
+    "range_0_1": (0.0, 1.0),
+    "range_0_100": (0.0, 100.0),
+    "range_m100_100": (-100.0, 100.0),
+}
+"""Ends of units that are relative to a range."""
 
 
 def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
     """Return joint, name, unit, scale and offset of each joint of the real arm, in its order.
 
     Joints that the map does not name, such as fingers that lift, follow as the model has them.
+    Fingers that it names have the limits ``lower`` and ``upper`` of what is sent: open and closed,
+    or the ends of their range. Where no task moves them, they are sent open.
 
     Args:
         scene: of the robot.
@@ -34,7 +45,11 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         robot = override(robot, {"joint_map": values["joint_map"]}, where=str(file))
     ranges = zip(scene.joint_lower, scene.joint_upper, strict=True)
     limits = dict(zip(scene.joint_names, ranges, strict=True))
-    held = dict(robot.held_joints)
+    held = {FINGERS_JOINT: 0.0} | dict(robot.held_joints)
+    closed_m = 1.0  # Where they stay open, any: 0 is the beginning of a range
+    if scene.fingers is not None:
+        closed_m = scene.fingers.closed_m
+    limits[FINGERS_JOINT] = (0.0, closed_m)
     others = [name for name in robot.joint_map if name not in limits]
     if others:
         owner = f"Robot {robot.name!r}"
@@ -44,16 +59,27 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         for name in others:
             limits[name] = tuple(model.joint(name).range)
             held.setdefault(name, float(model.joint(name).qpos0[0]))
-    slides = _slides(scene)
+        if scene.fingers is not None and FINGERS_JOINT not in robot.joint_map:
+            raise UserError(
+                f"{owner}: joint_map holds {', '.join(others)} still, and this task moves the "
+                "fingers. Name them in place of their joints, such as fingers = {name = "
+                '"gripper.pos", unit = "range_0_100"}.'
+            )
+    slides = [*_slides(scene), FINGERS_JOINT]
     joints = dict.fromkeys((*robot.joint_map, *scene.joint_names), RealJoint())
     entries = []
     for joint, real in (joints | dict(robot.joint_map)).items():
         ends = real.range or limits[joint]
+        if joint == FINGERS_JOINT and real.unit == "deg":
+            raise UserError(
+                f"joint_map.{joint}: deg is of joints that turn. Give rad, which counts metres of "
+                "each finger, or range_0_1, range_0_100 or range_m100_100."
+            )
         scale, zero = _unit(joint, real.unit, *map(float, ends))
         factor = real.sign * real.scale
         scale *= factor
         offset = factor * zero + real.offset
-        if joint in others:  # The policy does not move it.
+        if joint not in scene.joint_names:  # The policy does not move it.
             offset += scale * held[joint]
             scale = 0.0
         entry = {
@@ -63,6 +89,11 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             "scale": scale,
             "offset": offset,
         }
+        if joint == FINGERS_JOINT and scale and joint in robot.joint_map:
+            # The policy's targets go on beyond closed.
+            lower, upper = sorted(scale * end + offset for end in ends)
+            entry["lower"] = lower
+            entry["upper"] = upper
         entries.append(entry)
     return entries
 
@@ -77,16 +108,14 @@ def _slides(scene: Scene) -> list[str]:
 
 def _unit(joint: str, unit: str, lower: float, upper: float) -> tuple[float, float]:
     """Return scale and zero of a unit: value = scale * angle + zero, with the angle in radians."""
-    if unit == "rad":
-        return 1.0, 0.0
-    if unit == "deg":
-        return math.degrees(1), 0.0
+    if unit in TURNS:
+        return TURNS[unit], 0.0
     if lower >= upper:
         raise UserError(
             f"joint_map.{joint}: {unit} is relative to the limits, which the model does "
             "not state. Give range, such as range = [-1.5, 1.5], or take rad or deg, with an "
             "offset."
         )
-    low = -100.0 if unit == "range_m100_100" else 0.0
-    scale = (100.0 - low) / (upper - lower)
+    low, high = RANGES[unit]
+    scale = (high - low) / (upper - lower)
     return scale, low - scale * lower

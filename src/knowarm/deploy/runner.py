@@ -37,6 +37,7 @@ class JointMap:
 
     ``joints`` is that of a contract; without its entry ``real`` nothing is converted. Joints that
     the policy does not move, such as an open gripper, have a constant value: their scale is 0.
+    What is sent stays within ``lower`` and ``upper`` of joints that have them: of fingers.
     ``moved`` are the names on the real arm of the policy's joints, in the policy's order.
     """
 
@@ -49,6 +50,8 @@ class JointMap:
         self._columns = [column[name] for name in moved]
         self.names = tuple(joint["name"] for joint in real)
         self.moved = tuple(self.names[number] for number in self._columns)
+        self._lower = [joint.get("lower", -np.inf) for joint in real]
+        self._upper = [joint.get("upper", np.inf) for joint in real]
         self._offset = np.array([joint["offset"] for joint in real], float)
         scale = np.array([joint["scale"] for joint in real], float)
         self._scale = scale[self._columns]
@@ -63,7 +66,7 @@ class JointMap:
         """Convert the policy's joint angles (..., J) [rad] to values of the real arm (..., R)."""
         values = np.tile(self._offset, (*np.shape(angles)[:-1], 1))
         values[..., self._columns] += self._scale * angles
-        return values
+        return values.clip(self._lower, self._upper)
 
     def from_real(self, values: Any) -> np.ndarray:
         """Convert values of the real arm (..., R) to the policy's joint angles (..., J) [rad]."""

@@ -85,8 +85,8 @@ class RealJoint:
     range: tuple[float, float] | None = None
     """Angles of the model at which the unit's range begins and ends [rad] (slides: [m]), as the
     unit at hand was calibrated; None: the limits of the joint."""
-    unit: Literal["rad", "deg", "range_0_100", "range_m100_100"] = "rad"
-    """Radians (slides: metres), degrees, or LeRobot's ranges, over ``range``."""
+    unit: Literal["rad", "deg", "range_0_1", "range_0_100", "range_m100_100"] = "rad"
+    """Radians (slides: metres), degrees, 0 to 1 over ``range``, or LeRobot's ranges over it."""
 
     def __post_init__(self) -> None:
         if self.scale <= 0:
@@ -98,8 +98,8 @@ class RealJoint:
         low, high = self.range
         if low >= high or not self.unit.startswith("range"):
             raise UserError(
-                f"RealJoint.range is of the units range_0_100 and range_m100_100, with the lower "
-                f"end first; got {low} to {high} of the unit {self.unit!r}."
+                "RealJoint.range is of the units range_0_1, range_0_100 and range_m100_100, with "
+                f"the lower end first; got {low} to {high} of the unit {self.unit!r}."
             )
 
 
@@ -202,7 +202,8 @@ class Robot:
 
     joint_map: Mapping[str, RealJoint] = field(default_factory=dict)
     """Joints of the real arm by the model's name, in the real arm's order; empty: the model's.
-    The value at which another joint is held, such as an open gripper's, is sent in each step."""
+    The value at which another joint is held, such as an open gripper's, is sent in each step.
+    "fingers" are those that some tasks move: 0 where they are open, metres of each finger."""
 
     def __post_init__(self) -> None:
         check_values(self)
