@@ -37,7 +37,8 @@ def place_base(scene: Scene, free: bool) -> Fields:
         UserError: the size of the robot is that of no arm.
     """
     first = scene.joint_names[0]
-    origin = scene.at(scene.home).joint(ROBOT_PREFIX + first).xanchor.copy()
+    joint = scene.at(scene.home).joint(ROBOT_PREFIX + first)
+    origin = joint.xanchor.copy()
     ahead = sample_tips(scene, 1000) - origin
     reach = float(np.percentile(norm(ahead, axis=1), 95))
     if not LEAST_REACH_M < reach < GREATEST_REACH_M:
@@ -51,7 +52,8 @@ def place_base(scene: Scene, free: bool) -> Fields:
     if norm(origin[:2]) > NEAR_M:
         shift[:2] = -origin[:2]
     low = lowest_m(scene, np.flatnonzero(robot_parts(scene)))
-    if FLOATING_M < low < np.inf and (free or stands_on(scene.robot, low)):
+    is_above_floor = FLOATING_M < low < np.inf
+    if is_above_floor and (free or stands_on(scene.robot, low)):
         shift[2] = -low
     changed: Fields = {}
     if yaw_deg:
@@ -64,8 +66,10 @@ def place_base(scene: Scene, free: bool) -> Fields:
 
 def _faced_deg(ahead: Floats) -> float:
     """Return the direction that most places (n, 3) lie in, from x; x if enough lie there."""
-    azimuth = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    away = np.abs((azimuth[:, None] - DIRECTIONS_DEG + 180) % 360 - 180)
+    x, y, _ = ahead.T
+    azimuth = np.degrees(np.arctan2(y, x))
+    turned = azimuth[:, None] - DIRECTIONS_DEG
+    away = np.abs((turned + 180) % 360 - 180)
     counts = (away < CONE_DEG).sum(axis=0)
     if counts[0] > AHEAD_SHARE * counts.max():
         return 0.0
@@ -74,4 +78,5 @@ def _faced_deg(ahead: Floats) -> float:
 
 def lowest_m(scene: Scene, geoms: Integers) -> float:
     """Return the least height of geoms at home, at most; inf if there are none."""
-    return -extent(scene.at(scene.home), geoms, np.array([0.0, 0.0, -1.0]))
+    down = np.array([0.0, 0.0, -1.0])
+    return -extent(scene.at(scene.home), geoms, down)

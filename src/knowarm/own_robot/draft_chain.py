@@ -75,9 +75,12 @@ def find_chain(data: MjData, root: int) -> tuple[JointChain, Ids]:
         branches = _moving_parts(model, body)
         free = [b for b in branches if not _is_gripper(model, b)]
         free.sort(key=lambda b: -_joint_count(model, b))
-        arms = [b for b in free if _joint_count(model, b) >= ARM_JOINTS]
+        arms = []
         lengths = [0.0]
-        for b in arms:
+        for b in free:
+            if _joint_count(model, b) < ARM_JOINTS:
+                break
+            arms.append(b)
             inside = subtree(model, b)
             lengths.append(norm(data.xpos[inside] - data.xpos[b], axis=1).max())
         carried = polyline_m([*data.xanchor[joints], data.xpos[body]])
@@ -111,7 +114,9 @@ def _end(data: MjData, count: int, branches: Ids, free: Ids) -> str:
         return "the chain ends"
     if not free:
         return "a joint is named as a gripper's"
-    return _finger(data, free[0]) if count >= FIRST_FINGER else ""
+    if count < FIRST_FINGER:
+        return ""
+    return _finger(data, free[0])
 
 
 def follow_joints(model: MjModel, names: Sequence[str]) -> JointChain:
@@ -160,7 +165,9 @@ def _without_base(data: MjData, joints: Ids) -> Ids:
     first = slides.index(False)
     if first >= 2 and abs(data.xaxis[joints[first]][2]) > 0.99:
         first += 1  # a base that drives in the plane also turns
-    return joints[first:] if slides[first:].count(False) > ARM_JOINTS else joints
+    if slides[first:].count(False) > ARM_JOINTS:
+        return joints[first:]
+    return joints
 
 
 def _finger(data: MjData, body: int) -> str:
@@ -172,10 +179,12 @@ def _finger(data: MjData, body: int) -> str:
     inside = subtree(model, body)
     for group in couplings(model):
         bodies = model.jnt_bodyid[group]
-        outside = [b for b in bodies if b not in inside]
-        if body in bodies and any(body not in subtree(model, b) for b in outside):
-            name = joint_name(model, group[0])
-            return f"joints of several parts are coupled ({name!r})"
+        if body not in bodies:
+            continue
+        for other in set(bodies).difference(inside):
+            if body not in subtree(model, other):
+                name = joint_name(model, group[0])
+                return f"joints of several parts are coupled ({name!r})"
     joints = joints_of(model, inside)
     if len(joints) > 1:
         return ""
@@ -189,8 +198,9 @@ def _finger(data: MjData, body: int) -> str:
     is_short = np.ptp(model.jnt_range[joint]) < JAW_TRAVEL_M
     if is_slide(model, joint) and model.jnt_limited[joint] and is_short:
         return f"the last part slides by less than {JAW_TRAVEL_M} m"
-    is_jaw = _is_jaw(data, joint, geoms_of(model, inside), geoms_of(model, before))
-    return "a jaw moves beside a fixed part" if is_jaw else ""
+    if _is_jaw(data, joint, geoms_of(model, inside), geoms_of(model, before)):
+        return "a jaw moves beside a fixed part"
+    return ""
 
 
 def _is_jaw(data: MjData, joint: int, moving: Integers, fixed: Integers) -> bool:
@@ -200,14 +210,17 @@ def _is_jaw(data: MjData, joint: int, moving: Integers, fixed: Integers) -> bool
     anchor = data.xanchor[joint]
     out = data.geom_xpos[moving].mean(axis=0) - anchor
     length = norm(out)
-    if length < 1e-6 or abs(data.xaxis[joint] @ out) > 0.3 * length:
+    if length < 1e-6:
+        return False
+    if abs(data.xaxis[joint] @ out) > 0.3 * length:
         return False  # a wrist that rolls
     direction = out / length
     start = anchor @ direction
     far = extent(data, moving, direction) - start
     back = extent(data, moving, -direction) + start
     beside = extent(data, fixed, direction) - start
-    return bool(beside > JAW_SHARE * far and back < JAW_SHARE * far)
+    least = JAW_SHARE * far
+    return bool(back < least < beside)
 
 
 def fixed_to(model: MjModel, bodies: Sequence[int]) -> Ids:
@@ -264,12 +277,14 @@ def box_corners(data: MjData, geoms: Sequence[int] | Integers) -> Floats:
     middle, half = np.split(data.model.geom_aabb[geoms, None], 2, axis=-1)
     to_local = data.geom_xmat[geoms].reshape(-1, 3, 3).swapaxes(1, 2)
     corners = (middle + signs * half) @ to_local
-    return np.asarray(data.geom_xpos[geoms, None] + corners)
+    corners += data.geom_xpos[geoms, None]
+    return np.asarray(corners)
 
 
 def extent(data: MjData, geoms: Integers, direction: Floats) -> float:
     """Return how far geoms reach in a direction, from the world's origin [m]; -inf if none."""
-    return float((box_corners(data, geoms) @ direction).max(initial=-np.inf))
+    along = box_corners(data, geoms) @ direction
+    return float(along.max(initial=-np.inf))
 
 
 def joint_names(model: MjModel, joints: Sequence[int]) -> list[str]:
@@ -292,5 +307,8 @@ def couplings(model: MjModel) -> list[Ids]:
     is_joint = model.wrap_type == mjtWrap.mjWRAP_JOINT
     wrapped = np.where(is_joint, model.wrap_objid, -1)
     tendons = np.split(wrapped, model.tendon_adr[1:])
-    groups = [group.tolist() for group in (*pairs, *tendons)]
-    return [group for group in groups if len(group) > 1 and min(group) >= 0]
+    groups = list[Ids]()
+    for group in (*pairs, *tendons):
+        if len(group) > 1 and group.min() >= 0:
+            groups.append(group.tolist())
+    return groups

@@ -40,6 +40,9 @@ ASIDE_M = 0.03  # Farthest from the middle between fingers that a tool frame lie
 AHEAD_M = 0.06  # Farthest beyond their ends
 BEHIND_M = 0.01  # Farthest behind their beginning
 
+_HORIZONTAL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Directions across a hand that has no fingers to tell it by, the first that is not along it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper:
@@ -68,7 +71,10 @@ def find_gripper(model: MjModel, given: Sequence[str] = ()) -> Gripper:
             "Name its joints, or list them in the description's field joints."
         )
     names = joint_names(model, chain.joints)
-    left = [joint_name(model, j) for j in range(model.njnt) if j not in chain.joints]
+    left = list[str]()
+    for j in range(model.njnt):
+        if j not in chain.joints:
+            left.append(joint_name(model, j))
     how = (
         f"{len(names)} joints up to body {model.body(chain.hand).name!r}, where {chain.end}: "
         f"{', '.join(names)}; left out: {', '.join(left) or 'none'}"
@@ -84,12 +90,15 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     """Return the fields of TCP and fingers of a hand after the last joint, and their source."""
     model = data.model
     inside = subtree(model, hand)
-    outer = [b for b in inside if b != hand and model.body_jntnum[b] > 0]
+    outer = [b for b in inside[1:] if model.body_jntnum[b]]  # the first is the hand
     approach, point = _approach(data, last, hand, outer)
     across = _across(data, outer, approach)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
     fingers, text = _fingers(data, outer, frame)
-    sites = tool_sites(model, fixed_to(model, [hand]) if outer else inside)
+    bodies = inside
+    if outer:
+        bodies = fixed_to(model, [hand])
+    sites = tool_sites(model, bodies)
     kept = sites
     if outer:
         geoms = geoms_of(model, fixed_to(model, outer))
@@ -98,7 +107,8 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         site = kept[0]
         name = model.site(site).name
         _, y, z = data.site_xmat[site].reshape(3, 3).T
-        if z @ approach > AGREEING_COSINE and abs(y @ across) > AGREEING_COSINE:
+        cosine = min(z @ approach, abs(y @ across))
+        if cosine > AGREEING_COSINE:
             return {"tcp_site": name, **fingers}, f"site {name!r}{text}"
         point = data.site_xpos[site]
         source = f"the place of site {name!r}, turned"
@@ -114,9 +124,11 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     quaternion = np.zeros(4)
     mju_mat2Quat(quaternion, (to_hand @ frame).ravel())
     position = to_hand @ (point - data.xpos[hand])
-    is_taken = mj_name2id(model, mjtObj.mjOBJ_SITE, "tcp") >= 0
+    site_name = "tcp"
+    if mj_name2id(model, mjtObj.mjOBJ_SITE, site_name) >= 0:
+        site_name = "knowarm_tcp"
     fields = {
-        "tcp_site": "knowarm_tcp" if is_taken else "tcp",
+        "tcp_site": site_name,
         "tcp_body": model.body(hand).name,
         "tcp_position_m": tuple(position.round(5).tolist()),
         "tcp_quaternion": tuple(quaternion.round(6).tolist()),
@@ -131,8 +143,10 @@ def _is_between(
     way = data.site_xpos[site] - point
     along = way @ approach
     aside = norm(way - along * approach)
+    if aside >= ASIDE_M:
+        return False
     length = point @ approach + extent(data, fingers, -approach)
-    return bool(-length - BEHIND_M < along < AHEAD_M and aside < ASIDE_M)
+    return bool(-length - BEHIND_M < along < AHEAD_M)
 
 
 def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
@@ -149,10 +163,14 @@ def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
         is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
         if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
-    moved = model.jnt_bodyid[slides].tolist()
-    bodies = [_tip(data, b, frame[:, 2]) for b in moved]
-    names = [model.body(b).name for b in bodies]
-    geoms = [geoms_of(model, [b]).tolist() for b in bodies]
+    bodies = []
+    names = []
+    geoms = []
+    for finger in model.jnt_bodyid[slides].tolist():
+        tip = _tip(data, finger, frame[:, 2])
+        bodies.append(tip)
+        names.append(model.body(tip).name)
+        geoms.append(geoms_of(model, [tip]).tolist())
     if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
         return {}, "; no fingers: two named ones have to slide across the hand"
     opening = widest_opening(data, slides, geoms, frame)
@@ -175,7 +193,9 @@ def _tip(data: MjData, finger: int, approach: Floats) -> int:
 
     named = [b for b in fixed_to(data.model, [finger]) if data.model.body(b).name]
     tip = max(named, key=reach, default=finger)
-    return tip if reach(tip) > reach(finger) + SAME_M else finger
+    if reach(tip) > reach(finger) + SAME_M:
+        return tip
+    return finger
 
 
 def _approach(
@@ -187,7 +207,9 @@ def _approach(
     axis = data.xaxis[last].copy()
     bodies = fixed_to(model, fingers) or subtree(model, hand)
     geoms = geoms_of(model, bodies)
-    centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
+    centres = data.xpos[bodies]
+    if len(geoms):
+        centres = data.geom_xpos[geoms]
     middle = centres.mean(axis=0)
     out = middle - origin
     if not fingers:
@@ -201,7 +223,8 @@ def _approach(
     along = axis @ approach
     if abs(along) > 0.3:
         approach = axis * np.sign(along)
-    end = max((centres @ approach).max(), extent(data, geoms, approach))
+    along_centres = centres @ approach
+    end = max(along_centres.max(), extent(data, geoms, approach))
     if fingers:  # which grasp a little before their ends
         end -= 0.1 * (end - origin @ approach)
     else:
@@ -210,9 +233,11 @@ def _approach(
         start = data.xpos[fingers[0]] @ approach
         fixed = geoms_of(model, fixed_to(model, [hand]))
         ends = (box_corners(data, fixed) @ approach).max(axis=1)
-        jaw = fixed[ends > start + JAW_SHARE * (end - start)]
+        least = start + JAW_SHARE * (end - start)
+        jaw = fixed[ends > least]
         if len(jaw):  # between the moving jaw and the fixed one
-            middle = (middle + data.geom_xpos[jaw].mean(axis=0)) / 2
+            centre = data.geom_xpos[jaw].mean(axis=0)
+            middle = (middle + centre) / 2
     return approach, middle + approach * (end - middle @ approach)
 
 
@@ -220,12 +245,13 @@ def _across(data: MjData, fingers: Ids, approach: Floats) -> Floats:
     """Return the direction in which the fingers open, world, perpendicular to the approach."""
     model = data.model
     joints = joints_of(model, fingers)
-    candidates = [data.xpos[a] - data.xpos[fingers[0]] for a in fingers[1:]]
-    candidates += [data.xaxis[j] for j in joints if is_slide(model, j)]
-    if len(fingers) == 1:  # a jaw that swings
-        candidates += [np.cross(data.xaxis[j], approach) for j in joints]
-    candidates += [np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])]
+    between = data.xpos[fingers[1:]] - data.xpos[fingers[:1]]
+    slides = [j for j in joints if is_slide(model, j)]
+    swings = joints if len(fingers) == 1 else []  # of a jaw that turns
+    swept = np.cross(data.xaxis[swings], approach)
+    candidates = np.vstack([between, data.xaxis[slides], swept, _HORIZONTAL])
     flat = candidates - np.outer(candidates @ approach, approach)
     lengths = norm(flat, axis=1)
-    first = (lengths > 0.3 * norm(candidates, axis=1)).argmax()
+    is_across = lengths > 0.3 * norm(candidates, axis=1)
+    first = is_across.argmax()
     return np.asarray(flat[first] / lengths[first])

@@ -59,18 +59,22 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     contacts = simulation.batch.bind("ncon").reshape(-1)
     simulation.set_joints(poses)
     frame = simulation.tcp_matrix
-    x, y, z = simulation.tcp_position.T
+    position = simulation.tcp_position
+    x, y, z = position.T
     height = z - scene.robot.support_height_m
     reach = np.hypot(*scene.robot.rectangle_centre_m)
     ways = []
-    for grasp in zip(*grasps(scene, np.zeros((len(poses), 2))), strict=True):
-        tip = (simulation.tcp_position, frame)
-        ways.append(measure(*tip, *grasp, layout.ignore_roll))
+    middles = np.zeros((len(poses), 2))
+    for grasp in zip(*grasps(scene, middles), strict=True):
+        way = measure(position, frame, *grasp, layout.ignore_roll)
+        ways.append(way)
     distances, angles = np.stack(ways, axis=1)  # To each target at the middle
     nearest_m = distances.min(axis=0)
     nearest_deg = angles.min(axis=0)
     farthest_deg = angles.max(axis=0)
     travel = np.abs(poses[:, None] - solutions).max(axis=(1, 2))
+    nearest_share = nearest_m / reach
+    farthest_share = distances.max(axis=0) / reach
     penalty = (
         100.0 * (contacts > 0)
         + 20.0 * (height < 0.3 * reach)
@@ -81,20 +85,25 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         + 0.1 * np.maximum(NEAREST_DEG - nearest_deg, 0)
         + 0.1 * np.maximum(farthest_deg - FARTHEST_DEG, 0)
         + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
-        + 10.0 * np.maximum(0.3 - nearest_m / reach, 0)
-        + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
+        + 10.0 * np.maximum(0.3 - nearest_share, 0)
+        + 10.0 * np.maximum(farthest_share - 1, 0)
         + np.abs(y) / reach
     )
     homes: list[Home] = []
     for i in np.argsort(penalty):
-        apart = [np.abs(home.joints - poses[i]).max() for home in homes]
-        if min(apart, default=np.inf) > DIFFERENT_RAD and len(homes) < HOMES:
-            text = (
-                f"gripper {height[i]:.2f} m above the support, "
-                f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
-                f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
-            )
-            homes.append(Home(poses[i], float(travel[i]), text))
+        if len(homes) == HOMES:
+            break
+        apart = np.inf
+        for home in homes:
+            apart = min(apart, np.abs(home.joints - poses[i]).max())
+        if apart <= DIFFERENT_RAD:
+            continue
+        text = (
+            f"gripper {height[i]:.2f} m above the support, "
+            f"{nearest_deg[i]:.0f} to {farthest_deg[i]:.0f} degrees and "
+            f"{nearest_m[i]:.2f} m from the grasps at the rectangle's middle"
+        )
+        homes.append(Home(poses[i], float(travel[i]), text))
     return sorted(homes, key=lambda home: -_reached(scene, layout, home))
 
 
@@ -102,17 +111,19 @@ def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     """Return the share of the grasps that are reached from a start pose in time."""
     position, matrix = grasps(scene, NODES)
     position = position.reshape(-1, 3)
+    matrix = matrix.reshape(-1, 9)
     start = np.tile(home.joints, (len(position), 1))
     moved = list(scene.robot.start_joints)
-    half_range = (scene.joint_upper - scene.joint_lower)[moved] / 2
+    ranges = scene.joint_upper - scene.joint_lower
+    offset = scene.robot.start_fraction * (ranges[moved] / 2)
     # By turns at both ends of the start distribution
-    start[0::2, moved] += scene.robot.start_fraction * half_range
-    start[1::2, moved] -= scene.robot.start_fraction * half_range
+    start[0::2, moved] += offset
+    start[1::2, moved] -= offset
     start = start.clip(scene.joint_lower, scene.joint_upper)
     solver = InverseKinematics.within_angle(
         replace(scene, home=home.joints), layout.angle_deg, layout.ignore_roll
     )
-    solution = solver.solve(position, matrix.reshape(-1, 9), start)
+    solution = solver.solve(position, matrix, start)
     change = np.abs(solution.joints - start).max(axis=1)
     in_time = change < MOST_TRAVEL * max(home.travel, 1e-6)
     reached = solution.within(SUCCESS_DISTANCE_M, layout.angle_deg)

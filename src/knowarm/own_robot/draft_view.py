@@ -1,10 +1,10 @@
 """Camera of a drafted robot: the view, and the start pose, that show most of targets and arm."""
 
 import copy
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from math import radians, tan
 
 import numpy as np
 from mujoco import mju_mat2Quat
@@ -54,7 +54,8 @@ def choose_view(
         views = {"as given": VIEWS["right in front and above"]}
     most = -1.0
     for home, (name, direction) in product(homes, views.items()):
-        view = _frame(scene, home, np.array(direction), given["camera_fovy_deg"]) | kept
+        view = _frame(scene, home, np.array(direction), given["camera_fovy_deg"])
+        view |= kept
         pixels, robot = _shown(scene, home, view)
         score = min(pixels / ENOUGH_PIXELS, robot / ENOUGH_ROBOT, 1.0)
         if score > most:
@@ -74,16 +75,20 @@ def _frame(scene: Scene, home: Home, direction: Floats, fovy_deg: float) -> Fiel
     data = scene.at(home.joints)
     top = scene.grasp_position[:, 2].max() * 1.2
     places = support_places(scene, NODES[1:])
-    ends = box_corners(data, np.flatnonzero(robot_parts(scene))).reshape(-1, 3)
+    parts = np.flatnonzero(robot_parts(scene))
+    ends = box_corners(data, parts).reshape(-1, 3)
     ends = ends[ends[:, 2] > -0.01]  # below the floor nothing is seen
     tip = data.site_xpos[scene.tcp_site]
-    points = np.vstack([places, places + np.array([0, 0, top]), ends, tip])
+    above = places + np.array([0, 0, top])
+    points = np.vstack([places, above, ends, tip])
     look_at = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = level_axes(direction)
     local = (points - look_at) @ axes
-    slope = math.tan(math.radians(fovy_deg) / 2) * MARGIN
+    slope = tan(radians(fovy_deg) / 2) * MARGIN
     beside = np.abs(local[:, :2]).max(axis=1)
-    distance = (beside / slope + local[:, 2]).max()
+    distances = beside / slope
+    distances += local[:, 2]
+    distance = distances.max()
     position = look_at + distance * axes[:, 2]
     return {
         "camera_position_m": rounded(position),
@@ -96,11 +101,13 @@ def _shown(scene: Scene, home: Home, view: Fields) -> tuple[float, float]:
     model = copy.copy(scene.model)
     position = np.array(view["camera_position_m"])
     axes = level_axes(position - view["camera_look_at_m"])
-    model.cam_pos[scene.camera] = position
-    model.cam_fovy[scene.camera] = view["camera_fovy_deg"]
-    mju_mat2Quat(model.cam_quat[scene.camera], axes.ravel())
+    camera = scene.camera
+    model.cam_pos[camera] = position
+    model.cam_fovy[camera] = view["camera_fovy_deg"]
+    mju_mat2Quat(model.cam_quat[camera], axes.ravel())
     simulation = place_targets(scene, home.joints, NODES)
-    images = SceneImages(replace(scene, model=model), simulation, EnvConfig())
+    viewed = replace(scene, model=model)
+    images = SceneImages(viewed, simulation, EnvConfig())
     drawn = [images.targets([k]) for k in range(len(scene.targets))]
     least = different_pixels(np.stack(drawn), images.empty).min()
     share = images.robot_pixels()[0] / EnvConfig.image_size**2

@@ -42,9 +42,10 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
     end = np.concatenate(spans)[:, 1].max()
     sides = []
     for points in spans:
-        tip = points[points[:, 1] > end - TIP_M, 0]
+        across, along = points.T
+        tip = across[along > end - TIP_M]
         if not len(tip):
-            tip = points[:, 0]
+            tip = across
         sides.append(tip)
     one, other = sides
     return float(max(one.min() - other.max(), other.min() - one.max()))
@@ -66,6 +67,7 @@ def widest_opening(
     begins = data.xpos[model.jnt_bodyid[joints]] - data.xaxis[joints] * moved[:, None]
     between = begins[0] - begins[1]
     across = frame[:, 1]
+    side = between @ across
     one, other = fingers
     openings = []
     for ends in _ends(model, joints):
@@ -74,7 +76,7 @@ def widest_opening(
         mj_kinematics(model, data)
         gap = finger_gap(data, fingers, frame)
         apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
-        is_apart = norm(between) < SAME_M or apart @ across * (between @ across) > 0
+        is_apart = norm(between) < SAME_M or apart @ across * side > 0
         openings.append((round(gap / SAME_M), is_apart, gap, values.tolist()))
     if not openings:
         return None
@@ -94,7 +96,9 @@ def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
             values = {leader: ends}
             values[follower] = at_zero[follower] + follow(ends - at_zero[leader])
             return np.column_stack([values[joint] for joint in joints])
-    return product(*model.jnt_range[joints]) if model.jnt_limited[joints].all() else ()
+    if not model.jnt_limited[joints].all():
+        return ()
+    return product(*model.jnt_range[joints])
 
 
 def check_fingers(robot: Robot) -> Check:

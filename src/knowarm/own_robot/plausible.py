@@ -47,16 +47,18 @@ def question_ranges(scene: Scene) -> tuple[str, str]:
     limits = np.column_stack([scene.joint_lower, scene.joint_upper])
     for name, ends in zip(scene.joint_names, limits, strict=True):
         joint = scene.model.joint(ROBOT_PREFIX + name)
-        is_slide = joint.type[0] == mjtJoint.mjJNT_SLIDE
-        kind = SLIDE if is_slide else HINGE
+        kind = HINGE
+        if joint.type[0] == mjtJoint.mjJNT_SLIDE:
+            kind = SLIDE
         largest = np.abs(ends).max()
-        if largest > kind.most:
-            low, high = ends
-            texts.append(f"{name} [{low:.4g}, {high:.4g}] {kind.unit}")
-            meant = ends.clip(-kind.usual, kind.usual)
-            if largest > kind.mistaken:
-                meant = ends * kind.scale
-            likely.append(f"{json.dumps(name)} = {meant.round(4).tolist()}")
+        if largest <= kind.most:
+            continue
+        low, high = ends
+        texts.append(f"{name} [{low:.4g}, {high:.4g}] {kind.unit}")
+        meant = ends.clip(-kind.usual, kind.usual)
+        if largest > kind.mistaken:
+            meant = ends * kind.scale
+        likely.append(f"{json.dumps(name)} = {meant.round(4).tolist()}")
     if not texts:
         return "", ""
     question = (
@@ -76,11 +78,12 @@ def fixed_parts_above(scene: Scene) -> list[str]:
     down = np.array([0.0, 0.0, -1.0])
     hit = np.zeros(1, np.int32)
     line = np.linspace(-1, 1, SIDE)
+    top = data.xanchor[:, 2].max()
     names = []
-    for place in support_places(scene, list(product(line, line))):
-        start = np.array([*place[:2], data.xanchor[:, 2].max()])
+    for x, y, z in support_places(scene, list(product(line, line))):
+        start = np.array([x, y, top])
         way = mj_ray(model, data, start, down, looked_at, 1, -1, hit)
-        if 0 <= way < start[2] - place[2] - CLEARANCE_M:
+        if 0 <= way < top - z - CLEARANCE_M:
             geom = model.geom(hit[0])
             body = model.body(geom.bodyid[0]).name.removeprefix(ROBOT_PREFIX)
             name = geom.name.removeprefix(ROBOT_PREFIX) or f"a geom of body {body!r}"
@@ -94,15 +97,18 @@ def stands_on(robot: Robot, low_m: float) -> bool:
     model = part.compile()
     data = MjData(model)
     mj_kinematics(model, data)
-    tops = []
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
-        is_body = isinstance(element, MjsBody)
-        for geom in element.find_all("geom") if is_body else [element]:
+        geoms = [element]
+        if isinstance(element, MjsBody):
+            geoms = element.find_all("geom")
+        for geom in geoms:
             if geom.type == mjtGeom.mjGEOM_PLANE:
-                tops.append(data.geom_xpos[geom.id][2])
+                top = data.geom_xpos[geom.id][2]
             else:
-                tops.append(box_corners(data, [geom.id])[..., 2].max())
-    return any(-RESTING_M < top - low_m < SUNK_M for top in tops)
+                top = box_corners(data, [geom.id])[..., 2].max()
+            if -RESTING_M < top - low_m < SUNK_M:
+                return True
+    return False
 
 
 def ranges_of(

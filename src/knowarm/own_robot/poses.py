@@ -76,7 +76,8 @@ def place_targets(scene: Scene, joints: Floats, signs: Any) -> MujocoSimulator:
     simulation = MujocoSimulator(scene, count)
     places = rectangle_places(scene.robot, signs)
     positions = np.repeat(places[:, None], len(scene.targets), axis=1)
-    simulation.reset(np.arange(count), np.tile(joints, (count, 1)), positions)
+    angles = np.tile(joints, (count, 1))
+    simulation.reset(np.arange(count), angles, positions)
     return simulation
 
 

@@ -22,10 +22,11 @@ APPROACH_M = 0.1  # Length of the line that shows the gripper's approach [m]
 def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
     data = scene.at(scene.home)
+    count = len(scene.targets)
     corners = support_places(scene, CORNERS)
-    data.mocap_pos[scene.target_mocap] = np.resize(corners, (len(scene.targets), 3))
+    data.mocap_pos[scene.target_mocap] = np.resize(corners, (count, 3))
     mj_kinematics(scene.model, data)
-    targets = np.arange(len(scene.targets))[None]
+    targets = np.arange(count)[None]
     colours = TargetColours(scene)(targets, np.zeros_like(targets))
     large = draw_large(scene, config, data, colours, SIDE)
     _draw_lines(scene, data, corners, large)
@@ -42,8 +43,9 @@ def _draw_lines(
     scene: Scene, data: MjData, corners: Floats, image: Image.Image
 ) -> None:
     """Draw the rectangle and the gripper's approach over an image of the scene."""
-    tip = data.site_xpos[scene.tcp_site]
-    approach = data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
+    site = data.site(scene.tcp_site)
+    tip = site.xpos
+    approach = site.xmat.reshape(3, 3)[:, 2]
     rectangle = np.vstack([corners, corners[:1]])
     ahead = np.vstack([tip, tip + APPROACH_M * approach])
     pen = ImageDraw.Draw(image)

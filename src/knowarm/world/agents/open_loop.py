@@ -4,11 +4,11 @@ Its success is the part of a task that needs no observation: a trained agent has
 before its score says anything about vision.
 """
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, product
+from math import ceil, log2
 
 import numpy as np
 
@@ -71,7 +71,9 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     which the oracle solves ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
     is_kinematic = "kinematic" in config.task.skill.dynamics
-    count = SEARCH_EPISODES if is_kinematic else REPLAYED_EPISODES
+    count = REPLAYED_EPISODES
+    if is_kinematic:
+        count = SEARCH_EPISODES
     # No evaluation of any seed has these episodes.
     episodes = evaluation_episodes(config, count, seed, "open-loop episodes")
     if not is_kinematic:
@@ -82,7 +84,8 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     stored = read_arrays(file)
     if stored is not None:
         return stored["actions"].astype(np.int64)
-    actions = _search(score, _waypoints(score, goal, seed), budget, seed)
+    waypoints = _waypoints(score, goal, seed)
+    actions = _search(score, waypoints, budget, seed)
     write_arrays(file, {"actions": actions})
     return actions
 
@@ -104,7 +107,8 @@ def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
 
     lists = [steps.actions[steps.episode == i] for i in range(REPLAYED_LISTS)]
     best = max(lists, key=count_solved)
-    return np.pad(best, ((0, config.max_episode_steps - len(best)), (0, 0)))
+    missing = config.max_episode_steps - len(best)
+    return np.pad(best, ((0, missing), (0, 0)))
 
 
 def _search(score: OpenLoopScore, waypoints: Floats, budget: int, seed: int) -> Actions:
@@ -112,7 +116,7 @@ def _search(score: OpenLoopScore, waypoints: Floats, budget: int, seed: int) -> 
     generator = np.random.default_rng(derive(seed, "open-loop mutations"))
     tours, spent = _search_tours(score, waypoints, budget // 3)
     climbs = [_Climb(score, tour) for tour in tours]
-    rounds = max(1, math.ceil(math.log2(len(climbs))))
+    rounds = max(1, ceil(log2(len(climbs))))
     for left in range(rounds, 0, -1):
         share = (budget - spent) // left
         for climb in climbs:
@@ -129,7 +133,8 @@ def _anchor_goals(score: OpenLoopScore) -> Floats:
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
     places = robot.rectangle_centre_m + grid * robot.rectangle_half_size_m
     _, first = np.unique(_group_of(score), return_index=True)
-    return score.goals(np.repeat(first, len(places)), np.tile(places, (len(first), 1)))
+    targets = np.repeat(first, len(places))
+    return score.goals(targets, np.tile(places, (len(first), 1)))
 
 
 def _group_of(score: OpenLoopScore) -> Integers:
@@ -155,8 +160,11 @@ def _waypoints(score: OpenLoopScore, goal: Floats, seed: int) -> Floats:
     near_start = solve(score.start.mean(axis=0))
     anchors = len(ANCHORS) ** 2
     grasps = near_start.joints[anchors // 2 :: anchors]
-    solutions = [near_start, *map(solve, grasps)]
-    rows = np.concatenate([one.joints[one.within(0.03, 10.0)] for one in solutions])
+    reaching = []
+    for solution in (near_start, *map(solve, grasps)):
+        is_reached = solution.within(0.03, 10.0)
+        reaching.append(solution.joints[is_reached])
+    rows = np.concatenate(reaching)
     _, first = np.unique(rows.round(1), axis=0, return_index=True)
     return rows[np.sort(first)]
 
@@ -207,7 +215,8 @@ def _stand_still(score: OpenLoopScore, steps: int) -> Actions:
 
 def _extended(score: OpenLoopScore, tour: _Tour, actions: Actions, last: int) -> _Tour:
     """Play more actions (t, J) after a tour, to the waypoint ``last``."""
-    first, end = score.play(actions, tour.joints, np.where(tour.solved, -1, 0))
+    solved_at = np.where(tour.solved, -1, 0)
+    first, end = score.play(actions, tour.joints, solved_at)
     actions = np.concatenate([tour.actions, actions])
     return _Tour(actions, end, score.is_solved(first), last)
 
@@ -218,13 +227,15 @@ def _segment(score: OpenLoopScore, start: Floats, goal: Floats, steps: int) -> A
     The slowest joint moves by MPI at every step, the others as near to the line as they can.
     """
     way = goal - start
-    needed = max(1, math.ceil(np.abs(way).max() / score.increments.max() - 0.05))
+    increments = score.increments
+    needed = max(1, ceil(np.abs(way).max() / increments.max() - 0.05))
     actions = _stand_still(score, min(needed, steps))
     joints = start
     for t in range(len(actions)):
         error = start + way * (t + 1) / needed - joints
-        actions[t] = np.abs(error[:, None] - score.increments).argmin(axis=1)
-        joints = joints + score.increments[actions[t]]
+        misses = np.abs(error[:, None] - increments)
+        actions[t] = misses.argmin(axis=1)
+        joints = joints + increments[actions[t]]
     return actions
 
 
@@ -242,14 +253,16 @@ def _first_moves(score: OpenLoopScore) -> list[_Tour]:
         scene.joint_upper - start.min(axis=0),
         start.max(axis=0) - scene.joint_lower,
     )
-    needed = np.ceil(np.stack(ways) / score.increments.max()).astype(np.int64)
+    needed = np.ceil(np.stack(ways) / score.increments.max())
+    needed = needed.astype(np.int64)
     varied = np.flatnonzero(np.ptp(start, axis=0) > 0)[::-1]
     for levels in product(range(len(ways)), repeat=len(varied)):
         actions = _stand_still(score, limit)
         steps = 0
         for joint, level in zip(varied, levels, strict=True):
-            actions[: needed[level, joint], joint] = level
-            steps = max(steps, needed[level, joint])
+            until = needed[level, joint]
+            actions[:until, joint] = level
+            steps = max(steps, until)
         if 0 < steps <= limit // 2:
             tours.append(_extended(score, no_moves, actions[:steps], -1))
     return tours
@@ -290,7 +303,8 @@ class _Climb:
         """Try so many mutations."""
         for _ in range(budget):
             candidate = _mutate(self._actions, generator)
-            changed = np.flatnonzero((candidate != self._actions).any(axis=1))
+            is_changed = (candidate != self._actions).any(axis=1)
+            changed = np.flatnonzero(is_changed)
             if not len(changed):
                 continue
             first, _ = self._score.play(candidate, None, self._first, int(changed[0]))

@@ -31,10 +31,12 @@ class EpisodeSource:
         """Draw n episodes; each depends only on its stream's seed and its number in it."""
         counts = (_FIRST, self._joints, self._look_draws, self._objects.draws)
         u = uniforms(streams, indices, sum(counts))
-        first, joints, look, more = np.split(u, np.cumsum(counts[:-1]), axis=1)
+        ends = np.cumsum(counts[:-1])
+        first, joints, look, more = np.split(u, ends, axis=1)
         drawn = self._objects(first, more)
+        offsets = (2 * joints - 1) * self._reach
         return Episodes(
-            joint_offsets=np.where(self._moved, (2 * joints - 1) * self._reach, 0.0),
+            joint_offsets=np.where(self._moved, offsets, 0.0),
             look=look,
             names=self._names[drawn.objects],
             **drawn._asdict(),

@@ -18,7 +18,7 @@ Triangles that share an edge compute the same number for it with opposite signs,
 between them. Both sides of a triangle are hit, as with ``mj_ray``.
 """
 
-import math
+from math import sqrt
 
 from numpy import float32
 
@@ -65,7 +65,8 @@ def plane(origin: Vector, direction: Vector, size: Vector) -> Hit:
     _, _, height = origin
     _, _, slope = direction
     down = slope < -TINY
-    t = -height / (slope if down else -ONE)
+    divisor = slope if down else -ONE
+    t = -height / divisor
     x, y, _ = point_at(origin, t, direction)
     in_x = (half_x <= ZERO) | (abs(x) <= half_x)
     in_y = (half_y <= ZERO) | (abs(y) <= half_y)
@@ -96,7 +97,7 @@ def _unit_sphere(origin: Vector, direction: Vector) -> Interval:
     normal = cross(origin, direction)
     square = dot(direction, direction)
     discriminant = square - dot(normal, normal)
-    root = math.sqrt(max(discriminant, ZERO))
+    root = sqrt(max(discriminant, ZERO))
     middle = -dot(origin, direction)
     enter = (middle - root) / square
     leave = (middle + root) / square
@@ -135,10 +136,11 @@ def _tube(origin: Vector, direction: Vector, radius: float32) -> Interval:
     square = dx * dx + dy * dy
     moment = ox * dy - oy * dx
     discriminant = square * radius * radius - moment * moment
-    root = math.sqrt(max(discriminant, ZERO))
+    root = sqrt(max(discriminant, ZERO))
     middle = -(ox * dx + oy * dy)
     parallel = square < TINY
-    inverse = ONE / (ONE if parallel else square)
+    divisor = ONE if parallel else square
+    inverse = ONE / divisor
     inside = ox * ox + oy * oy <= radius * radius
     hit = inside if parallel else discriminant >= ZERO
     enter = -FAR if parallel else (middle - root) * inverse
@@ -235,8 +237,10 @@ def box(origin: Vector, direction: Vector, size: Vector) -> Hit:
     leave = min(leave_x, leave_y, leave_z)
     from_outside = enter >= ZERO
     t = enter if from_outside else leave
-    on_x = t == (enter_x if from_outside else leave_x)
-    on_y = t == (enter_y if from_outside else leave_y)
+    t_x = enter_x if from_outside else leave_x
+    t_y = enter_y if from_outside else leave_y
+    on_x = t == t_x
+    on_y = t == t_y
     nx = _facing(dx, from_outside) if on_x else ZERO
     ny = _facing(dy, from_outside) if on_y & (not on_x) else ZERO
     nz = ZERO if on_x | on_y else _facing(dz, from_outside)
@@ -260,7 +264,8 @@ def triangle(planes: Faces, direction: Vector) -> Hit:
     inside = (min(u, v, w) >= ZERO) | (max(u, v, w) <= ZERO)
     slope = dot(direction, normal)
     flat = slope == ZERO
-    t = distance / (ONE if flat else slope)
+    divisor = ONE if flat else slope
+    t = distance / divisor
     hit = inside & (not flat) & (t >= ZERO)
     return t if hit else FAR, (u, v, w)
 

@@ -12,6 +12,7 @@ import fast_simplification
 import numpy as np
 import scipy
 from numpy import float32, int32
+from numpy.linalg import norm
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats
@@ -46,9 +47,11 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
     The side, the root of the mean area [m], is rounded down to a power of the square root of two,
     so that a slightly different camera finds the same file.
     """
-    side_m = float(2 ** (np.floor(2 * np.log2(side_m)) / 2))
-    doubled = _normals(mesh.vertex[mesh.face].astype(np.float64))
-    area = np.linalg.norm(doubled, axis=1).sum() / 2
+    half_powers = np.floor(2 * np.log2(side_m))
+    side_m = float(2 ** (half_powers / 2))
+    corners = mesh.vertex[mesh.face]
+    doubled = _normals(corners.astype(np.float64))
+    area = norm(doubled, axis=1).sum() / 2
     count = max(FEWEST, int(area / side_m**2))
     if count >= len(mesh.face):
         return mesh
@@ -83,9 +86,9 @@ def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
     points: Floats = sums / np.bincount(cell)[:, None]
     if len(faces) > count:
         # The library's first threshold has a fixed size, hence lengths in triangles.
-        points, faces = fast_simplification.simplify(
+        points, faces, *_ = fast_simplification.simplify(
             points / side_m, faces, target_count=count
-        )[:2]
+        )
         points = points * side_m
     if not len(faces):
         return mesh
@@ -102,7 +105,7 @@ def _normals(corners: Array) -> Array:
 def unit_normals(corners: Array) -> Array:
     """Return the unit normals (T, 3) of triangles with corners (T, 3, 3)."""
     normal = _normals(corners)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    length = norm(normal, axis=1, keepdims=True)
     return np.asarray(normal / np.maximum(length, 1e-20))
 
 
@@ -110,14 +113,18 @@ def _smooth_normals(full: Mesh, corners: Floats) -> Floats32:
     """Average the full mesh's normals near each corner (T, 3, 3), those across an edge left out."""
     face_normal = unit_normals(corners)
     # A corner belongs to several sides of the surface; slightly inside, the triangle's own is near.
-    inside = 0.85 * corners + 0.15 * corners.mean(axis=1, keepdims=True)
+    inside = 0.85 * corners
+    inside += 0.15 * corners.mean(axis=1, keepdims=True)
     points = full.vertex[full.face].reshape(-1, 3)
     neighbours = min(NEIGHBOURS, len(points))
-    _, nearest = scipy.spatial.cKDTree(points).query(inside, k=neighbours)
-    normals = full.normal.reshape(-1, 3)[nearest].astype(np.float64)
+    tree = scipy.spatial.cKDTree(points)
+    _, nearest = tree.query(inside, k=neighbours)
+    normals = full.normal.reshape(-1, 3)[nearest]
+    normals = normals.astype(np.float64)
     cosine = np.einsum("tcki,ti->tck", normals, face_normal)
     weight = np.maximum(cosine - CREASE_COSINE, 0.0)
     mean = np.einsum("tck,tcki->tci", weight, normals)
-    length = np.linalg.norm(mean, axis=2, keepdims=True)
+    length = norm(mean, axis=2, keepdims=True)
     unit = mean / np.maximum(length, 1e-9)
-    return np.where(length > 1e-9, unit, face_normal[:, None]).astype(float32)
+    smooth = np.where(length > 1e-9, unit, face_normal[:, None])
+    return smooth.astype(float32)

@@ -15,13 +15,16 @@ def surface_points(data: MjData, geom: int) -> Floats:
     model = data.model
     if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])
-        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+        following = model.mesh_face[mesh.faceadr[0] :]
+        faces = following[: mesh.facenum[0]]
         corners = model.mesh_vert[mesh.vertadr[0] :][faces]  # (F, 3, 3)
         share = np.linspace(0, 1, POINTS)[:, None, None, None]
         edges = (1 - share) * corners + share * np.roll(corners, 1, axis=1)
         local = edges.reshape(-1, 3)
     else:
         middle, half = model.geom_aabb[geom].reshape(2, 3)
-        grid = list(product(np.linspace(-1, 1, POINTS), repeat=3))
+        line = np.linspace(-1, 1, POINTS)
+        grid = list(product(line, repeat=3))
         local = middle + half * np.array(grid)
-    return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    to_world = data.geom_xmat[geom].reshape(3, 3)
+    return local @ to_world.T + data.geom_xpos[geom]

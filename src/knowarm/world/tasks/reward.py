@@ -1,6 +1,6 @@
 """Reward of the reaching task: distance, angle, success and reward."""
 
-import math
+from math import atan2, degrees, sqrt
 
 import numpy as np
 
@@ -34,8 +34,9 @@ def measure(
     for i in range(n):
         square = 0.0
         for k in range(3):
-            square += (tcp_position[i, k] - grasp_position[i, k]) ** 2
-        distance[i] = math.sqrt(square)
+            offset = tcp_position[i, k] - grasp_position[i, k]
+            square += offset**2
+        distance[i] = sqrt(square)
         a = tcp_matrix[i]
         b = grasp_matrix[i]
         if ignore_roll:
@@ -46,8 +47,9 @@ def measure(
                 cosine += a_z[k] * b_z[k]
             square = 0.0
             for p, q in ((1, 2), (2, 0), (0, 1)):  # of the vector product
-                square += (a_z[p] * b_z[q] - a_z[q] * b_z[p]) ** 2
-            sine = math.sqrt(square)
+                product = a_z[p] * b_z[q] - a_z[q] * b_z[p]
+                square += product**2
+            sine = sqrt(square)
         else:
             trace = 0.0
             for k in range(9):
@@ -58,9 +60,9 @@ def measure(
                 upper = a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
                 lower = a[q] * b[p] + a[3 + q] * b[3 + p] + a[6 + q] * b[6 + p]
                 skew += (upper - lower) ** 2
-            sine = 0.5 * math.sqrt(skew)
+            sine = 0.5 * sqrt(skew)
             cosine = 0.5 * (trace - 1.0)
-        angle[i] = math.degrees(math.atan2(sine, cosine))
+        angle[i] = degrees(atan2(sine, cosine))
     return distance, angle
 
 

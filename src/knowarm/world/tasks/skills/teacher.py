@@ -3,6 +3,7 @@
 import logging
 from copy import copy
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -56,9 +57,10 @@ class GoalTable:
         copies = (len(targets), 1)
         position, matrix = state.goal_frames(every, np.tile(centre, copies))
         solver = InverseKinematics.of_task(arm, state)
-        reference = solver.solve(position, matrix, np.tile(arm.home, copies)).joints
+        start = np.tile(arm.home, copies)
+        reference = solver.solve(position, matrix, start).joints
         x, y = self._low[:, None] + self._cell[:, None] * np.arange(NODES)
-        nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        nodes = np.array(list(product(x, y)))
         self._objects = np.repeat(every, len(nodes))
         places = np.tile(nodes, copies)
         self._position, self._matrix = state.goal_frames(self._objects, places)
@@ -82,7 +84,8 @@ class GoalTable:
 
     def __call__(self, objects: Integers, places: Floats) -> Floats:
         """Return the joint angles for objects (k,) at places (k, 2) [m], (k, J) [rad]."""
-        scaled = ((places - self._low) / self._cell).clip(0, NODES - 1)
+        scaled = (places - self._low) / self._cell
+        scaled = scaled.clip(0, NODES - 1)
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
         i, j = corner.T
         x, y = (scaled - corner).T[..., None]
@@ -137,13 +140,15 @@ class Teacher:
         is_moved = moved < self.practice_share
         # Normal draws (Box and Muller 1958)
         radius = np.sqrt(-2 * np.log1p(-radial))
-        noise = radius * np.cos(2 * np.pi * angular)
+        noise = np.cos(2 * np.pi * angular)
+        noise *= radius
         noise *= self._largest
         offsets = episodes.joint_offsets.copy()
-        start = home + offsets[:, :joints]
+        of_arm = offsets[:, :joints]
+        start = home + of_arm
         point = self.practice_point(episodes, start, share, noise, choice)
         point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
-        offsets[:, :joints] = np.where(is_moved, point - home, offsets[:, :joints])
+        of_arm[:] = np.where(is_moved, point - home, of_arm)
         return replace(episodes, joint_offsets=offsets)
 
     def practice_point(
@@ -160,7 +165,8 @@ class Teacher:
         largest step, (k, J).
         """
         goals = self.goals(episodes.target, episodes.position)
-        return towards(goals, start, share) + PRACTICE_NOISE * noise
+        point = towards(goals, start, share)
+        return point + PRACTICE_NOISE * noise
 
 
 def interpolate(start: Floats, end: Floats, share: Floats) -> Floats:
@@ -174,5 +180,6 @@ def towards(goals: Floats, start: Floats, share: Floats) -> Floats:
     As the teacher moves: every joint by the largest step until it arrives.
     """
     way = goals - start
-    reached = share * np.abs(way).max(axis=1, keepdims=True)
+    farthest = np.abs(way).max(axis=1, keepdims=True)
+    reached = share * farthest
     return start + way.clip(-reached, reached)

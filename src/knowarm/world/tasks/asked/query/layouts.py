@@ -84,7 +84,8 @@ class LayoutSource:
         """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
         n, m = objects.shape
         rows = np.arange(n)
-        drawn = self._centre + (2 * uniforms - 1) * self._half
+        signs = 2 * uniforms - 1
+        drawn = self._centre + signs * self._half
         indices = objects[..., None]
         fitting = np.ones(n, bool)
         placed = np.zeros((n, m, 1, 2))
@@ -134,7 +135,8 @@ class LayoutSource:
 
     def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, ...]:
         """Return corners (..., 2) of the rectangles around objects in the image, and depths."""
-        camera = position @ self._slope + self._offset
+        camera = position @ self._slope
+        camera += self._offset
         centre = camera[..., :2]
         depth = -camera[..., 2:]
         low = (centre - self._outline_low[objects]) / depth
@@ -163,7 +165,8 @@ def support(scene: Scene, directions: Floats) -> Floats:
         body = model.body_rootid[model.geom_bodyid[geom]]
         centre = data.geom_xpos[geom] - data.xpos[body]
         local = directions @ data.geom_xmat[geom].reshape(3, 3)
-        along = directions @ centre + _half_width(model, geom, local)
+        along = directions @ centre
+        along += _half_width(model, geom, local)
         k = number[scene.geom_target[geom]]
         extent[k] = np.maximum(extent[k], along)
     return extent[number]

@@ -51,7 +51,8 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     generator = np.random.default_rng(derive(0, "compositions"))
     drawn: list[Integers] = []
     for _ in range(_ROUNDS):
-        sets = _all_parts(table, _draw_sets(table, objects, generator))
+        sets = _draw_sets(table, objects, generator)
+        sets = _all_parts(table, sets)
         can_be_asked = np.any(_own_queries(table, sets), axis=2)
         drawn.append(sets[can_be_asked.all(axis=1)])
         if sum(map(len, drawn)) >= SETS:
@@ -66,7 +67,9 @@ def _draw_sets(table: QuestionTable, objects: int, generator: Generator) -> Inte
     """Draw sets of facets of different objects that are shown, askable and related, (n, m)."""
     number = table.objects
     usable = table.shown & table.askable.any(axis=0)
-    together = table.related & (number[:, None] != number) & usable
+    together = number[:, None] != number
+    together &= table.related
+    together &= usable
     weights = _object_weights(table, usable)
     candidates = np.repeat(usable[None], SETS, axis=0)
     chosen = np.zeros((SETS, 0), np.int64)
@@ -86,14 +89,17 @@ def _all_parts(table: QuestionTable, sets: Integers) -> Integers:
 def _object_weights(table: QuestionTable, usable: Mask) -> Floats:
     """Return weights of the facets with which every object is equally likely, (F,)."""
     number = table.objects
-    return 1.0 / np.maximum(1, np.bincount(number, weights=usable))[number]
+    counts = np.bincount(number, weights=usable)
+    return 1.0 / np.maximum(1, counts)[number]
 
 
 def _pick(candidates: Mask, weights: Floats, generator: Generator) -> Integers:
     """Draw one candidate per row (n, F), with probabilities proportional to weights (F,)."""
     # The largest of log(weight) + Gumbel noise is such a draw.
-    scores = np.log(weights) + generator.gumbel(size=candidates.shape)
-    return np.where(candidates, scores, -np.inf).argmax(axis=1)
+    scores = generator.gumbel(size=candidates.shape)
+    scores += np.log(weights)
+    possible = np.where(candidates, scores, -np.inf)
+    return possible.argmax(axis=1)
 
 
 def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
@@ -107,9 +113,11 @@ def _ask_each(table: QuestionTable, sets: Integers, generator: Generator) -> Obj
     """Give every object of every set a query, with rare queries preferred."""
     n, m = sets.shape
     own = _own_queries(table, sets).reshape(n * m, -1)
-    query = _pick(own, 1.0 / np.maximum(1, own.sum(axis=0)), generator)
+    weights = 1.0 / np.maximum(1, own.sum(axis=0))
+    query = _pick(own, weights, generator)
+    facets = np.repeat(sets, m, axis=0)
     goal = np.tile(np.arange(m), n)
-    return ObjectSets(query, np.repeat(sets, m, axis=0), goal, balanced=True)
+    return ObjectSets(query, facets, goal, balanced=True)
 
 
 def _ask_first(table: QuestionTable, objects: int, generator: Generator) -> ObjectSets:
@@ -124,11 +132,13 @@ def _ask_first(table: QuestionTable, objects: int, generator: Generator) -> Obje
     chosen = [target]
     for _ in range(objects - 1):
         facet = _pick(candidates, weights, generator)
-        candidates = candidates & (number[facet][:, None] != number)
+        is_other = number[facet][:, None] != number
+        candidates = candidates & is_other
         chosen.append(facet)
     sets = generator.permuted(np.stack(chosen, axis=1), axis=1)
     facets = _all_parts(table, sets)
     answers = np.take_along_axis(table.satisfies[query], facets, axis=1)
     alone = answers.sum(axis=1) == 1
     goal = (facets == target[:, None]).argmax(axis=1)
-    return ObjectSets(query, facets, goal, balanced=False).select(alone)
+    drawn = ObjectSets(query, facets, goal, balanced=False)
+    return drawn.select(alone)
