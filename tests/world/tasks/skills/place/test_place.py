@@ -149,3 +149,5 @@ def test_there_is_no_teacher_to_imitate():
     env = make_env(count=1)
     with pytest.raises(UserError, match="cannot be imitated"):
         env.config.task.skill.teacher(env.running)
+    with pytest.raises(UserError, match="cannot be imitated"):
+        knowarm.experiment_config("irb120-choose-place-answers-distil")

@@ -39,6 +39,11 @@ UPRIGHT_DEG = 15.0
 TOPPLED_DEG = 45.0
 HELD_REWARD = 5.0
 
+NO_TEACHER = (
+    "Placing has no teacher, so it cannot be imitated. Train by reward (fast, ppo, a3c), or let "
+    "`knowarm evaluate RUN --seen` solve what a network sees."
+)
+
 OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
 tray; another object moved or taken; none of these within the time limit."""
@@ -75,7 +80,9 @@ class Place(Lift):
         at_least(self, 1, "rest_steps", where="task.")
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
-        """Train as an algorithm does by default."""
+        """Refuse imitation before anything is trained."""
+        if algorithm == "distil":
+            raise UserError(NO_TEACHER)
         return {}
 
     def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
@@ -117,10 +124,7 @@ class Place(Lift):
 
     def teacher(self, state: State) -> Teacher:  # type: ignore[override]
         """Refuse: what to do does not follow from the state alone."""
-        raise UserError(
-            "Placing has no teacher, so it cannot be imitated. Train by reward, or let "
-            "`knowarm evaluate RUN --seen` solve what a network sees."
-        )
+        raise UserError(NO_TEACHER)
 
     def guide(self, straight: bool) -> type[PlaceGuide]:
         """Return what takes the object to the tray."""
