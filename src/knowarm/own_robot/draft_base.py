@@ -37,8 +37,7 @@ def place_base(scene: Scene, free: bool) -> Fields:
         UserError: the size of the robot is that of no arm.
     """
     first = scene.joint_names[0]
-    joint = scene.at(scene.home).joint(ROBOT_PREFIX + first)
-    origin = joint.xanchor.copy()
+    origin = scene.at(scene.home).joint(ROBOT_PREFIX + first).xanchor.copy()
     ahead = sample_tips(scene, 1000) - origin
     reach = float(np.percentile(norm(ahead, axis=1), 95))
     if not LEAST_REACH_M < reach < GREATEST_REACH_M:

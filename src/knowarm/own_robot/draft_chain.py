@@ -76,15 +76,16 @@ def find_chain(data: MjData, root: int) -> tuple[JointChain, Ids]:
         free = [b for b in branches if not _is_gripper(model, b)]
         free.sort(key=lambda b: -_joint_count(model, b))
         arms = []
-        lengths = [0.0]
+        longest = 0.0
         for b in free:
             if _joint_count(model, b) < ARM_JOINTS:
                 break
             arms.append(b)
             inside = subtree(model, b)
-            lengths.append(norm(data.xpos[inside] - data.xpos[b], axis=1).max())
+            lengths = norm(data.xpos[inside] - data.xpos[b], axis=1)
+            longest = max(longest, lengths.max())
         carried = polyline_m([*data.xanchor[joints], data.xpos[body]])
-        if len(branches) > 1 and max(lengths) > ARM_SHARE * carried:
+        if len(branches) > 1 and longest > ARM_SHARE * carried:
             joints = []  # of a base, lift or waist that carries several parts
             others += arms[1:]
         else:
@@ -125,7 +126,7 @@ def follow_joints(model: MjModel, names: Sequence[str]) -> JointChain:
     for name in names:
         if name not in known:
             raise unknown_name("joint", name, known)
-    joints = [known.index(name) for name in names]
+    joints = list(map(known.index, names))
     body = int(model.jnt_bodyid[joints[-1]])
     parts = _moving_parts(model, body)
     while len(parts) == 1 and not model.body_jntnum[parts[0]]:

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Iterable, Sequence
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from mujoco import MjData, MjModel, mj_kinematics, mj_name2id, mjtEq, mjtObj
@@ -93,9 +94,9 @@ def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
         if {follower, leader} == {*joints} and model.jnt_limited[leader]:
             ends = model.jnt_range[leader]
             follow = np.polynomial.Polynomial(model.eq_data[row, :5])
-            values = {leader: ends}
-            values[follower] = at_zero[follower] + follow(ends - at_zero[leader])
-            return np.column_stack([values[joint] for joint in joints])
+            followed = at_zero[follower] + follow(ends - at_zero[leader])
+            values = {leader: ends, follower: followed}
+            return np.column_stack(itemgetter(*joints)(values))
     if not model.jnt_limited[joints].all():
         return ()
     return product(*model.jnt_range[joints])

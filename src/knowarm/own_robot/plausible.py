@@ -10,7 +10,7 @@ import numpy as np
 from mujoco import MjData, MjModel, MjsBody, mj_kinematics, mj_ray, mjtGeom, mjtJoint
 
 from knowarm.arrays import Floats
-from knowarm.own_robot.draft_chain import box_corners
+from knowarm.own_robot.draft_chain import box_corners, joint_names
 from knowarm.own_robot.pixels import fixed_parts
 from knowarm.own_robot.poses import robot_file, support_places
 from knowarm.world.robots.robot import Robot
@@ -115,7 +115,8 @@ def ranges_of(
     model: MjModel, given: Mapping[str, Sequence[float]]
 ) -> dict[str, Floats]:
     """Return the ranges of a file's joints by name, in place of some those that are given."""
-    ranges = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}
+    names = joint_names(model, range(model.njnt))
+    ranges = dict(zip(names, model.jnt_range, strict=True))
     for name, ends in given.items():
         ranges[name] = np.array(ends, float)
     return ranges
