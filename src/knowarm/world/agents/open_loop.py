@@ -4,10 +4,10 @@ Its success is the part of a task that needs no observation: a trained agent has
 before its score says anything about vision.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import chain, product
+from functools import lru_cache, partial
+from itertools import chain, product, repeat
 from math import ceil, log2
 
 import numpy as np
@@ -115,7 +115,7 @@ def _search(score: OpenLoopScore, waypoints: Floats, budget: int, seed: int) -> 
     """Build tours through the waypoints and improve them; see `search_open_loop`."""
     generator = np.random.default_rng(derive(seed, "open-loop mutations"))
     tours, spent = _search_tours(score, waypoints, budget // 3)
-    climbs = [_Climb(score, tour) for tour in tours]
+    climbs = list(map(partial(_Climb, score), tours))
     rounds = max(1, ceil(log2(len(climbs))))
     for left in range(rounds, 0, -1):
         share = (budget - spent) // left
@@ -195,7 +195,9 @@ def _search_tours(
         for tour in _best(score, beams[used], BEAM_WIDTH):
             middle = tour.joints.mean(axis=0)
             for w, goal in enumerate(waypoints):
-                if w == tour.last or spent >= budget:
+                if spent >= budget:
+                    break
+                if w == tour.last:
                     continue
                 actions = _segment(score, middle, goal, limit - used)
                 beams[used + len(actions)].append(_extended(score, tour, actions, w))
@@ -296,8 +298,7 @@ class _Climb:
         self._solved = int(score.is_solved(self._first).sum())
         self.best = actions
         self.best_solved = self._solved
-        self._memory = np.full(MEMORY, self._solved)
-        self._trials = 0
+        self._memory = deque(repeat(self._solved, MEMORY), MEMORY)
 
     def run(self, budget: int, generator: np.random.Generator) -> None:
         """Try so many mutations."""
@@ -309,13 +310,11 @@ class _Climb:
                 continue
             first, _ = self._score.play(candidate, None, self._first, int(changed[0]))
             solved = int(self._score.is_solved(first).sum())
-            oldest = self._trials % MEMORY
-            if solved >= min(self._solved, self._memory[oldest]):
+            if solved >= min(self._solved, self._memory[0]):
                 self._actions = candidate
                 self._first = first
                 self._solved = solved
-            self._memory[oldest] = self._solved
-            self._trials += 1
+            self._memory.append(self._solved)
             if solved > self.best_solved:
                 self.best = candidate
                 self.best_solved = solved
@@ -327,7 +326,7 @@ def _mutate(actions: Actions, generator: np.random.Generator) -> Actions:
     steps, joints = actions.shape
     moved = [*range(joints)]
     if generator.random() >= 0.3:
-        moved = [int(generator.integers(joints))]
+        moved = [generator.integers(joints)]
     first, second = generator.integers(steps, size=2)
     if generator.random() < 0.5:  # move an action; what lies between shifts by one step
         others = np.delete(actions[:, moved], first, axis=0)

@@ -14,6 +14,12 @@ ANGLE_DIVISOR_DEG = 70.0
 
 
 @njit(cache=True, error_model="numpy")
+def _element(a: Floats, b: Floats, p: int, q: int) -> float:
+    """Return the element (p, q) of A'B, of row-major matrices (9,)."""
+    return a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
+
+
+@njit(cache=True, error_model="numpy")
 def measure(
     tcp_position: Floats,
     tcp_matrix: Floats,
@@ -56,9 +62,8 @@ def measure(
                 trace += a[k] * b[k]
             skew = 0.0
             for p, q in ((0, 1), (1, 2), (2, 0)):
-                # Elements (p, q) and (q, p) of R
-                upper = a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
-                lower = a[q] * b[p] + a[3 + q] * b[3 + p] + a[6 + q] * b[6 + p]
+                upper = _element(a, b, p, q)
+                lower = _element(a, b, q, p)
                 skew += (upper - lower) ** 2
             sine = 0.5 * sqrt(skew)
             cosine = 0.5 * (trace - 1.0)
