@@ -28,6 +28,8 @@ from knowarm.errors import UserError
 from knowarm.questions import COLOUR_RELATION
 
 States = Iterator[ReadingState]
+Cost = float | None
+"""Cost of a reading; None if the words cannot be read so."""
 
 _NO_HINT = NO_VALUE.union(WORDS.requests, WORDS.able)
 _COMPARED = re.compile(rf"((?:[<>!]=?|=)?)({NUMBER})")
@@ -166,7 +168,9 @@ class Reader:
 
     def left_out(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a word that is left out: what is done with, and a kind."""
-        if len(state.left_out) >= MOST_LEFT_OUT or not word.isalpha():
+        if len(state.left_out) >= MOST_LEFT_OUT:
+            return
+        if not word.isalpha():
             return
         start = state.position
         after = self.words[start + 1]
@@ -197,15 +201,16 @@ class Reader:
             if not state.noun:
                 return
         # "everything made of metal but the pan"
+        negated = None
         is_any = not WORDS.any.isdisjoint(self.words.words[: state.position])
         is_not = self.words[state.position + 1] in WORDS.negations
-        is_exception = word == "but" and is_any and not is_not
+        if word == "but" and is_any and not is_not:
+            negated = True
         for closed in state.closed():
             join = JOINS[word]
             if join == "," and closed.join:
                 join = closed.join
             if closed.done or not closed.join:
-                negated = True if is_exception else None
                 yield closed.then(join=join, negated=negated)
 
     def negations(self, state: ReadingState, word: str) -> States:
@@ -215,7 +220,9 @@ class Reader:
                 if closed.done and not closed.negated:
                     yield closed.then(join=closed.join or "and", negated=True)
             return
-        if state.outer is not None or state.number:
+        if state.outer is not None:
+            return
+        if state.number:
             return
         weak = state.weak
         if word.startswith(("without", "lack")):
@@ -225,7 +232,9 @@ class Reader:
     def cues(self, state: ReadingState, word: str) -> States:
         """Yield the states behind a word that says a relation, or changes nothing."""
         start = state.position
-        last = NO_RELATION if state.join else state.last
+        last = state.last
+        if state.join:
+            last = NO_RELATION
         before = self.words[start - 1]
         after = self.words[start + 1]
         said = self.vocabulary.said(word)
@@ -233,8 +242,11 @@ class Reader:
         if said and not is_request:
             both = said & (state.strong or said)
             if both:
-                noun = self.vocabulary.noun(word, state.number != "" or before == "no")
-                weak = () if noun else state.weak
+                is_counted = state.number != "" or before == "no"
+                noun = self.vocabulary.noun(word, is_counted)
+                weak = state.weak
+                if noun:
+                    weak = ()
                 yield state.then(strong=both, noun=noun, weak=weak)
             is_location = word == "used" and after in WORDS.used_at
             if state.is_unsaid and (last in said or is_location):
@@ -253,8 +265,9 @@ class Reader:
             if before in WORDS.requests and not state.done:
                 yield state.then()  # "look for", "want to"
         if word in WORDS.things:
-            name = state.other_name if word in ("one", "ones") else ""
-            if name and state.is_bare and not state.join:
+            name = state.other_name
+            is_other = word in ("one", "ones") and state.is_bare
+            if name and is_other and not state.join:
                 condition = ReadCondition(name, IS, name=name, is_bare=True)
                 yield from state.named(condition, 1, 0.0)
                 return
@@ -276,19 +289,23 @@ class Reader:
 
     def values(self, state: ReadingState) -> States:
         """Yield the states behind the values that stand at a place."""
-        if state.number or state.best:
+        if state.number:
+            return
+        if state.best:
             return
         position = state.position
         matches = self.words.matches[position]
         longest = max(map(attrgetter("length"), matches), default=0)
         matches = [match for match in matches if match.length == longest]
-        has_name = any(match.entry.relation == IS for match in matches)
+        has_name = IS in map(attrgetter("entry.relation"), matches)
         for match in matches:
             entry = match.entry
             is_name = entry.relation is IS
             if is_name and (not state.is_bare or state.takes_object):
                 continue
-            cost = match.far if is_name else self.cost(state, match)
+            cost: Cost = match.far
+            if not is_name:
+                cost = self.cost(state, match)
             if cost is None:
                 continue
             condition = ReadCondition(
@@ -308,7 +325,7 @@ class Reader:
             added = state.added(condition, longest, cost)
             yield replace(added, takes_object=is_verb and not state.is_bare)
 
-    def cost(self, state: ReadingState, match: Match) -> float | None:
+    def cost(self, state: ReadingState, match: Match) -> Cost:
         """Return what it costs to read words as a value, None if they cannot be."""
         if self.is_kept_out(state, match):
             return None
@@ -331,7 +348,9 @@ class Reader:
             is_said |= bool(state.join and state.done) and "ing" in state.done[-1].text
             before = self.words[state.position - 1]
             is_verb = word.endswith("s") and before in WORDS.doers
-            if word.endswith("ed") or not (is_said or is_verb):
+            if word.endswith("ed"):
+                return True
+            if not (is_said or is_verb):
                 return True
         if state.takes_object and state.is_bare and not state.join:
             # "to cut wood" is not made of wood
@@ -340,7 +359,7 @@ class Reader:
         is_for = match.far > 0 and state.weak[-1:] == ("for",)
         return is_for and self.words.has_exact(state.position, entry)
 
-    def fits(self, entry: Entry, state: ReadingState) -> float | None:
+    def fits(self, entry: Entry, state: ReadingState) -> Cost:
         """Return what it costs to read a value by the words before it, None if it cannot be."""
         relation = entry.relation
         strong = state.strong or ()
@@ -348,17 +367,24 @@ class Reader:
         if relation.turning is not None and relation not in strong:
             return None
         if state.outer is not None:  # what a thing is, that was said before it
-            if entry.inner is None or relation not in state.outer:
+            if entry.inner is None:
                 return None
-            is_inner_allowed = entry.inner.prepositions.intersection(state.weak)
-            return 0.0 if entry.inner in strong or is_inner_allowed else None
+            if relation not in state.outer:
+                return None
+            if entry.inner in strong:
+                return 0.0
+            if entry.inner.prepositions.isdisjoint(state.weak):
+                return None
+            return 0.0
         if strong and relation not in strong:
             return None
-        is_listed = bool(state.join) and state.is_unsaid and relation == state.last
+        is_listed = state.join and state.is_unsaid and relation == state.last
         if entry.role:
-            is_listed |= self.is_said_by_role(entry, state)
-            cost = OTHER_THAN_NAME if entry.role == "head" else 0.0
-            return cost if is_listed else None
+            if not is_listed and not self.is_said_by_role(entry, state):
+                return None
+            if entry.role == "head":
+                return OTHER_THAN_NAME
+            return 0.0
         cost = 0.0
         if entry.inner:
             if entry.inner.family is not FAMILIES["type"]:
@@ -368,21 +394,26 @@ class Reader:
             prepositions = WEAK.intersection(relation.words[1:])
             if state.weak[-1:] == ("by",):  # "grasped by the handle"
                 prepositions -= {"at"}
+            if not strong:
+                return None
             # "made by" is not "made of"
-            is_other = prepositions and prepositions.isdisjoint(state.weak)
-            return None if is_other or not strong else cost
+            if prepositions and prepositions.isdisjoint(state.weak):
+                return None
+            return cost
         if is_listed or not state.is_unsaid:
             return cost
         family = relation.family
-        is_other = family.relations == "" and not is_adjective(entry.words[-1])
         if entry in self.vocabulary.elsewhere and family is FAMILIES["relation"]:
             return None
-        if entry.inner or is_other:
+        if entry.inner:
             return None
-        continues = state.join != "" and state.done != ()
-        if family.describes and not continues:
+        if family.relations == "" and not is_adjective(entry.words[-1]):
+            return None
+        if family.describes:
+            if state.join and state.done:
+                return 0.05
             return 0.0
-        if family.describes or family.relations == "" or not state.done:
+        if family.relations == "" or not state.done:
             return 0.05
         return None
 

@@ -4,9 +4,11 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import chain, islice
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.linalg import norm
 
 from knowarm.asking.lexicon import (
     FAMILIES,
@@ -38,10 +40,14 @@ NEAR_HINT = 0.35
 MOST_HINTS = 9
 
 
+Words = tuple[str, ...]
+"""Words in lower case."""
+
+
 class Entry(NamedTuple):
     """A condition of the graph, and the words of its value."""
 
-    words: tuple[str, ...]
+    words: Words
     relation: Relation
     text: str
     inner: Relation | None = None  # The second relation of a chain
@@ -103,8 +109,9 @@ class Vocabulary:
 
     def _classes(self, tail: int) -> list[int]:
         """Return the classes of an individual that a relation leads to; none of a class."""
-        is_literal = self.graph.names[tail].startswith('"')
-        if is_literal or is_class(self.graph, tail):
+        if self.graph.names[tail].startswith('"'):
+            return []
+        if is_class(self.graph, tail):
             return []
         return classes_of(self.graph, tail)
 
@@ -123,7 +130,7 @@ class Vocabulary:
 
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[Relation, int]]:
         """Yield the relations of entities and what they lead to."""
-        pairs = {(relation, tail) for _, relation, tail in self._facts(heads)}
+        pairs = set(map(itemgetter(1, 2), self._facts(heads)))
         for relation, tail in sorted(pairs):
             yield self._relation(relation), tail
 
@@ -162,7 +169,8 @@ class Vocabulary:
         affirming = [by_key.get(key, key) for key in turned.subject]
         if words[0] == "is":
             affirming.insert(0, "is")
-        name = affirming[0] + "".join(map(str.capitalize, affirming[1:]))
+        first, *others = affirming
+        name = first + "".join(map(str.capitalize, others))
         return self._say(Relation(name, tuple(affirming)))
 
     def _learn(
@@ -190,7 +198,7 @@ class Vocabulary:
             for role, other_words in self._roles(entry):
                 self._add(entry._replace(words=other_words, role=role))
 
-    def _roles(self, entry: Entry) -> Iterator[tuple[str, tuple[str, ...]]]:
+    def _roles(self, entry: Entry) -> Iterator[tuple[str, Words]]:
         """Yield how else a value is said: HAS_SWITCH by "switch", CAN_OPEN by "open"."""
         words = entry.words
         family = entry.relation.family
@@ -206,13 +214,14 @@ class Vocabulary:
 
     def _add(self, entry: Entry) -> None:
         """Add a condition and index it by the first word of its value."""
-        if not entry.words or entry in self.entries:
+        if not entry.words:
+            return
+        if entry in self.entries:
             return
         self.entries[entry] = None
         first = entry.words[0]
         self._by_first[first].append(entry)
-        self._by_form[name_key(first)].add(first)
-        for form in forms_of(first):
+        for form in (name_key(first), *forms_of(first)):
             self._by_form[form].add(first)
 
     def starting(self, word: str) -> Iterator[Entry]:
@@ -228,9 +237,10 @@ class Vocabulary:
         known = len(self.entries)
         texts = [" ".join(words)]
         if len(words) == 1:
-            texts += forms_of(words[0])
-            texts += synonyms_of(words[0])
-            texts.append(f"{words[0]}ing")
+            (word,) = words
+            texts += forms_of(word)
+            texts += synonyms_of(word)
+            texts.append(f"{word}ing")
         ids = set(chain.from_iterable(map(graph.alike, texts)))
         for tail in sorted(ids):
             rows = graph.in_rows(tail)
@@ -245,9 +255,10 @@ class Vocabulary:
         if word not in self._said:
             known = self.relations.values()
             relations = {relation for relation in known if relation.is_said_by(word)}
-            named = {relation for relation in relations if relation.name in self._broad}
             if len(relations) > 1:  # "stored in" of storedIn and locatedIn
-                relations -= {each for each in named if not each.is_named_by(word)}
+                for relation in relations.copy():
+                    if relation.name in self._broad and not relation.is_named_by(word):
+                        relations.remove(relation)
             if not relations:
                 for relation in known:
                     if near(word, relation.family.otherwise, INFLECTED):
@@ -263,7 +274,11 @@ class Vocabulary:
         is_use = word in WORDS.uses or (counted and word in WORDS.use)
         for relation in self.relations.values():
             words = relation.words
-            if relation == self.colour or relation.turning is not None or not words:
+            if relation == self.colour:
+                continue
+            if not words:
+                continue
+            if relation.turning is not None:
                 continue
             family = relation.family
             is_noun = words[0] in _HAVE or family is FAMILIES["part"]
@@ -289,32 +304,36 @@ class Vocabulary:
 
     def nearest(self, words: Collection[str], asked: str = "") -> str:
         """Return a sentence with the conditions whose values are nearest to words, but for one."""
-        texts = []
+        texts: dict[str, None] = {}
         near_words = set()
         examples: dict[Relation, str] = {}
         colours = []
         for entry in self.entries:
-            alike = [word for word in words if near(word, entry.words, SYNONYM)]
-            near_words.update(alike)
-            if alike:
-                texts.append(entry.text)
+            for word in words:
+                if near(word, entry.words, SYNONYM):
+                    near_words.add(word)
+                    texts[entry.text] = None
             if not entry.inner and entry.relation != IS:
                 examples.setdefault(entry.relation, entry.text)
             if entry.relation == self.colour:
                 colours.append(entry.text)
-        texts += self._alike_in_meaning(set(words) - near_words)
-        if not texts and any(self.colour in self.said(word) for word in words):
-            texts = colours
-        if set(texts) - {asked}:
-            texts = [text for text in dict.fromkeys(texts) if text != asked]
-            texts = texts[:MOST_HINTS]
-            return f"Nearest: {'; '.join(texts)}."
-        return f"It can be asked for, among others: {'; '.join(list(examples.values())[:6])}."
+        texts |= dict.fromkeys(self._alike_in_meaning(set(words) - near_words))
+        said = chain.from_iterable(map(self.said, words))
+        if not texts and self.colour in said:
+            texts = dict.fromkeys(colours)
+        texts.pop(asked, None)
+        if texts:
+            nearest = islice(texts, MOST_HINTS)
+            return f"Nearest: {'; '.join(nearest)}."
+        others = islice(examples.values(), 6)
+        return f"It can be asked for, among others: {'; '.join(others)}."
 
     def _alike_in_meaning(self, words: Iterable[str]) -> list[str]:
         """Return the conditions whose values are nearest to words by the shipped vectors."""
         table = shipped_vectors("wordnet-gloss-50")
         wanted = [table.index[word] for word in words if word in table.index]
+        if not wanted:
+            return []
         texts = []
         rows = []
         for entry in self.entries:
@@ -322,12 +341,14 @@ class Vocabulary:
             if not entry.inner and last in table.index:
                 texts.append(entry.text)
                 rows.append(table.index[last])
-        if not wanted or not rows:
+        if not rows:
             return []
-        vectors = table.vectors / np.linalg.norm(table.vectors, axis=1, keepdims=True)
-        cosines = (vectors[rows] @ vectors[wanted].T).max(1)
-        order = np.argsort(-cosines, kind="stable")
-        return [texts[i] for i in order[:3] if cosines[i] >= NEAR_HINT]
+        lengths = norm(table.vectors, axis=1, keepdims=True)
+        vectors = table.vectors / lengths
+        cosines = vectors[rows] @ vectors[wanted].T
+        largest = cosines.max(1)
+        order = np.argsort(-largest, kind="stable")
+        return [texts[i] for i in order[:3] if largest[i] >= NEAR_HINT]
 
 
 def _subproperties(graph: KnowledgeGraph) -> tuple[set[str], set[str]]:
@@ -345,7 +366,7 @@ def _subproperties(graph: KnowledgeGraph) -> tuple[set[str], set[str]]:
     return narrow, broad
 
 
-def words_of(label: str) -> tuple[str, ...]:
+def words_of(label: str) -> Words:
     """Return the words of a name or label in lower case."""
     label = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", label)  # of ConceptNet
     return tuple(re.findall(r"[^\W_]+(?:\.\d+)?", spaced(label).casefold()))
