@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
 import scipy
+from numpy.linalg import norm
 
 from knowarm.arrays import Integers, Mask, Names
 from knowarm.knowledge.config import KnowledgeConfig
@@ -26,6 +27,8 @@ MOST_OTHERS = 600
 """Largest number of facets beyond the task's that a probe is fitted on; more are subsampled."""
 
 
+Facet = tuple[str, str]
+"""Object and colour."""
 Scores = dict[str, float]
 """Shares of a target that are recovered."""
 Recovered = dict[str, Scores]
@@ -56,7 +59,9 @@ class Probe:
     def largest(self) -> float:
         """The largest cosine of two different facets."""
         upper = self.cosine[np.triu_indices(len(self.slots), 1)]
-        return float(np.nanmax(upper)) if np.isfinite(upper).any() else float("nan")
+        if not np.isfinite(upper).any():
+            return float("nan")
+        return float(np.nanmax(upper))
 
     def describe(self) -> dict[str, Any]:
         """Return everything as JSON-able values."""
@@ -72,7 +77,7 @@ class Probe:
 
 
 def probe(
-    config: KnowledgeConfig, facets: Sequence[tuple[str, str]], *, run_seed: int = 0
+    config: KnowledgeConfig, facets: Sequence[Facet], *, run_seed: int = 0
 ) -> Probe:
     """Fit linear probes to the slots of an embedding of the task's (object, colour) pairs.
 
@@ -86,11 +91,13 @@ def probe(
     if not config.source.placebo:
         graph = read_graph(config.graph)
         population = scene_embedding(config, _population(graph, facets, config))
-        recovered = _recovered(graph, population, task)
+        for target, scores in _recovered(graph, population, task).items():
+            if scores:
+                recovered[target] = scores
     return Probe(
-        slots=tuple(slot.name for slot in task.slots),
+        slots=tuple(map(attrgetter("name"), task.slots)),
         cosine=_cosine(task.matrix),
-        recovered={name: scores for name, scores in recovered.items() if scores},
+        recovered=recovered,
     )
 
 
@@ -100,7 +107,8 @@ def _recovered(
     """Return the shares recovered by target, {} for a target without any of the task."""
     config = population.config
     vectors = population.matrix.astype(np.float64)
-    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    lengths = norm(vectors, axis=1, keepdims=True)
+    vectors /= np.maximum(lengths, 1e-12)
     in_task = np.array([slot in task.slots for slot in population.slots])
     objects = np.array([slot.object for slot in population.slots])
     recovered = Recovered()
@@ -115,19 +123,20 @@ def _recovered(
 
 def _cosine(matrix: Vectors) -> Vectors:
     wide = matrix.astype(np.float64)
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    length = norm(wide, axis=1, keepdims=True)
     unit = np.divide(wide, length, out=np.full_like(wide, np.nan), where=length > 0)
     return unit @ unit.T
 
 
 def _population(
-    graph: KnowledgeGraph, facets: Sequence[tuple[str, str]], config: KnowledgeConfig
-) -> list[tuple[str, str]]:
+    graph: KnowledgeGraph, facets: Sequence[Facet], config: KnowledgeConfig
+) -> list[Facet]:
     """Return the task's facets, then those of all other objects that have a colour."""
     names = [config.graph_name(name) for name, _ in facets]
     task_objects = list(map(graph.entity_id, names))
     coloured = graph.relations == graph.relation_id(config.colour_relation)
-    rows = np.flatnonzero(coloured & ~np.isin(graph.heads, task_objects))
+    is_other = ~np.isin(graph.heads, task_objects)
+    rows = np.flatnonzero(coloured & is_other)
     if len(rows) > MOST_OTHERS:
         rng = np.random.default_rng(config.seed)
         rows = rng.choice(rows, MOST_OTHERS, replace=False)
@@ -143,7 +152,8 @@ def _predict(vectors: Vectors, targets: Vectors, held: Mask) -> Vectors:
     x = vectors[train] - mean
     gram = x @ x.T + RIDGE * np.eye(len(x))
     weights = np.linalg.solve(gram, targets[train] - centre)
-    return (vectors[held] - mean) @ x.T @ weights + centre
+    asked = vectors[held] - mean
+    return asked @ x.T @ weights + centre
 
 
 def _leave_out(
@@ -204,11 +214,15 @@ def _attributes(
         rows = np.flatnonzero((graph.relations == relation) & about)
         tails, columns = np.unique(graph.tails[rows], return_inverse=True)
         counts = np.bincount(columns)
-        if relation == colour or (counts > 1).sum() < 2:
+        if relation == colour:
             continue
         # A value of a single object cannot be learned from others.
-        values = np.eye(len(tails))[:, counts > 1]
-        true = (ids[:, None] == graph.heads[rows]) @ values[columns]
+        is_shared = counts > 1
+        if is_shared.sum() < 2:
+            continue
+        values = np.eye(len(tails))[:, is_shared]
+        is_stated = ids[:, None] == graph.heads[rows]
+        true = is_stated @ values[columns]
         shares, guess = _leave_out(vectors, true, objects, true.any(axis=1))
         name = local_name(graph.relation_names[relation])
         scores[name] = _scores(shares, guess, in_task)
@@ -239,7 +253,11 @@ def query_agreement(
     both = (answers[:, None] & answers).sum(2)
     either = (answers[:, None] | answers).sum(2)
     pairs = np.triu_indices(len(facts), 1)
-    if not len(pairs[0]) or not np.ptp(cosine[pairs]) >= 1e-6:  # NaN for slots of zeros
+    cosines = cosine[pairs]
+    if not len(cosines):
+        return None
+    if not np.ptp(cosines) >= 1e-6:  # NaN for slots of zeros
         return None
     overlap = both / either
-    return float(scipy.stats.spearmanr(cosine[pairs], overlap[pairs]).statistic)
+    correlation = scipy.stats.spearmanr(cosines, overlap[pairs])
+    return float(correlation.statistic)

@@ -48,7 +48,8 @@ def completed(
             candidates.append(candidate)
     if not candidates:
         return graph
-    asked = torch.from_numpy(both_ways(np.array(candidates), relations))
+    triples = np.array(candidates)
+    asked = torch.from_numpy(both_ways(triples, relations))
     with torch.no_grad():
         all_scores = fitted.model(asked[:, 0], asked[:, 1])
     as_tails, as_heads = all_scores.gather(1, asked[:, 2:]).chunk(2)
@@ -59,6 +60,7 @@ def completed(
     if hits[-1] == 0:
         return graph
     chosen = np.arange(1, len(order) + 1)
-    best = (hits / (chosen + hits[-1])).argmax()  # half of F1
-    added = np.array(candidates)[order[: best + 1]]
+    half_f1 = hits / (chosen + hits[-1])
+    best = half_f1.argmax()
+    added = triples[order[: best + 1]]
     return graph.with_triples(np.concatenate([graph.triples, added]))

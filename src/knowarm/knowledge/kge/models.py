@@ -1,7 +1,6 @@
 """Graph-embedding models: ANALOGY and ComplEx, and what they share."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
@@ -14,11 +13,11 @@ class KgeModel(nn.Module, ABC):
     matrix product answers (h, r, ?). Heads are queried through the reciprocal relation r + R.
     """
 
-    learning_rate: ClassVar[float] = 0.01
+    learning_rate = 0.01
     """Adam's step size that suits the model."""
-    n3: ClassVar[float] = 0.03
+    n3 = 0.03
     """Weight of the N3 penalty that suits the model."""
-    divisor: ClassVar[int] = 1
+    divisor = 1
     """Number that `dim` must be divisible by."""
 
     def __init__(
@@ -47,7 +46,9 @@ class KgeModel(nn.Module, ABC):
         self, head: Tensor, relation: Tensor, tails: Tensor | None = None
     ) -> Tensor:
         """Score tails, by default every entity: ids (B,), (B,), (T,) -> scores (B, T)."""
-        compared = self.entity if tails is None else self.entity[tails]
+        compared: Tensor = self.entity
+        if tails is not None:
+            compared = compared[tails]
         query = self.query(self.entity[head], self.relation[relation])
         return self.compare(query, compared)
 
@@ -67,7 +68,7 @@ class Analogy(KgeModel):
     scalars, then real parts, then imaginary parts.
     """
 
-    numbers_per_pair: ClassVar[int] = 4
+    numbers_per_pair = 4
     """Numbers of a vector for each complex pair."""
 
     def query(self, head: Tensor, relation: Tensor) -> Tensor:

@@ -25,8 +25,8 @@ SHARES = {"S2": 0.2, "S3": 0.23, "S3a": 0.25, "S3b": 0.25, "S4": 0.15, "S5": 0.2
 """Share that a split holds out or changes: of the objects of each condition (S2), of the objects
 (S3), of the instances of each kind (S3a), of the kinds (S3b), of the values (S4), of the conditions
 that are not colours (S5)."""
-_ObjectNames = set[str]
-"""Names of objects, or of kinds of these."""
+_Names = set[str]
+"""Names of objects, of kinds of these, or of values."""
 
 
 @dataclass
@@ -36,10 +36,10 @@ class HeldOutQuestions:
     asked: QueryGraph
     holders: Mapping[Condition, list[str]]  # Objects that satisfy each condition
     # Objects that training never shows, by the split that tests them (S3, S3a, S3b)
-    new: dict[str, _ObjectNames] = field(default_factory=dict)
-    objects: _ObjectNames = field(default_factory=set)  # All of these
+    new: dict[str, _Names] = field(default_factory=dict)
+    objects: _Names = field(default_factory=set)  # All of these
     # Values that training never asks (S4)
-    values: set[str] = field(default_factory=set)
+    values: _Names = field(default_factory=set)
     # Conditions and objects that training never asks together (S2)
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
 
@@ -59,14 +59,13 @@ class HeldOutQuestions:
         kinds = set(map(kind_of, self._instances()))
         wanted = max(2, round(SHARES["S3b"] * len(kinds)))
         held = self._some(rng, sorted(kinds), wanted, per_episode)
-        self._hold(
-            "S3b", {name for name in self.asked.objects if kind_of(name) in held}
-        )
+        instances = {name for name in self.asked.objects if kind_of(name) in held}
+        self._hold("S3b", instances)
 
     def hold_instances(self, rng: Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
         shown = sorted(self._instances() - self.objects)
-        held: _ObjectNames = set()
+        held = _Names()
         for kind in sorted(set(map(kind_of, shown))):
             names = [name for name in shown if kind_of(name) == kind]
             count = round(SHARES["S3a"] * len(names))
@@ -78,24 +77,24 @@ class HeldOutQuestions:
             )
         self._hold("S3a", held)
 
-    def _instances(self) -> _ObjectNames:
+    def _instances(self) -> _Names:
         """Return the objects that are instances of a kind."""
         return {name for name in self.asked.objects if kind_of(name) != name}
 
-    def _hold(self, split: str, names: _ObjectNames) -> None:
+    def _hold(self, split: str, names: _Names) -> None:
         self.new[split] = names
         self.objects |= names
 
     def _some(
         self, rng: Generator, names: list[str], wanted: int, per_episode: int
-    ) -> set[str]:
+    ) -> _Names:
         """Draw objects or kinds such that each condition keeps half of them or more."""
-        shared = list[set[str]]()  # objects or kinds of each condition
+        shared = list[_Names]()  # objects or kinds of each condition
         for condition in self.facts:
             holders = {n if n in names else kind_of(n) for n in self.holders[condition]}
             if len(holders) > 1:
                 shared.append(holders)
-        held: set[str] = set()
+        held = _Names()
         for name in rng.permutation(names).tolist():
             larger = held | {name}
             if len(larger) > wanted:
@@ -115,11 +114,11 @@ class HeldOutQuestions:
 
         They belong to enough objects for an episode of which each can be asked for.
         """
-        values = {condition.value for condition in self.facts}
+        values: _Names = set(map(attrgetter("value"), self.facts))
         links = self._links(values)
         answering = self._with_values(values)
         wanted = max(1, round(SHARES["S4"] * len(values)))
-        held: set[str] = set()
+        held = _Names()
         beside = 0
         for name in rng.permutation(sorted(values)).tolist():
             larger = held | {name}
@@ -154,8 +153,11 @@ class HeldOutQuestions:
         for condition in _shuffled(rng, list(self.holders)):
             members = set(self.holders[condition]) - self.objects
             member_kinds = sorted(set(map(kind_of, members)))
-            is_object = condition.relation == OBJECT_RELATION
-            if condition.value in self.values or is_object or len(member_kinds) < 2:
+            if condition.value in self.values:
+                continue
+            if condition.relation == OBJECT_RELATION:
+                continue
+            if len(member_kinds) < 2:
                 continue
             free = list[str]()
             for kind in member_kinds:
@@ -178,26 +180,27 @@ class HeldOutQuestions:
                 "with an object that stays. Add facts that several objects share."
             )
 
-    def _holders_of(self, values: Collection[str]) -> list[_ObjectNames]:
+    def _holders_of(self, values: Collection[str]) -> list[_Names]:
         """Return the objects of each fact with one of the values."""
-        holders = list[_ObjectNames]()
+        holders = list[_Names]()
         for fact in self.facts:
             if fact.value in values:
                 holders.append(set(self.holders[fact]))
         return holders
 
-    def _with_values(self, values: Collection[str]) -> _ObjectNames:
+    def _with_values(self, values: Collection[str]) -> _Names:
         """Return the objects that some of the values belong to."""
-        return set[str]().union(*self._holders_of(values))
+        return _Names().union(*self._holders_of(values))
 
-    def _most_beside(self, values: set[str]) -> int:
+    def _most_beside(self, values: _Names) -> int:
         """Return how many objects that some of the values belong to lack one of them, at most."""
         every = self._with_values(values) - self.objects
-        return max(len(every - names) for names in self._holders_of(values))
+        lacking = map(every.difference, self._holders_of(values))
+        return max(map(len, lacking))
 
-    def _links(self, values: set[str]) -> dict[str, set[str]]:
+    def _links(self, values: _Names) -> dict[str, _Names]:
         """Return the values that a triple links to each value, in either direction."""
-        links: dict[str, set[str]] = defaultdict(set)
+        links: dict[str, _Names] = defaultdict(set)
         for head, _, tail in self.asked.graph:
             ends = {local_name(head), local_name(tail)}
             if len(ends) == 2 and ends <= values:
@@ -259,7 +262,8 @@ class HeldOutQuestions:
 
 
 def _shuffled(rng: Generator, conditions: Sequence[Condition]) -> list[Condition]:
-    return [conditions[index] for index in rng.permutation(len(conditions))]
+    order = rng.permutation(len(conditions))
+    return list(map(conditions.__getitem__, order))
 
 
 def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
@@ -274,16 +278,17 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
         is_shown = not held.objects.issuperset(held.holders[condition])
         if is_shown and condition.value not in held.values:
             free.append(condition)
-    order = _shuffled(rng, free)
     wanted = max(1, round(SHARES["S5"] * len(held.facts) / 2))
     swapped = dict[Condition, Condition]()  # both of each pair, by the other one
-    for first, second in combinations(order, 2):
-        is_alike = first.relation == second.relation
-        is_disjoint = set(held.holders[first]).isdisjoint(held.holders[second])
-        is_free = swapped.keys().isdisjoint((first, second))
-        if is_alike and is_disjoint and is_free:
-            swapped[first] = second
-            swapped[second] = first
+    for first, second in combinations(_shuffled(rng, free), 2):
+        if first.relation != second.relation:
+            continue
+        if not set(held.holders[first]).isdisjoint(held.holders[second]):
+            continue
+        if not swapped.keys().isdisjoint((first, second)):
+            continue
+        swapped[first] = second
+        swapped[second] = first
         if len(swapped) == 2 * wanted:
             break
     if not swapped:
