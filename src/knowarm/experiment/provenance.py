@@ -20,6 +20,12 @@ CHANGING = ("versions", "commit", "machine", "algorithm")
 """What may be another when a training resumes."""
 
 
+Fact = str | int | float | None
+"""A fact about a machine; None for what it does not tell."""
+Options = Mapping[str, Any]
+"""Options and sizes by name, as JSON values."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
     """What a run was trained with, and on: the content of ``provenance.json``."""
@@ -28,21 +34,21 @@ class Provenance:
     """Versions of Python and of `PACKAGES`."""
     commit: str | None = None
     """Commit of the checkout, with "+changes" for uncommitted edits; None outside of one."""
-    machine: Mapping[str, str | int | float | None] = field(default_factory=dict)
+    machine: Mapping[str, Fact] = field(default_factory=dict)
     """System, processor, cores and memory."""
     parameter_counts: Mapping[str, int] = field(default_factory=dict)
     """Trainable parameters by part of the network, and in ``total``."""
-    policy: Mapping[str, Any] = field(default_factory=dict)
+    policy: Options = field(default_factory=dict)
     """``config`` and ``shape`` of the policy."""
     facets: tuple[tuple[str, str], ...] = ()
     """Object and colour of each facet."""
     knowledge: EmbeddingFacts | None = None
     """The knowledge vector."""
-    perception: Mapping[str, Any] | None = None
+    perception: Options | None = None
     """Digest and specification of the grounding network, for agents that have one."""
-    algorithm: Mapping[str, Any] = field(default_factory=dict)
+    algorithm: Options = field(default_factory=dict)
     """Options of the learning algorithm."""
-    resumed: tuple[Mapping[str, Any], ...] = ()
+    resumed: tuple[Options, ...] = ()
     """Step and `CHANGING` of each resumption in which one of these was another than before."""
 
 
@@ -51,7 +57,7 @@ def provenance(**facts: Any) -> Provenance:
     versions: dict[str, str | None] = {"python": platform.python_version()}
     for package in PACKAGES:
         versions[package] = _version(package)
-    machine: dict[str, str | int | float | None] = {
+    machine: dict[str, Fact] = {
         "system": f"{platform.system()} {platform.release()}",
         "processor": processor(),
         "cores": os.cpu_count(),
@@ -75,12 +81,13 @@ def _commit() -> str | None:
         has_changes = _git("status", "--porcelain", "-uno")
     except (OSError, subprocess.CalledProcessError):
         return None  # installed from a wheel, or no git on the machine
-    return f"{commit}+changes" if has_changes else commit
+    if has_changes:
+        commit += "+changes"
+    return commit
 
 
 def _git(*arguments: str) -> str:
     """Run git in the folder of this file."""
     command = ["git", "-C", str(Path(__file__).parent), *arguments]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=True
-    ).stdout.strip()
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout.strip()

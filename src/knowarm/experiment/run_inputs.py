@@ -10,6 +10,8 @@ from knowarm.knowledge.formats import SHIPPED
 from knowarm.reading import digest, read_bytes, writing
 from knowarm.world.description import SUFFIX, description_files, trust
 
+Source = Path | bytes
+"""A file, or the content of one."""
 GRAPHS = ("graph", "edited")
 """Fields that name a graph: a path, or a shipped one."""
 
@@ -23,16 +25,21 @@ def with_inputs(values: Any, renamed: Callable[[str], str], field: str = "") -> 
     if not isinstance(values, str):
         return values
     is_graph = field in GRAPHS and values not in SHIPPED
-    return renamed(values) if is_graph or values.endswith(SUFFIX) else values
+    if is_graph or values.endswith(SUFFIX):
+        return renamed(values)
+    return values
 
 
-def input_files(name: str) -> dict[str, Path | bytes]:
+def input_files(name: str) -> dict[str, Source]:
     """Return a graph, or a description and all that it needs, as files of a folder to copy to."""
     path = Path(name)
     if name.endswith(SUFFIX):
         return description_files(path)
-    files = filter(Path.is_file, [path, *sorted(path.rglob("*"))])
-    return {str(file.relative_to(path.parent)): file for file in files}
+    files: dict[str, Source] = {}
+    for file in filter(Path.is_file, [path, *sorted(path.rglob("*"))]):
+        name_in_folder = str(file.relative_to(path.parent))
+        files[name_in_folder] = file
+    return files
 
 
 def copy_input(name: str, copy: Path) -> None:
@@ -43,7 +50,9 @@ def copy_input(name: str, copy: Path) -> None:
     Raises:
         UserError: the copy would need a file elsewhere, or cannot be written.
     """
-    if copy.exists() or not Path(name).exists():
+    if copy.exists():
+        return
+    if not Path(name).exists():
         return
     temporary = copy.parent.with_name(f".{copy.parent.name}.tmp").absolute()
     with writing(copy):
@@ -68,14 +77,18 @@ def is_copy_of(copy: Path, name: str) -> bool:
     originals = input_files(name)
     for file in filter(Path.is_file, copy.parent.rglob("*")):
         original = originals.get(str(file.relative_to(copy.parent)))
-        if original is None or content_of(original) != read_bytes(file):
+        if original is None:
+            return False
+        if content_of(original) != read_bytes(file):
             return False
     return True
 
 
-def content_of(source: Path | bytes) -> bytes:
+def content_of(source: Source) -> bytes:
     """Return the bytes of a file of `input_files`."""
-    return source if isinstance(source, bytes) else read_bytes(source)
+    if isinstance(source, bytes):
+        return source
+    return read_bytes(source)
 
 
 def input_content(name: str) -> str:

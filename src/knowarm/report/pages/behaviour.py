@@ -35,8 +35,9 @@ STATISTICS: dict[str, Callable[..., Any]] = {"mean": np.mean, "std": np.std}
 
 def joint_blocks(task: TaskData) -> list[Block]:
     """Compare joint angles of the first subject and the baseline (paper, sections 5.1, 5.2)."""
-    stored = [group for group in task.groups if _has_steps(group)]
-    pair = [group for group in (*task.subjects[:1], task.baseline) if group in stored]
+    stored = list(filter(_has_steps, task.groups))
+    compared = (*task.subjects[:1], task.baseline)
+    pair = [group for group in compared if group in stored]
     if len(pair) < 2:
         pair = stored[:2]
     if len(pair) < 2:
@@ -48,14 +49,16 @@ def joint_blocks(task: TaskData) -> list[Block]:
 
 
 def _has_steps(group: Group) -> bool:
-    return group.best is not None and (group.best.folder / "steps.parquet").is_file()
+    if group.best is None:
+        return False
+    return (group.best.folder / "steps.parquet").is_file()
 
 
 def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
-    one, other = [evaluation.joint_angles() for evaluation in evaluations]
+    one, other = map(Evaluation.joint_angles, evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
-    colours = {group.name: group.colour for group in (first, second)}
+    colours = {first.name: first.colour, second.name: second.colour}
     names = dict(enumerate(evaluations[0].summary.joints, start=1))
     rows = []
     panels = []
@@ -97,13 +100,14 @@ def film_blocks(task: TaskData) -> list[Films]:
             filmed[reference] = evaluation
     if not filmed:
         return []
-    common = set.intersection(*(set(best.films()) for best in filmed.values()))
+    films = map(Evaluation.films, filmed.values())
+    common = set.intersection(*map(set, films))
     blocks = []
     with suppress(UserError):
         first_filmed = next(iter(filmed.values()))
         for number, words in _first_of_each_target(first_filmed, sorted(common)):
-            films = [_film(agent, best, number) for agent, best in filmed.items()]
-            blocks.append(Films(f"Episode {number}, {words}", films))
+            shown = [_film(agent, best, number) for agent, best in filmed.items()]
+            blocks.append(Films(f"Episode {number}, {words}", shown))
     return blocks
 
 
