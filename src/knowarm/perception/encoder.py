@@ -4,6 +4,7 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import logsigmoid
 
 from knowarm.perception.config import Facets
 from knowarm.perception.looks import attribute_codes, code_matrix
@@ -140,7 +141,7 @@ class PlaceEncoder(nn.Module):
         shape, parts, _, kind = self.code[name].tensor_split(ends, 2)
         of_place = objects[:, self.attributes].log_softmax(1).gather(1, places)
         of_shape = (shape_score.log_softmax(2) * (shape > 0)).sum(2)
-        of_parts = nn.functional.logsigmoid(parts * part_score).sum(2)
+        of_parts = logsigmoid(parts * part_score).sum(2)
         of_kind = (kind_score.log_softmax(2) * kind).sum(2)
         of_colour = colours[rows, colour, places]
         return cast(Tensor, of_place + of_shape + of_parts + of_kind + of_colour)
@@ -151,5 +152,5 @@ def number_facets(facets: Facets) -> Tensor:
     numbers = []
     for names in zip(*facets, strict=True):
         order = list(dict.fromkeys(names))
-        numbers.append([order.index(name) for name in names])
+        numbers.append(list(map(order.index, names)))
     return torch.tensor(numbers)

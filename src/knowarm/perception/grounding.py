@@ -6,9 +6,9 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 """
 
 import json
-import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, starmap
+from math import ceil
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from safetensors.torch import load, save
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
@@ -152,8 +153,8 @@ class GroundingNetwork(nn.Module):
             if not is_number or table.ndim != 2 or table.shape[1] % slots:
                 raise ValueError("its table of knowledge does not fit its slots")
             network = cls(spec, table, slots)
-            shapes = {}
             state = {}
+            shapes = {}
             for name, value in network.state_dict().items():
                 stored = name.removeprefix(ENCODER)
                 shapes[stored] = value.shape
@@ -209,7 +210,7 @@ class GroundingNetwork(nn.Module):
         The inputs (n, m, D) start with the features of 3 x 3 places; in the first stage of one.
         """
         around = self._side // 2
-        padded = nn.functional.pad(features, (around,) * 4)
+        padded = pad(features, (around,) * 4)
         # A view of the places around every place: (n, C, h, w, side, side).
         windows = padded.unfold(2, self._side, 1).unfold(3, self._side, 1)
         image = torch.arange(places.shape[0], device=places.device)[:, None]
@@ -234,7 +235,8 @@ class GroundingNetwork(nn.Module):
 
     def cell_scores(self, features: Tensor, knowledge: Tensor) -> Tensor:
         """Compare the keys of the cells with the knowledge of queries (n, K): (n, cells)."""
-        return (self.keys(features) * self.project_queries(knowledge)[:, None]).sum(2)
+        queries = self.project_queries(knowledge)
+        return (self.keys(features) * queries[:, None]).sum(2)
 
     def features(self, images: Tensor, bfloat16: bool = False) -> Tensor:
         """Compute the encoder's features, with its convolutions in bfloat16 if asked for."""
@@ -314,7 +316,7 @@ class Standardize(nn.Module):
 def in_batches(compute: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
     """Compute something of at most `BATCH` rows of tensors at once; return all of it."""
     batches = zip(*[tensor.split(BATCH) for tensor in tensors], strict=True)
-    return torch.cat([compute(*batch) for batch in batches])
+    return torch.cat(list(starmap(compute, batches)))
 
 
 def _metadata(data: bytes) -> dict[str, Any]:
@@ -340,7 +342,7 @@ def _layers(
 
 def place_of(pixel: Tensor, image_size: int) -> Tensor:
     """Return the place (...) int64 of image points (..., 2), column and row [px]."""
-    side = math.ceil(image_size / STRIDE)
+    side = ceil(image_size / STRIDE)
     place = (pixel / STRIDE).long().clamp(0, side - 1)
     column, row = place.unbind(-1)
     return row * side + column
@@ -348,6 +350,7 @@ def place_of(pixel: Tensor, image_size: int) -> Tensor:
 
 def centres(image_size: int) -> Tensor:
     """Return column and row of the centre of every place, (P, 2) float32 [px]."""
-    line = (torch.arange(math.ceil(image_size / STRIDE)) + 0.5) * STRIDE
+    side = ceil(image_size / STRIDE)
+    line = (torch.arange(side) + 0.5) * STRIDE
     row, column = torch.meshgrid(line, line, indexing="ij")
     return torch.stack((column.flatten(), row.flatten()), dim=1)

@@ -1,6 +1,6 @@
 """Image encoder: two convolutions over patches of the image, and orthogonal initialization."""
 
-import math
+from math import sqrt
 from typing import NamedTuple
 
 import torch
@@ -15,7 +15,7 @@ SIDE = 3
 STRIDE = 4
 """Its stride [px]: its patches do not overlap and leave out 7 of every 16 pixels."""
 
-RELU_GAIN = math.sqrt(2.0)
+RELU_GAIN = sqrt(2.0)
 """Initialization gain of layers that are followed by a ReLU."""
 
 
@@ -53,7 +53,9 @@ def patch_pixels(image_size: int, blocks: int) -> Tensor:
     # axes: row and column of the block, those of the patch in it, those of the pixel, colour
     rows = lines.view(blocks, 1, 2, 1, SIDE, 1, 1)
     columns = lines.view(1, blocks, 1, 2, 1, SIDE, 1)
-    return ((rows * image_size + columns) * 3 + torch.arange(3)).flatten()
+    pixels = rows * image_size + columns
+    values = pixels * 3 + torch.arange(3)
+    return values.flatten()
 
 
 class ProductWeights(NamedTuple):
@@ -173,15 +175,13 @@ class ImageEncoder(nn.Module):
         dtype = hidden.dtype
         weight = self.product_weights().second.to(dtype)
         # The derivative of a ReLU is the sign of its result.
-        d_second = (gradient * features.sign()).view(
-            -1, self._side, self._side, self.channels
-        )
+        d_second = gradient * features.sign()
+        d_second = d_second.view(-1, self._side, self._side, self.channels)
         d_second_bias = d_second.sum((0, 1, 2))
         x = hidden.permute(0, 3, 1, 2)
         d_x = d_second.to(dtype).permute(0, 3, 1, 2)
-        d_blocks = (
-            conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
-        )
+        d_blocks = conv2d_weight(x, weight.shape, d_x).float()
+        d_blocks = d_blocks.view(-1, 2, 2, depth, 3, 3)
         d_kernel = d_blocks.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)
         d_first = conv2d_input(x.shape, weight, d_x).mul_(x.sign())
         d_first = d_first.permute(0, 2, 3, 1).reshape(-1, depth)

@@ -3,7 +3,7 @@
 A fusion is a subclass of `Fusion` and an entry of `knowarm.policy.config.FUSIONS`.
 """
 
-import math
+from math import sqrt
 from typing import ClassVar, Literal
 
 import torch
@@ -24,6 +24,7 @@ class Fusion(nn.Module):
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__()
         self.knowledge = knowledge
+        self.slots = slots
 
     def reset_parameters(self, generator: torch.Generator) -> None:
         """Initialize the fusion's own layers."""
@@ -54,7 +55,9 @@ class Concatenation(Fusion):
 
     def extra_inputs(self, layer: Layer) -> int:
         """As `Fusion.extra_inputs`."""
-        return self.knowledge if layer in self.layers else 0
+        if layer not in self.layers:
+            return 0
+        return self.knowledge
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """As `Fusion.forward`."""
@@ -96,14 +99,15 @@ class Attention(Fusion):
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
         width = knowledge // slots
-        self.slots = slots
         self.query = nn.Linear(features, width)
         self.key = nn.Linear(width, width)
         self.value = nn.Linear(width, width)
 
     def extra_inputs(self, layer: Layer) -> int:
         """As `Fusion.extra_inputs`."""
-        return self.knowledge // self.slots if layer == "lstm" else 0
+        if layer != "lstm":
+            return 0
+        return self.knowledge // self.slots
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """Attend to the slots before the LSTM: (N, F), (N, K) -> (N, F + K / slots)."""
@@ -111,7 +115,7 @@ class Attention(Fusion):
             return x
         slots = knowledge.unflatten(1, (self.slots, -1))
         products = self.query(x)[:, None] * self.key(slots)
-        scores = products.sum(2) / math.sqrt(slots.shape[2])
+        scores = products.sum(2) / sqrt(slots.shape[2])
         weights = torch.softmax(scores, 1)[:, :, None]
         mixture = (weights * self.value(slots)).sum(1)
         return torch.cat((x, mixture), 1)
@@ -134,7 +138,6 @@ class Similarity(Fusion):
 
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
-        self.slots = slots
         self.query = nn.Linear(knowledge // slots, self.width, bias=False)
         self.key = nn.Sequential(
             nn.Linear(ImageEncoder.channels, 2 * self.width),
@@ -148,13 +151,14 @@ class Similarity(Fusion):
             return x
         maps = _positions(x)
         weights = torch.softmax(self.scores(maps, knowledge), 1) * maps.shape[1]
-        return (maps * (0.5 + 0.5 * weights[:, :, None])).flatten(1)
+        shares = 0.5 + 0.5 * weights[:, :, None]
+        return (maps * shares).flatten(1)
 
     def scores(self, maps: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
         slots = knowledge.unflatten(1, (self.slots, -1))
         query = self.query(slots).sum(1)
-        return (self.key(maps) * query[:, None]).sum(2) / math.sqrt(self.width)
+        return (self.key(maps) * query[:, None]).sum(2) / sqrt(self.width)
 
 
 def _positions(x: Tensor) -> Tensor:

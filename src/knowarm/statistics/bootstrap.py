@@ -3,10 +3,11 @@
 "Deep reinforcement learning at the edge of the statistical precipice".
 """
 
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
+from math import hypot
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -65,8 +66,8 @@ def share_difference(first: Interval, second: Interval) -> Interval:
         second: of `wilson`.
     """
     difference = first.estimate - second.estimate
-    below = math.hypot(first.estimate - first.low, second.high - second.estimate)
-    above = math.hypot(first.high - first.estimate, second.estimate - second.low)
+    below = hypot(first.estimate - first.low, second.high - second.estimate)
+    above = hypot(first.high - first.estimate, second.estimate - second.low)
     return Interval(difference, difference - below, difference + above)
 
 
@@ -80,16 +81,17 @@ def mean_of_runs(runs: Sequence[Interval]) -> Interval:
     is the range of their values, it is Student's t, and no narrower than the runs' own intervals
     on average: two runs of equal success do not tell the success better than one.
     """
-    values = np.array([run.estimate for run in runs])
+    rows = list(map(attrgetter("estimate", "low", "high"), runs))
+    values, lows, highs = np.transpose(rows).copy()
     if len(runs) >= FEW_RUNS:
         return bootstrap(values)
     mean = float(values.mean())
     quantile = scipy.stats.t.ppf((1 + CONFIDENCE) / 2, len(runs) - 1)
     half = quantile * scipy.stats.sem(values)
-    mean_low = np.mean([run.low for run in runs])
-    mean_high = np.mean([run.high for run in runs])
-    low = mean - float(max(half, mean - mean_low))
-    high = mean + float(max(half, mean_high - mean))
+    below = mean - lows.mean()
+    above = highs.mean() - mean
+    low = mean - float(max(half, below))
+    high = mean + float(max(half, above))
     return Interval(mean, low, high, runs=tuple(values.tolist()))
 
 
@@ -141,7 +143,8 @@ def probability_of_improvement(first: Floats, second: Floats) -> Interval:
     def wins(a: Floats, b: Floats, *, axis: int) -> Floats:
         a = a[..., :, None]
         b = b[..., None, :]
-        points = (a > b) + 0.5 * (a == b)
+        points = 0.5 * (a == b)
+        points += a > b
         return points.mean(axis=(-2, -1))
 
     estimate = float(wins(*samples, axis=-1))
@@ -161,7 +164,8 @@ def performance_profile(
     Returns:
         Three (T,) float64 arrays: the fraction, and the ends of its pointwise bootstrap band.
     """
-    above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
+    column = np.asarray(scores, np.float64)[:, None]
+    above = (column > thresholds).astype(float)
     low, high = mean_band(above, REPETITIONS)
     return above.mean(axis=0), low, high
 
@@ -191,11 +195,12 @@ def _percentiles(
     samples: Sequence[Floats], statistic: Callable[..., Any], repetitions: int
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
+    numbers = sum(map(np.size, samples))
     result = scipy.stats.bootstrap(
         samples,
         statistic,
         n_resamples=repetitions,
-        batch=max(1, BLOCK // sum(sample.size for sample in samples)),
+        batch=max(1, BLOCK // numbers),
         vectorized=True,
         confidence_level=CONFIDENCE,
         method="percentile",

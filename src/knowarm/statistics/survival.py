@@ -9,10 +9,11 @@ import scipy
 from knowarm.arrays import Floats, Mask
 from knowarm.statistics.bootstrap import CONFIDENCE, Interval
 
+Step = float | None
+"""A step of a training, None where no run shows it."""
 
-def median_steps(
-    steps: Floats, reached: Mask
-) -> tuple[float | None, float | None, float | None]:
+
+def median_steps(steps: Floats, reached: Mask) -> tuple[Step, Step, Step]:
     """Estimate the median steps to a threshold, with Brookmeyer and Crowley's interval.
 
     The interval holds every t at which S(t) = 1/2 is not rejected, on the log-log scale. S(t) is
@@ -33,10 +34,11 @@ def median_steps(
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
-    def first_at_most_half(bound: Any) -> float | None:
+    def first_at_most_half(bound: Any) -> Step:
         fractions = bound.probabilities
         fractions = np.where(np.isnan(fractions), curve.probabilities, fractions)
-        return _first(curve.quantiles, fractions <= 0.5 + 1e-12)  # products are rounded
+        is_passed = fractions <= 0.5 + 1e-12  # products are rounded
+        return _first(curve.quantiles, is_passed)
 
     estimate = first_at_most_half(curve)
     low = first_at_most_half(ends.low)
@@ -57,7 +59,8 @@ def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interva
         reached: (n,) bool; False marks a censored run.
         until: restriction [steps]; at least one run must have been observed that long.
     """
-    reached = np.asarray(reached, bool) & (np.asarray(steps) <= until)
+    is_in_time = np.asarray(steps) <= until
+    reached = np.asarray(reached, bool) & is_in_time
     counted = np.minimum(steps, until, dtype=np.float64)
     curve = _below_threshold(counted, reached)
     heights = np.append(1.0, curve.probabilities)
@@ -69,8 +72,10 @@ def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interva
     at_risk = _sum_from_right(runs)
     left = at_risk - crossings
     pairs = at_risk * left
-    terms = np.divide(crossings, pairs, out=np.zeros(len(left)), where=left > 0)
-    variance = (right**2 * terms).sum()
+    terms = np.zeros(len(left))
+    np.divide(crossings, pairs, out=terms, where=left > 0)
+    terms *= right**2
+    variance = terms.sum()
     quantile = scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)
     half = float(quantile * np.sqrt(variance))
     estimate = float(areas.sum())
@@ -84,7 +89,7 @@ def _sum_from_right(values: np.ndarray) -> np.ndarray:
     return np.cumsum(values[::-1])[::-1]
 
 
-def _first(steps: Floats, condition: Mask) -> float | None:
+def _first(steps: Floats, condition: Mask) -> Step:
     """Return the first step at which a condition holds; None if it never does."""
     if not condition.any():
         return None
