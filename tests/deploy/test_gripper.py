@@ -5,13 +5,16 @@ import re
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from knowarm.cli.main import main
-from knowarm.deploy.contract import deployment
+from knowarm.deploy.contract import deployment, tcp_position
+from knowarm.deploy.driver import Driver, Safety
 from knowarm.deploy.joint_map import real_joints
 from knowarm.deploy.runner import JointMap, Runner, Start
 from knowarm.errors import UserError
@@ -22,6 +25,7 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import RealJoint
 from knowarm.world.scene.scene import Fingers
+from tests.deploy.test_driver import CONTRACT
 from tests.deploy.test_joint_map import scene_with
 from tests.source_tree import ROOT
 
@@ -338,3 +342,151 @@ def test_a_dataset_has_the_gripper_as_its_own_entry(tmp_path):
         assert sent[-1] < 60, "it closed"
     assert metres.max() > 0.039, "a target beyond closed"
     assert features(tmp_path / "plain")["action.levels"]["names"][-1] == "fingers"
+
+
+class Hand:
+    """A driver of one joint and fingers, whose policy closes at level 1; 0.02 m are held."""
+
+    def __init__(self, **safety):
+        self.levels = [[1, 1]]
+        joints = {
+            "names": ["elbow", "fingers"],
+            "lower": [-1.0, 0.0],
+            "upper": [1.0, 0.06],
+            "home": [0.0, 0.0],
+            "mpi": 0.03,
+            "increments": [0.0, 0.03, -0.03],
+            "gripper": {"joint": "fingers", "closed": 0.04},
+        }
+
+        def policy(inputs):
+            return np.array(self.levels), None, None, inputs["h"], inputs["c"]
+
+        contract = CONTRACT | {"joints": joints}
+        self.runner = Runner(contract, np.zeros((2, 3), np.float32), policy)
+        safety = {"confirm_steps": 0} | safety
+        place = lambda angles: np.zeros(3)  # noqa: E731
+        row = "usedFor drinking"
+        self.driver = Driver(self.runner, place, Safety(**safety), row)
+        self.now = 100.0
+        self.driver.clock = lambda: self.now
+        self.sent = np.zeros(2)
+
+    def tick(self):
+        """Let a period pass: the elbow follows, and the fingers until they touch."""
+        self.now += 0.1
+        self.driver.see(IMAGES[round(10 * self.now) % 64], self.now)
+        reading = [self.sent[0], min(self.sent[1], 0.02)]
+        self.driver.feel(["elbow", "fingers"], reading, self.now)
+        targets = self.driver.tick(self.now)
+        if targets is not None:
+            self.sent = targets
+        return targets
+
+
+IMAGES = np.random.default_rng(0).integers(0, 256, (64, 4, 4, 3), np.uint8)
+
+
+def test_fingers_press_what_they_hold_and_the_arm_goes_on():
+    hand = Hand(following_steps=1.2)
+    fingers = [hand.tick()[1] for _ in range(4)]
+    np.testing.assert_allclose(fingers, [0.03, 0.06, 0.06, 0.06])
+    np.testing.assert_allclose(hand.sent[0], 0.12)
+
+
+def test_fingers_close_by_the_largest_step_of_the_safety_rules():
+    hand = Hand(gripper_step_m=0.008)
+    hand.levels = [[1, 1]]
+    targets = [hand.tick(), hand.tick()]
+    hand.levels = [[1, 0]]  # the policy has closed them, and they follow
+    targets += [hand.tick() for _ in range(7)]
+    targets = np.array(targets)
+    np.testing.assert_allclose(targets[:, 0], 0.03 * np.arange(1, 10))
+    np.testing.assert_allclose(targets[:, 1], (0.008 * np.arange(1, 10)).clip(max=0.06))
+    hand.levels = [[0, 2]]
+    np.testing.assert_allclose(hand.tick(), [0.27, 0.052])
+
+
+def test_fingers_faster_than_the_contract_says_end_the_episode():
+    hand = Hand(gripper_step_m=0.008)
+    hand.levels = [[0, 0]]
+    assert hand.tick() is not None
+    act = lambda _: setattr(hand.runner, "targets", np.array([[0.0, 0.06]]))  # noqa: E731
+    hand.runner.act = act
+    assert hand.tick() is None
+    assert "fingers: faster than 0.3 / s" in hand.driver.end
+
+
+@pytest.mark.parametrize("how", ["stop", "hold"])
+def test_a_stop_or_hold_keeps_what_is_held(how):
+    """Nothing is sent, so that the gripper keeps its last target; a hold goes on from there."""
+    hand = Hand()
+    hand.tick()
+    held = hand.tick()
+    assert held[1] == 0.06
+    hand.levels = [[0, 2]]
+    if how == "stop":
+        hand.driver.stop("stopped by /knowarm/stop")
+        assert [hand.tick() for _ in range(5)] == [None] * 5
+    else:
+        hand.now += 0.1
+        assert hand.driver.tick(hand.now, "no controller") is None
+        hand.levels = [[1, 0]]
+        np.testing.assert_allclose(hand.tick(), [0.09, 0.06])
+    np.testing.assert_allclose(hand.runner.targets[0, 1], 0.06)
+
+
+def test_a_dry_run_prints_the_gripper_and_sends_nothing():
+    hand = Hand(dry_run=True)
+    assert hand.tick() is None
+    assert hand.driver.status.endswith(
+        "elbow +0.030, fingers +0.030, gripper 75% closed"
+    )
+    hand.sent = np.array([0.0, 0.02])
+    assert hand.tick() is None
+    assert hand.driver.status.endswith("fingers +0.030, gripper 100% closed")
+
+
+def test_steps_of_a_gripper_need_one(trained):
+    arm = deployment(load_agent(ROOT / "zoo" / "tiago-full-fast")).runner()
+    with pytest.raises(UserError, match="moves no gripper: leave gripper_step_m out"):
+        Driver(arm, np.zeros_like, Safety(gripper_step_m=0.01))
+    with pytest.raises(UserError, match="gripper_step_m"):
+        Safety(gripper_step_m=0.0)
+
+
+def lifted_by_the_driver(trained, episode, **safety):
+    """Play an episode in the simulator by a driver; return success and the fingers' targets."""
+    parts = deployment(trained)
+    place = partial(tcp_position, parts.scene)
+    driver = Driver(parts.runner(), place, Safety(confirm_steps=0, **safety))
+    now = 100.0
+    driver.clock = lambda: now
+    env = ArmVectorEnv(trained.config.env, 1, autoreset=AutoresetMode.DISABLED)
+    images, _ = env.reset(options={"episodes": episode})
+    sent = [env.joint_positions[0]]
+    ended = False
+    while not ended:
+        now += 0.1
+        driver.see(images[0], now)
+        driver.feel(driver.joint_names, env.joint_positions[0], now)
+        targets = driver.tick(now)
+        sent.append(sent[-1] if targets is None else targets)
+        env.running.joint_targets[0] = sent[-1]
+        images, _, terminated, truncated, infos = env.step(np.zeros((1, 8), int))
+        ended = terminated[0] or truncated[0]
+    return infos["is_success"][0], np.array(sent)[:, -1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step_m", [None, 0.012])
+def test_a_driven_gripper_lifts_as_the_policy_does(trained, episodes, played, step_m):
+    """Slowly, too: it goes on closing in the steps after that in which the policy closes it."""
+    solved = []
+    for number in range(6):
+        episode = episodes[number : number + 1]
+        success, fingers = lifted_by_the_driver(trained, episode, gripper_step_m=step_m)
+        assert abs(np.diff(fingers)).max() <= (step_m or 0.042) + 1e-9
+        assert fingers.max() > 0.039
+        solved.append(success)
+    np.testing.assert_array_equal(solved, played.success[:6])

@@ -44,7 +44,9 @@ class Safety:
     wait_s: float = 60.0
     """The same before the first step: robot and camera start [s]."""
     following_steps: float = 4.0
-    """Largest distance of a target from the angle, in MPI."""
+    """Largest distance of a target from the angle, in MPI; fingers stop at what they hold."""
+    gripper_step_m: float | None = None
+    """Largest step of each finger per control period [m]; None: the MPI."""
     confirm_steps: int = 5
     """First steps that a person confirms one by one."""
     max_steps: int | None = None
@@ -55,6 +57,7 @@ class Safety:
     def __post_init__(self) -> None:
         check_values(self)
         above_zero(self, "max_age_s", "patience_s", "wait_s", "following_steps")
+        above_zero(self, "gripper_step_m")
         at_least(self, 0, "confirm_steps")
         at_least(self, 1, "max_steps")
 
@@ -113,6 +116,14 @@ class Driver:
         self._names = runner.joint_names
         self.period_s = float(contract["control_period_s"])
         self._mpi = float(contract["joints"]["mpi"])
+        self._is_finger = np.arange(len(self._names)) == runner.fingers
+        self._largest_step = np.full(len(self._names), np.inf)
+        if safety.gripper_step_m is not None:
+            if runner.fingers is None:
+                raise UserError(
+                    "The policy moves no gripper: leave gripper_step_m out."
+                )
+            self._largest_step[runner.fingers] = safety.gripper_step_m
         self.max_steps = safety.max_steps or int(contract["max_episode_steps"])
         box = contract["workspace_m"]
         self._box = np.array([box["lower"], box["upper"]])
@@ -132,6 +143,7 @@ class Driver:
         self._ticked_at: float | None = None
         self._proposed_at = -np.inf
         self._sent_at = -np.inf
+        self._sent = np.zeros(len(self._names))
         self._held_since = np.inf
         self._felt: tuple[Targets, float] | None = None  # last angles and their stamp
         self._images = ImageWatch(self._mpi)
@@ -261,8 +273,10 @@ class Driver:
         if not runner.is_started:
             joints = dict(zip(self._names, angles.tolist(), strict=True))
             runner.reset(Start(joints, self._knowledge))
+            self._sent = runner.targets[0]
         if self.safety.dry_run:  # nothing follows the targets: steps start at the arm
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
+            self._sent = runner.targets[0]
         self._previous = runner.targets[0].copy()
         self._is_confirmed = False
         self._before = dict(vars(runner))
@@ -273,8 +287,13 @@ class Driver:
         """Return checked targets if the step needs no confirmation or has it."""
         self._held_since = np.inf
         is_dry = self.safety.dry_run
-        moves = zip(self._names, targets - self._previous, strict=True)
+        # Slow fingers follow in later steps what the policy wants once.
+        least = self._sent - self._largest_step
+        sent = targets.clip(least, self._sent + self._largest_step)
+        moves = zip(self._names, sent - self._sent, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
+        if self._runner.fingers is not None:
+            change += f", gripper {self._runner.closed(sent):.0%} closed"
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
         is_free = is_dry or self.steps >= self.safety.confirm_steps
         if not is_free and not self._is_confirmed:
@@ -285,12 +304,13 @@ class Driver:
         self._proposal = None
         if not is_dry:
             self._images.commanded(targets)
+        self._sent = sent
         self._sent_at = steady
         self.steps += 1
         if self.steps == self.max_steps:
             self.completed = True
             self.stop(f"all {self.max_steps} steps are played")
-        return None if is_dry else self._map.to_real(targets)
+        return None if is_dry else self._map.to_real(sent)
 
     def _input_problem(self, now_s: float, steady: float) -> str:
         """Say which input is missing, wrong, old, from the future or in doubt.
@@ -334,6 +354,7 @@ class Driver:
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
         is_far = abs(targets - angles) > self.safety.following_steps * self._mpi
+        is_far &= ~self._is_finger
         if is_far.any():
             return f"{_named(self._names, is_far)}: blocked, or moved by hand"
         position = self._gripper(targets)
