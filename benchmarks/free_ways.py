@@ -6,6 +6,7 @@ python -m benchmarks.free_ways --robot tiago --task choose-lift --episodes 500
 import argparse
 
 from knowarm import ArmVectorEnv, EnvConfig, OracleAgent, evaluation_episodes, play
+from knowarm.world.tasks.skills.lift.guide import LiftGuide
 
 SEED = 1_000_003  # Of the episodes of `knowarm evaluate`
 
@@ -20,6 +21,7 @@ def main() -> None:
     oracle = OracleAgent(env)
     episodes = evaluation_episodes(env.config, args.episodes, SEED)
     success = play(oracle, env, episodes).success
+    assert isinstance(oracle.guide, LiftGuide)
     is_free = oracle.guide.is_free
     print(f"free way: {100 * is_free.mean():.1f} % of {args.episodes} layouts")
     print(f"success: {100 * success.mean():.1f} %")

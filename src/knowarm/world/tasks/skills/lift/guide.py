@@ -111,10 +111,12 @@ def joined(legs: Sequence[Leg], largest_step: float) -> Way:
         count = leg.points.shape[1]
         fingers = np.repeat(leg.fingers[:, None, None], count, axis=1)
         points.append(np.concatenate([leg.points, fingers], axis=2))
-        pauses += [0] * (count - 1) + [leg.pause]
+        pause = np.zeros(count, np.int64)
+        pause[-1] = leg.pause
+        pauses.append(pause)
     tolerance = np.concatenate([leg.tolerance for leg in legs])
     return Way(
-        np.concatenate(points, axis=1), largest_step, tolerance, np.array(pauses)
+        np.concatenate(points, axis=1), largest_step, tolerance, np.concatenate(pauses)
     )
 
 
@@ -241,7 +243,7 @@ class LiftGuide(Guide):
             sight.position[ids], matrix, joints, np.stack(shifts)
         )
         poses = np.concatenate([way[::-1], joints[None]]).transpose(1, 0, 2)
-        jumps = np.abs(np.diff(poses, axis=1)).max(axis=(1, 2)) / self._largest
+        jumps = np.abs(np.diff(poses[:, len(OVER_M) :], axis=1)).max(axis=(1, 2)) / self._largest
         is_reached = (cost < UNREACHED) & (jumps < MOST_STEPS)
         for closed, left_out in product(CLOSED, reversed(range(len(OVER_M) + 1))):
             is_open = ~self.is_free[ids]

@@ -39,6 +39,7 @@ UPRIGHT_DEG = 15.0
 TOPPLED_DEG = 45.0
 HELD_REWARD = 5.0
 
+IMITATING = frozenset({"distil"})  # Algorithms that need a teacher
 NO_TEACHER = (
     "Placing has no teacher, so it cannot be imitated. Train by reward (fast, ppo, a3c), or let "
     "`knowarm evaluate RUN --seen` solve what a network sees."
@@ -81,7 +82,7 @@ class Place(Lift):
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse imitation before anything is trained."""
-        if algorithm == "distil":
+        if algorithm in IMITATING:
             raise UserError(NO_TEACHER)
         return {}
 
