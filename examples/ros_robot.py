@@ -25,6 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 from knowarm.deploy.driver import Topics
 from knowarm.deploy.joint_map import real_joints
 from knowarm.deploy.runner import JointMap
+from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.pictures import encode
 from knowarm.world.backend import MujocoSimulator
@@ -76,6 +77,10 @@ class RobotNode(Node):
     ) -> None:
         super().__init__("robot")
         scene = scene_of(config)
+        if scene.fingers is not None:
+            raise UserError(
+                "This robot's fingers do not move: take a policy that reaches."
+            )
         self.wait, self.commands, self.late = wait, 0, round(delay_s / TICK_S)
         self.arm = Arm(scene, self._tick)
         self.running = RunningEpisodes(config, self.arm)

@@ -94,7 +94,17 @@ def test_a_robot_in_degrees_is_driven_as_one_in_radians(
 class Cell:
     """Camera, joints and controller of a robot that stands still."""
 
-    def __init__(self, parts, image=None, state=None, controllers=1, stop_qos=1):
+    def __init__(
+        self,
+        parts,
+        image=None,
+        state=None,
+        controllers=1,
+        stop_qos=1,
+        topics=TOPICS,
+        grippers=1,
+    ):
+        self.topics, self.gripped, self._grippers = topics, [], grippers
         self.parts, self.image, self.state = parts, image or {}, state or {}
         self.received, self.driver, self._over = [], None, False
         self._controllers, self._stop_qos = controllers, stop_qos
@@ -133,7 +143,7 @@ class Cell:
         thread = threading.Thread(target=self._publish)
         thread.start()
         try:
-            drive(self.driver, TOPICS)
+            drive(self.driver, self.topics)
         finally:
             self._over = True
             thread.join()
@@ -151,6 +161,10 @@ class Cell:
         for _ in range(self._controllers):
             node.create_subscription(
                 JointTrajectory, TOPICS.trajectory, self.received.append, 1
+            )
+        if self.topics.gripper and self._grippers:
+            node.create_subscription(
+                JointTrajectory, self.topics.gripper, self.gripped.append, 1
             )
         self.node = node
         context_of_others = rclpy.Context()
@@ -188,6 +202,55 @@ def test_a_robot_that_stands_still_receives_trajectories(parts):
     assert message.points[0].time_from_start.nanosec == 100_000_000
     change = np.array(message.points[0].positions) - parts.contract["joints"]["home"]
     assert 0 < np.abs(change).max() <= parts.contract["joints"]["mpi"] * 1.001
+
+
+@pytest.fixture(scope="module")
+def lifting():
+    return deployment(load_agent(ROOT / "zoo" / "tiago-lift-full-distil"))
+
+
+def test_a_gripper_is_one_more_joint_of_the_trajectory(lifting):
+    cell = Cell(lifting)
+    assert cell.drive(following_steps=100).completed
+    message = cell.received[0]
+    assert message.joint_names == list(lifting.contract["joints"]["names"])
+    assert message.joint_names[-1] == "fingers"
+    assert 0 <= message.points[0].positions[-1] <= 0.042
+
+
+GRIPPER = "/gripper_controller/joint_trajectory"
+
+
+def test_a_gripper_has_a_controller_of_its_own(trained, tmp_path):
+    """As its joint map counts it: here in metres from closed."""
+    file, arm = tmp_path / "map.toml", [f"arm_{i}_joint" for i in range(1, 8)]
+    lines = [f"{name} = {{}}" for name in arm]
+    gripper = 'fingers = {name = "gripper_joint", sign = -1, offset = 0.039}'
+    file.write_text("\n".join(["[joint_map]", gripper, *lines]))
+    parts = deployment(load_agent(ROOT / "zoo" / "tiago-lift-full-distil"), file)
+    joints = parts.contract["joints"]
+    state = {"name": [*arm, "gripper_joint"], "position": [*joints["home"][:7], 0.039]}
+    cell = Cell(parts, state=state, topics=Topics(gripper=GRIPPER))
+    assert cell.drive(following_steps=100).completed
+    assert cell.received[0].joint_names == arm
+    assert cell.gripped[0].joint_names == ["gripper_joint"]
+    assert len(cell.gripped) == len(cell.received) == 5
+    assert 0 <= cell.gripped[0].points[0].positions[0] <= 0.039
+
+
+def test_no_controller_of_the_gripper_moves_nothing(lifting):
+    cell = Cell(lifting, topics=Topics(gripper=GRIPPER), grippers=0)
+    with pytest.raises(UserError, match=f"no controller at {GRIPPER}"):
+        cell.drive()
+    assert not cell.received
+
+
+@pytest.mark.parametrize("topic", [GRIPPER, TOPICS.trajectory])
+def test_a_topic_without_a_gripper_is_refused(parts, lifting, topic):
+    mine = parts if topic == GRIPPER else lifting
+    cell = Cell(mine, topics=Topics(gripper=topic))
+    with pytest.raises(UserError, match=r"leave --topic\.gripper out"):
+        cell.drive()
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
 from knowarm.pictures import central_square, rectified
 from knowarm.reading import one_line
+from knowarm.world.robots.robot import FINGERS_JOINT
 
 Targets = Floats
 Pixels = NDArray[np.uint8]
@@ -76,6 +77,8 @@ class Topics:
     """trajectory_msgs/JointTrajectory."""
     positions: str = ""
     """Instead of trajectories, std_msgs/Float64MultiArray to it."""
+    gripper: str = ""
+    """The gripper's own controller, with messages of the same type; empty: that of the arm."""
     stop: str = "/knowarm/stop"
     """std_msgs/Empty; any message ends the episode, and so does a publisher of another type."""
     use_clock: bool = False
@@ -89,7 +92,8 @@ class Driver:
     ``knowledge`` is a row of the table; ``resize`` averages the central square of larger images.
 
     Rules hold for the policy's joint angles [rad]; the real arm's units are converted where
-    readings come in and targets go out, in the order of ``joint_names``.
+    readings come in and targets go out, in the order of ``joint_names``, of which
+    ``gripper_joints`` are the indices of the gripper's.
 
     Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
     (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number;
@@ -113,6 +117,9 @@ class Driver:
         self._resize = resize
         self._map = runner.joint_map
         self.joint_names = self._map.names
+        self.gripper_joints = np.flatnonzero(
+            np.array(self._map.joints) == FINGERS_JOINT
+        ).tolist()
         self._names = runner.joint_names
         self.period_s = float(contract["control_period_s"])
         self._mpi = float(contract["joints"]["mpi"])

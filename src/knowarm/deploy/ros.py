@@ -41,8 +41,7 @@ class DriverNode(Node):
         super().__init__("knowarm", parameter_overrides=[clock])
         self.driver = driver
         self._shown = ""
-        self._out = None
-        self._topic = topics.positions or topics.trajectory
+        self._outs = []
         self._sends_positions = bool(topics.positions)
         latest = qos_profile_sensor_data
         images = CompressedImage if topics.compressed else Image
@@ -67,7 +66,8 @@ class DriverNode(Node):
             )
         if not driver.safety.dry_run:
             kind = Float64MultiArray if self._sends_positions else JointTrajectory
-            self._out = self.create_publisher(kind, self._topic, 1)
+            for topic, joints in _outputs(driver, topics).items():
+                self._outs.append((self.create_publisher(kind, topic, 1), joints))
         if topics.use_clock:
             driver.clock = self._seconds
         self._from = time.monotonic() + DISCOVERY_S
@@ -127,14 +127,12 @@ class DriverNode(Node):
                 return problem
             if 0 < most < publishers:
                 return f"{publishers} programs publish to {topic}"
-        if self._out is None:
-            return ""
-        if self.count_publishers(self._topic) > 1:
-            return f"another program publishes to {self._topic}"
-        if (
-            not self._out.get_subscription_count()
-        ):  # of this type and quality of service
-            return f"no controller at {self._topic}"
+        for out, _ in self._outs:
+            if self.count_publishers(out.topic_name) > 1:
+                return f"another program publishes to {out.topic_name}"
+            # Of this type and quality of service
+            if not out.get_subscription_count():
+                return f"no controller at {out.topic_name}"
         return ""
 
     def _tick(self) -> None:
@@ -142,20 +140,39 @@ class DriverNode(Node):
         if time.monotonic() < self._from or not self._seconds():  # no /clock yet
             return
         targets = self.driver.tick(self._seconds(), self._obstacle())
-        if targets is not None and self._out is not None:
-            self._out.publish(self._command(targets.tolist()))
+        if targets is not None:
+            for out, joints in self._outs:
+                out.publish(self._command(joints, targets[joints].tolist()))
         self.show()
 
-    def _command(self, targets: list[float]) -> Any:
+    def _command(self, joints: list[int], targets: list[float]) -> Any:
         """Return the message for targets, which a trajectory reaches after a control period."""
         if self._sends_positions:
             return Float64MultiArray(data=targets)
+        names = [self.driver.joint_names[joint] for joint in joints]
         point = JointTrajectoryPoint(positions=targets)
         whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
         point.time_from_start = Duration(sec=whole, nanosec=part)
-        return JointTrajectory(
-            joint_names=list(self.driver.joint_names), points=[point]
+        return JointTrajectory(joint_names=names, points=[point])
+
+
+def _outputs(driver: Driver, topics: Topics) -> dict[str, list[int]]:
+    """Return the topics of controllers, with the indices of the joints of each.
+
+    Raises:
+        UserError: there is a topic for a gripper, and no gripper, or the arm has the same topic.
+    """
+    arm = topics.positions or topics.trajectory
+    joints = list(range(len(driver.joint_names)))
+    if not topics.gripper:
+        return {arm: joints}
+    if topics.gripper == arm or not driver.gripper_joints:
+        raise UserError(
+            f"The gripper needs a topic other than {arm}, and a policy or joint map with fingers: "
+            "leave --topic.gripper out, and all joints go to one controller."
         )
+    alone = [joint for joint in joints if joint not in driver.gripper_joints]
+    return {arm: alone, topics.gripper: driver.gripper_joints}
 
 
 def _stamp(message: Any) -> float:

@@ -38,7 +38,8 @@ class JointMap:
     ``joints`` is that of a contract; without its entry ``real`` nothing is converted. Joints that
     the policy does not move, such as an open gripper, have a constant value: their scale is 0.
     What is sent stays within ``lower`` and ``upper`` of joints that have them: of fingers.
-    ``moved`` are the names on the real arm of the policy's joints, in the policy's order.
+    ``joints`` are the model's names of them, and ``moved`` the names on the real arm of the
+    policy's joints, in the policy's order.
     """
 
     def __init__(self, joints: Contract) -> None:
@@ -48,6 +49,7 @@ class JointMap:
             real = [{"joint": n, "name": n, "scale": 1.0, "offset": 0.0} for n in moved]
         column = {joint["joint"]: number for number, joint in enumerate(real)}
         self._columns = [column[name] for name in moved]
+        self.joints = tuple(column)
         self.names = tuple(joint["name"] for joint in real)
         self.moved = tuple(self.names[number] for number in self._columns)
         self._lower = [joint.get("lower", -np.inf) for joint in real]
