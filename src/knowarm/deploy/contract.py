@@ -262,7 +262,7 @@ def _joints(scene: Scene, increments: Floats, joint_map: Path | None) -> Descrip
     real = real_joints(scene, joint_map)
     plain = [(name, 1.0, 0.0) for name in scene.joint_names]
     sent = [(joint["name"], joint["scale"], joint["offset"]) for joint in real]
-    if sent != plain or any("lower" in joint for joint in real):
+    if sent != plain or any("limits" in joint for joint in real):
         joints["real"] = real
     return joints
 

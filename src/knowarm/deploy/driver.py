@@ -23,7 +23,6 @@ from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
 from knowarm.pictures import central_square, rectified
 from knowarm.reading import one_line
-from knowarm.world.robots.robot import FINGERS_JOINT
 
 Targets = Floats
 Pixels = NDArray[np.uint8]
@@ -93,7 +92,7 @@ class Driver:
 
     Rules hold for the policy's joint angles [rad]; the real arm's units are converted where
     readings come in and targets go out, in the order of ``joint_names``, of which
-    ``gripper_joints`` are the indices of the gripper's.
+    ``model_joints`` are the model's names.
 
     Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
     (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number;
@@ -117,20 +116,20 @@ class Driver:
         self._resize = resize
         self._map = runner.joint_map
         self.joint_names = self._map.names
-        self.gripper_joints = np.flatnonzero(
-            np.array(self._map.joints) == FINGERS_JOINT
-        ).tolist()
+        self.model_joints = self._map.joints
         self._names = runner.joint_names
         self.period_s = float(contract["control_period_s"])
         self._mpi = float(contract["joints"]["mpi"])
-        self._is_finger = np.arange(len(self._names)) == runner.fingers
-        self._largest_step = np.full(len(self._names), np.inf)
-        if safety.gripper_step_m is not None:
-            if runner.fingers is None:
-                raise UserError(
-                    "The policy moves no gripper: leave gripper_step_m out."
-                )
-            self._largest_step[runner.fingers] = safety.gripper_step_m
+        count = len(self._names)
+        fingers = runner.fingers
+        self._largest_step = np.full(count, np.inf)
+        self._largest_lag = np.full(count, safety.following_steps * self._mpi)
+        if fingers is not None:
+            self._largest_lag[fingers] = np.inf
+            self._largest_step[fingers] = safety.gripper_step_m or np.inf
+        elif safety.gripper_step_m is not None:
+            remedy = "leave gripper_step_m out"
+            raise UserError(f"The policy moves no gripper: {remedy}.")
         self.max_steps = safety.max_steps or int(contract["max_episode_steps"])
         box = contract["workspace_m"]
         self._box = np.array([box["lower"], box["upper"]])
@@ -150,7 +149,7 @@ class Driver:
         self._ticked_at: float | None = None
         self._proposed_at = -np.inf
         self._sent_at = -np.inf
-        self._sent = np.zeros(len(self._names))
+        self._sent = np.zeros(count)
         self._held_since = np.inf
         self._felt: tuple[Targets, float] | None = None  # last angles and their stamp
         self._images = ImageWatch(self._mpi)
@@ -296,11 +295,13 @@ class Driver:
         is_dry = self.safety.dry_run
         # Slow fingers follow in later steps what the policy wants once.
         least = self._sent - self._largest_step
-        sent = targets.clip(least, self._sent + self._largest_step)
+        most = self._sent + self._largest_step
+        sent = targets.clip(least, most)
         moves = zip(self._names, sent - self._sent, strict=True)
         change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
         if self._runner.fingers is not None:
-            change += f", gripper {self._runner.closed(sent):.0%} closed"
+            closed = self._runner.closed(sent)
+            change += f", gripper {closed:.0%} closed"
         self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
         is_free = is_dry or self.steps >= self.safety.confirm_steps
         if not is_free and not self._is_confirmed:
@@ -360,8 +361,7 @@ class Driver:
 
     def _barred(self, targets: Targets, angles: Targets) -> str:
         """Say what is in the way of targets, for measured joint angles; both (J,)."""
-        is_far = abs(targets - angles) > self.safety.following_steps * self._mpi
-        is_far &= ~self._is_finger
+        is_far = abs(targets - angles) > self._largest_lag
         if is_far.any():
             return f"{_named(self._names, is_far)}: blocked, or moved by hand"
         position = self._gripper(targets)

@@ -13,7 +13,10 @@ from knowarm.world.robots.robot import FINGERS_JOINT, RealJoint
 from knowarm.world.scene.mjcf import check_names, read_mjcf
 from knowarm.world.scene.scene import Scene
 
-TURNS = {"rad": 1.0, "deg": math.degrees(1)}
+TURNS = {
+    "rad": 1.0,
+    "deg": math.degrees(1),
+}
 """Scales of units of the angle."""
 RANGES = {
     "range_0_1": (0.0, 1.0),
@@ -27,8 +30,8 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
     """Return joint, name, unit, scale and offset of each joint of the real arm, in its order.
 
     Joints that the map does not name, such as fingers that lift, follow as the model has them.
-    Fingers that it names have the limits ``lower`` and ``upper`` of what is sent: open and closed,
-    or the ends of their range. Where no task moves them, they are sent open.
+    Fingers that it names have ``limits`` of what is sent: open and closed, or the ends of their
+    range. Where no task moves them, they are sent open.
 
     Args:
         scene: of the robot.
@@ -45,11 +48,12 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
         robot = override(robot, {"joint_map": values["joint_map"]}, where=str(file))
     ranges = zip(scene.joint_lower, scene.joint_upper, strict=True)
     limits = dict(zip(scene.joint_names, ranges, strict=True))
-    held = {FINGERS_JOINT: 0.0} | dict(robot.held_joints)
-    closed_m = 1.0  # Where they stay open, any: 0 is the beginning of a range
+    held = dict(robot.held_joints)
+    held[FINGERS_JOINT] = 0.0
+    # Where they stay open, any range will do.
+    limits[FINGERS_JOINT] = (0.0, 1.0)
     if scene.fingers is not None:
-        closed_m = scene.fingers.closed_m
-    limits[FINGERS_JOINT] = (0.0, closed_m)
+        limits[FINGERS_JOINT] = (0.0, scene.fingers.closed_m)
     others = [name for name in robot.joint_map if name not in limits]
     if others:
         owner = f"Robot {robot.name!r}"
@@ -66,15 +70,16 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
                 '"gripper.pos", unit = "range_0_100"}.'
             )
     slides = [*_slides(scene), FINGERS_JOINT]
+    fingers = robot.joint_map.get(FINGERS_JOINT)
+    if fingers is not None and fingers.unit == "deg":
+        raise UserError(
+            "joint_map.fingers: deg is of joints that turn. Give rad, which counts metres of each "
+            "finger, or range_0_1, range_0_100 or range_m100_100."
+        )
     joints = dict.fromkeys((*robot.joint_map, *scene.joint_names), RealJoint())
     entries = []
     for joint, real in (joints | dict(robot.joint_map)).items():
         ends = real.range or limits[joint]
-        if joint == FINGERS_JOINT and real.unit == "deg":
-            raise UserError(
-                f"joint_map.{joint}: deg is of joints that turn. Give rad, which counts metres of "
-                "each finger, or range_0_1, range_0_100 or range_m100_100."
-            )
         scale, zero = _unit(joint, real.unit, *map(float, ends))
         factor = real.sign * real.scale
         scale *= factor
@@ -89,11 +94,11 @@ def real_joints(scene: Scene, file: Path | None = None) -> list[dict[str, Any]]:
             "scale": scale,
             "offset": offset,
         }
-        if joint == FINGERS_JOINT and scale and joint in robot.joint_map:
+        if scale and fingers is not None and joint == FINGERS_JOINT:
             # The policy's targets go on beyond closed.
-            lower, upper = sorted(scale * end + offset for end in ends)
-            entry["lower"] = lower
-            entry["upper"] = upper
+            open_value = scale * ends[0] + offset
+            closed_value = scale * ends[1] + offset
+            entry["limits"] = sorted([open_value, closed_value])
         entries.append(entry)
     return entries
 

@@ -9,6 +9,7 @@ from knowarm.deploy.driver import Driver, Topics, decoded, decompressed
 from knowarm.deploy.watch import Publisher, unheard
 from knowarm.errors import UserError, packages_of
 from knowarm.reading import one_line
+from knowarm.world.robots.robot import FINGERS_JOINT
 
 with packages_of("ros", "Driving a robot"):
     import rclpy
@@ -67,7 +68,8 @@ class DriverNode(Node):
         if not driver.safety.dry_run:
             kind = Float64MultiArray if self._sends_positions else JointTrajectory
             for topic, joints in _outputs(driver, topics).items():
-                self._outs.append((self.create_publisher(kind, topic, 1), joints))
+                out = self.create_publisher(kind, topic, 1)
+                self._outs.append((out, joints))
         if topics.use_clock:
             driver.clock = self._seconds
         self._from = time.monotonic() + DISCOVERY_S
@@ -142,18 +144,22 @@ class DriverNode(Node):
         targets = self.driver.tick(self._seconds(), self._obstacle())
         if targets is not None:
             for out, joints in self._outs:
-                out.publish(self._command(joints, targets[joints].tolist()))
+                positions = targets[joints].tolist()
+                out.publish(self._command(joints, positions))
         self.show()
 
     def _command(self, joints: list[int], targets: list[float]) -> Any:
         """Return the message for targets, which a trajectory reaches after a control period."""
         if self._sends_positions:
             return Float64MultiArray(data=targets)
-        names = [self.driver.joint_names[joint] for joint in joints]
+        names = self.driver.joint_names
         point = JointTrajectoryPoint(positions=targets)
         whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
         point.time_from_start = Duration(sec=whole, nanosec=part)
-        return JointTrajectory(joint_names=names, points=[point])
+        return JointTrajectory(
+            joint_names=[names[joint] for joint in joints],
+            points=[point],
+        )
 
 
 def _outputs(driver: Driver, topics: Topics) -> dict[str, list[int]]:
@@ -163,16 +169,19 @@ def _outputs(driver: Driver, topics: Topics) -> dict[str, list[int]]:
         UserError: there is a topic for a gripper, and no gripper, or the arm has the same topic.
     """
     arm = topics.positions or topics.trajectory
-    joints = list(range(len(driver.joint_names)))
-    if not topics.gripper:
-        return {arm: joints}
-    if topics.gripper == arm or not driver.gripper_joints:
+    gripper = topics.gripper or arm
+    outputs: dict[str, list[int]] = {arm: [], gripper: []}
+    for number, joint in enumerate(driver.model_joints):
+        topic = arm
+        if joint == FINGERS_JOINT:
+            topic = gripper
+        outputs[topic].append(number)
+    if topics.gripper == arm or not outputs[gripper]:
         raise UserError(
             f"The gripper needs a topic other than {arm}, and a policy or joint map with fingers: "
             "leave --topic.gripper out, and all joints go to one controller."
         )
-    alone = [joint for joint in joints if joint not in driver.gripper_joints]
-    return {arm: alone, topics.gripper: driver.gripper_joints}
+    return outputs
 
 
 def _stamp(message: Any) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 FORMAT = "knowarm-contract-2"
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
+ENDLESS = (-np.inf, np.inf)
 RESTING_M = 0.005  # how far beyond their limits fingers may rest
 Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
 Arrays = Mapping[str, np.ndarray]
@@ -37,7 +38,7 @@ class JointMap:
 
     ``joints`` is that of a contract; without its entry ``real`` nothing is converted. Joints that
     the policy does not move, such as an open gripper, have a constant value: their scale is 0.
-    What is sent stays within ``lower`` and ``upper`` of joints that have them: of fingers.
+    What is sent stays within the ``limits`` of joints that have them: of fingers.
     ``joints`` are the model's names of them, and ``moved`` the names on the real arm of the
     policy's joints, in the policy's order.
     """
@@ -52,8 +53,8 @@ class JointMap:
         self.joints = tuple(column)
         self.names = tuple(joint["name"] for joint in real)
         self.moved = tuple(self.names[number] for number in self._columns)
-        self._lower = [joint.get("lower", -np.inf) for joint in real]
-        self._upper = [joint.get("upper", np.inf) for joint in real]
+        limits = [joint.get("limits", ENDLESS) for joint in real]
+        self._lower, self._upper = np.transpose(limits)
         self._offset = np.array([joint["offset"] for joint in real], float)
         scale = np.array([joint["scale"] for joint in real], float)
         self._scale = scale[self._columns]
@@ -106,11 +107,12 @@ class Runner:
         gripper = joints.get("gripper")
         self.fingers = None  # Number of the joint that closes the gripper
         self._closed_m = 1.0
-        self._resting = np.full(len(self.joint_names), RESTING_RAD)
+        count = len(self.joint_names)
+        self._resting = np.full(count, RESTING_RAD)
         if gripper:
-            is_joint = gripper["joint"] in self.joint_names
-            _require(is_joint, "the gripper is one of its joints")
-            self.fingers = self.joint_names.index(gripper["joint"])
+            name = gripper["joint"]
+            _require(name in self.joint_names, "the gripper is one of its joints")
+            self.fingers = self.joint_names.index(name)
             self._closed_m = float(gripper["closed"])
             self._resting[self.fingers] = RESTING_M
         self._table = knowledge
@@ -244,7 +246,8 @@ class Runner:
         """Return how far joint targets (..., J) close the gripper, from 0 (open) to 1 (closed)."""
         if self.fingers is None:
             raise ValueError("this policy moves no gripper")
-        return (targets[..., self.fingers] / self._closed_m).clip(0.0, 1.0)
+        share = targets[..., self.fingers] / self._closed_m
+        return share.clip(0.0, 1.0)
 
     def _check_outputs(self, levels: np.ndarray, h: np.ndarray, c: np.ndarray) -> None:
         """Raise `ValueError` for outputs of the policy by which nothing should move."""

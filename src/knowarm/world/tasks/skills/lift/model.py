@@ -97,7 +97,10 @@ def build_lift_scene(
         model = spec.compile()
     scene = dict(vars(describe_model(model, robot, targets, distractors)))
     scene["joint_names"] = (*robot.joints, FINGERS_JOINT)
-    scene["fingers"] = Fingers(closed_m=opening / 2, force_n=GRIP_FORCE_N)
+    scene["fingers"] = Fingers(
+        closed_m=opening / 2,
+        force_n=GRIP_FORCE_N,
+    )
     last = {
         "qpos_index": model.joint(FINGERS[0]).qposadr,
         "joint_lower": 0.0,
