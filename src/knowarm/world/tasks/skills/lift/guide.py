@@ -243,8 +243,10 @@ class LiftGuide(Guide):
             sight.position[ids], matrix, joints, np.stack(shifts)
         )
         poses = np.concatenate([way[::-1], joints[None]]).transpose(1, 0, 2)
-        jumps = np.abs(np.diff(poses[:, len(OVER_M) :], axis=1)).max(axis=(1, 2)) / self._largest
-        is_reached = (cost < UNREACHED) & (jumps < MOST_STEPS)
+        straight = poses[:, len(OVER_M) :]
+        jumps = np.abs(np.diff(straight, axis=1)).max(axis=(1, 2))
+        turns_over = jumps > MOST_STEPS * self._largest
+        is_reached = (cost < UNREACHED) & ~turns_over
         for closed, left_out in product(CLOSED, reversed(range(len(OVER_M) + 1))):
             is_open = ~self.is_free[ids]
             lowered = poses[is_open]
