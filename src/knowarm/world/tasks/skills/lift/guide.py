@@ -33,9 +33,7 @@ TO_APPROACH = 1.0
 ON_APPROACH = 0.5
 NEAR_GRASP = 0.2
 NEAR_POSES = 5  # Poses of the approach at which the object may be between the fingers
-MOST_STEPS = (
-    4.0  # Between two poses of the approach; more where the arm would turn over
-)
+MOST_STEPS = 4.0  # Between two poses; more where the arm would turn over
 
 
 class Turn(NamedTuple):
