@@ -113,7 +113,7 @@ def so101(tmp_path):
             joint_map=real,
         )
         ranges = np.array([LIMITS[name] for name in names])
-        scene = type("Stub", (), {})()
+        scene = type("Stub", (), {"fingers": None})()
         scene.robot = robot
         scene.joint_names = names
         scene.joint_lower, scene.joint_upper = ranges.T
@@ -275,7 +275,7 @@ def test_motors_of_other_names_are_those_that_the_joint_map_names() -> None:
         ({"scale": 0.0}, "scale must be positive"),
         ({"scale": -1.0}, "scale must be positive.*sign = -1"),
         ({"unit": "range_0_100", "range": [1.0, 0.0]}, "the lower end first"),
-        ({"unit": "deg", "range": [0.0, 1.0]}, "of the units range_0_100"),
+        ({"unit": "deg", "range": [0.0, 1.0]}, "of the units range_0_1"),
     ],
 )
 def test_scales_and_ranges_that_cannot_be_are_refused(fields: dict, words: str) -> None:
