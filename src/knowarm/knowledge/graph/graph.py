@@ -404,6 +404,8 @@ def gamma(
     for edges_of, ends in sides:
         seen = frontier = start
         for hop in range(hops):
+            if not len(frontier):
+                break
             reached = [_NO_NODES]
             for entity in frontier:
                 edges = edges_of(entity)
