@@ -193,7 +193,7 @@ def test_fingers_are_drafted_open_and_closed_ones_are_refused(
         build_lift_scene(replace(robot, held_joints={}), targets, 0)
 
 
-def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
+def test_the_area_of_lifting_is_the_one_in_which_the_teacher_lifts_most(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = replace(lay_out("plain", tmp_path, monkeypatch)[1].robot, mpi_rad=0.08)
@@ -223,7 +223,7 @@ def test_the_area_of_lifting_is_the_one_in_which_the_oracle_lifts_most(
     assert area == {}
     assert "in none of the areas" in text
 
-    def refuse(config: object) -> float:
+    def refuse(config: object, agent: object) -> float:
         raise UserError("Fingers touch.")
 
     monkeypatch.setattr(draft, "oracle_success", refuse)
