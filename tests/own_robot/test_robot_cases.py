@@ -262,4 +262,4 @@ def test_drafts_pass_all_checks(
     checks = [*check_robot(tmp_path / "arm.toml", ["mug", "bottle"], **options)]
     assert [check for check in checks if not check.ok] == []
     assert checks[-1].name == "without looking"
-    assert ("the oracle succeeds" in found.how["lift"]) is (name == "own floor")
+    assert ("the teacher succeeds" in found.how["lift"]) is (name == "own floor")

@@ -245,9 +245,10 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
         distance_m=min(most_m, max(LEAST_M, distance_m)),
     )
     if robot.fingers and not robot.areas:
-        for skill in SKILLS.types():
-            if skill.moves_fingers:
-                area, how[skill.area] = find_area(draft, skill())
+        for kind in SKILLS.types():
+            skill = kind()
+            if any(skill.areas_to_try(robot)):
+                area, how[skill.area] = find_area(draft, skill)
                 if area:
                     values["areas"] = {skill.area: area}
     return draft
