@@ -76,10 +76,21 @@ def grasps():
     return span([int(each) for each in re.findall(row, page, re.M)])
 
 
+def picked(task):
+    """Return the success of what is seen and solved, of each robot on S1."""
+    text = (RESULTS / "pick-and-place.csv").read_text("utf-8")
+    rows = csv.DictReader(text.splitlines())
+    return [
+        100 * float(row["success"])
+        for row in rows
+        if (row["task"], row["agent"], row["split"]) == (task, "seen", "S1")
+    ]
+
+
 @pytest.mark.parametrize("file", ["README.md", "docs/index.md"])
 def test_the_answers_are_those_of_the_packs(file):
     rows = re.findall(r"^\| .+\? \| (.+) \|$", (ROOT / file).read_text("utf-8"), re.M)
-    reach, words, objects, grasp = (
+    reach, words, objects, grasp, pick = (
         re.sub(r"\[(.+?)\]\(.+?\)", r"\1", row) for row in rows
     )
     with_it, without, tiago_with, tiago_without = reached()
@@ -101,6 +112,11 @@ def test_the_answers_are_those_of_the_packs(file):
     assert grasp == (
         f"Rarely: {grasps()} % of the reached poses lift it; policies trained to lift lift "
         f"{lifted()} %"
+    )
+    assert pick == (
+        "By seeing, then solving: the right one of four is picked in "
+        f"{span(picked('choose-lift'))} %, put on a tray in {span(picked('choose-place'))} % "
+        "(one network per robot)"
     )
 
 
@@ -134,3 +150,24 @@ def test_the_page_shows_what_was_seen_and_solved_as_it_is_in_the_table():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         column = {"0.1": 1, "0.05": 2}[row["distance_m"]]
         assert cells[column] == f"{success} [{low}, {high}] ({right})"
+
+
+def test_the_page_shows_what_was_picked_and_placed_as_it_is_in_the_table():
+    page = (RESULTS / "pick-and-place.md").read_text("utf-8")
+    text = (RESULTS / "pick-and-place.csv").read_text("utf-8")
+    columns = [
+        (task, robot) for task in ("lift", "place") for robot in ("tiago", "irb120")
+    ]
+    for row in csv.DictReader(text.splitlines()):
+        start = {"oracle": "| `oracle` |"}.get(row["agent"])
+        start = start or f"| `{row['agent']}`, {row['split']} |"
+        (line,) = (line for line in page.splitlines() if line.startswith(start))
+        success, low, high = (
+            100 * float(row[key]) for key in ("success", "success_low", "success_high")
+        )
+        shown = f"{success:.1f} [{low:.0f}, {high:.0f}]"
+        if row["right"]:
+            shown += f" ({100 * float(row['right']):.1f})"
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        column = columns.index((row["task"].removeprefix("choose-"), row["robot"]))
+        assert cells[1 + column] == shown
