@@ -15,11 +15,8 @@ from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.state import Indices
 
 BACK_M = (0.10, 0.075, 0.05, 0.035, 0.02, 0.01)  # Distances of the straight approach
-OVER_M = (
-    0.15,
-    0.10,
-    0.05,
-)  # Heights above its first pose, of which some may be left out
+# Heights above its first pose, of which some may be left out
+OVER_M = (0.15, 0.10, 0.05)
 RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the way upwards
 CLOSED = (0.0, 0.35)  # Shares of their way that fingers are closed before the grasp
 FAR_M = 100.0  # Where nothing is touched

@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from mujoco import MjSpec, mjtGeom
 
-from knowarm.arrays import Floats, Integers, Mask, Names
-from knowarm.config import at_least
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
@@ -32,7 +31,6 @@ from knowarm.world.tasks.skills.teacher import Teacher
 from knowarm.world.tasks.state import NamedArrays
 
 TRAY_RGBA = (0.30, 0.36, 0.46, 1.0)
-LIFTED_M = 0.03  # Rise from which an object counts as taken
 DOWN_M = 0.02  # Rise below which a released object has been put down
 STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
 UPRIGHT_DEG = 15.0
@@ -48,6 +46,7 @@ NO_TEACHER = (
 OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
 tray; another object moved or taken; none of these within the time limit."""
+PLACED, BESIDE, FALLEN, DISTURBED, UNFINISHED = range(len(OUTCOMES))
 
 
 class PlaceSimulator(LiftSimulator):
@@ -73,12 +72,10 @@ class Place(Lift):
     probes = ()
     kind: Literal["place"] = "place"  # type: ignore[assignment]
     """Tag of this skill in JSON."""
-    rest_steps: int = 3
+    height_m: float = 0.03
+    """Rise of the object's centre of mass from which it is taken [m]."""
+    hold_steps: int = 3
     """Consecutive steps at rest on the tray, released, that count as success."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        at_least(self, 1, "rest_steps", where="task.")
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse imitation before anything is trained."""
@@ -144,27 +141,21 @@ class Place(Lift):
         centre = state.simulator.centre(state.target)
         moved = np.linalg.norm(centre - state.memory["centre"], axis=1)
         rests = state.memory["taken"] & _is_placed(state) & (moved < STILL_M)
-        is_up = state.simulator.rise(state.target) > LIFTED_M
+        is_up = state.simulator.rise(state.target) >= self.height_m
         return {
             "taken": state.memory["taken"] | is_up,
             "rested": np.where(rests, state.memory["rested"] + 1, 0),
             "centre": centre,
         }
 
-    def done_to(self, state: State, which: Integers) -> Mask:
-        """Return which visible objects (n,) are taken, (n,) bool."""
-        objects = state.objects[np.arange(len(which)), which]
-        is_up = state.simulator.rise(objects) > LIFTED_M
-        return state.simulator.touched(objects) & is_up
-
     def success(self, state: State) -> Mask:
         """Return which objects have come to rest on the tray, with no other one disturbed, (n,)."""
-        return (state.memory["rested"] >= self.rest_steps) & ~disturbed(state)
+        return (state.memory["rested"] >= self.hold_steps) & ~disturbed(state)
 
     def failure(self, state: State) -> Mask:
         """Return which episodes are lost, (n,) bool: the outcomes but the first and the last."""
         outcome = self._outcome(state)
-        return np.isin(outcome, OUTCOMES[1:-1])
+        return (outcome != PLACED) & (outcome != UNFINISHED)
 
     def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
@@ -184,7 +175,7 @@ class Place(Lift):
             "gripped": state.simulator.touched(state.target),
             "disturbed": disturbed(state),
             "tray_distance": np.linalg.norm(_tray_offset(state), axis=1),
-            "placing": self._outcome(state),
+            "placing": np.array(OUTCOMES)[self._outcome(state)],
         }
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
@@ -194,8 +185,8 @@ class Place(Lift):
             "tray_distance_m": infos["tray_distance"],
         }
 
-    def _outcome(self, state: State) -> Names:
-        """Return how episodes stand, (n,), of ``OUTCOMES``."""
+    def _outcome(self, state: State) -> Integers:
+        """Return how episodes stand, numbers among ``OUTCOMES``, (n,)."""
         simulator = state.simulator
         target = state.target
         is_free = simulator.released(target)
@@ -206,11 +197,11 @@ class Place(Lift):
         has_fallen |= is_free & (_tilt_deg(state) > TOPPLED_DEG)
         has_fallen |= ~is_taken & (way > LOST_M)
         is_beside = is_taken & is_free & (rise < DOWN_M) & ~_is_over_tray(state)
-        outcome = np.full(len(way), "unfinished", "U10")
-        outcome[is_beside] = "beside"
-        outcome[has_fallen] = "fallen"
-        outcome[disturbed(state)] = "disturbed"
-        outcome[self.success(state)] = "placed"
+        outcome = np.full(len(way), UNFINISHED)
+        outcome[is_beside] = BESIDE
+        outcome[has_fallen] = FALLEN
+        outcome[disturbed(state)] = DISTURBED
+        outcome[self.success(state)] = PLACED
         return outcome
 
 
