@@ -129,7 +129,22 @@ def test_what_is_seen_is_lifted():
     knowledge = np.zeros((len(questions_of(env.config).queries), 6), np.float32)
     spec = GroundingSpec.of(env.config, GroundingConfig())
     agent = TrueAgent(TrueRecognition(GroundingNetwork(spec, knowledge, 1), env))
-    found = knowarm.play(SolvingAgent(agent, env.config), env, episodes)
+    solving = SolvingAgent(agent, env.config)
+    sights = []
+    solve = solving._guide.way
+
+    def way(sight):
+        sights.append(sight)
+        return solve(sight)
+
+    solving._guide.way = way
+    found = knowarm.play(solving, env, episodes)
+    (sight,) = sights
+    np.testing.assert_array_equal(sight.objects[:, 0], episodes.target)
+    np.testing.assert_allclose(sight.places[:, 0], episodes.position, atol=1e-5)
+    np.testing.assert_array_equal(
+        np.sort(sight.objects, axis=1), np.sort(episodes.objects, axis=1)
+    )
     oracle = knowarm.play(knowarm.OracleAgent(env), env, episodes)
     np.testing.assert_array_equal(found.success, oracle.success)
     np.testing.assert_array_equal(found.length, oracle.length)
