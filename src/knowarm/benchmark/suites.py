@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors.numpy import load
@@ -126,10 +127,13 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     cells = {}
     for name, cell in values.pop("cells").items():
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
-        episodes = {}
+        count = len(columns[f"{name}/objects"])
+        # Suites whose skills draw nothing do not store it.
+        episodes: dict[str, Any] = {"surroundings": np.zeros((count, 0))}
         for field in fields(Episodes):
-            if field.name != "names":  # the config of the cell has them
-                episodes[field.name] = columns[f"{name}/{field.name}"]
+            stored = f"{name}/{field.name}"
+            if stored in columns:
+                episodes[field.name] = columns[stored]
         episodes["question"] = queries[episodes["question"]]
         episodes["names"] = np.array(env.targets)[episodes["objects"]]
         graph = cell.pop("graph", None)

@@ -38,6 +38,7 @@ from knowarm.experiment.evaluation import (
     FilmsProbe,
     GraphTest,
     HeldOutTest,
+    Places,
     Reasoning,
     ReasoningTest,
     SeenTest,
@@ -116,6 +117,8 @@ class ConditionOptions:
     seen: bool = False
     """Let inverse kinematics with known joint angles move to the frame that a grounding network
     sees, in place of the policy: what a practitioner would try first."""
+    places: Places = "graph"
+    """What --seen knows of where objects belong, for tasks that sort them."""
 
     def test(self) -> list[BaseTest]:
         """Return the conditions in the order in which they apply."""
@@ -144,7 +147,11 @@ class ConditionOptions:
             )
             conditions.append(damage)
         if self.seen:
-            conditions.append(SeenTest())
+            conditions.append(SeenTest(places=self.places))
+        elif self.places != "graph":
+            raise UserError(
+                "--places is for an agent that sees and solves: give --seen."
+            )
         return conditions
 
 

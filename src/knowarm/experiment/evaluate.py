@@ -260,8 +260,8 @@ def agent_for_test(
         return cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
     informed = known_in_test(trained, subject)
     check_fits(trained, env, knows_task=informed is not trained.agent)
-    if subject.solves:
-        return SolvingAgent(informed, subject.env)
+    if subject.seen is not None:
+        return SolvingAgent(informed, subject.env, subject.seen.known_places(subject))
     return informed
 
 

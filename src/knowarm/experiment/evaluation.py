@@ -28,10 +28,12 @@ from knowarm.experiment.other_graphs import (
     with_graph,
 )
 from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Columns
 from knowarm.perception.config import LEVEL, Unclear
+from knowarm.seeding import derive_seed
 from knowarm.statistics import Interval, bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
 from knowarm.world.agents.play import EpisodeResults, play
@@ -44,6 +46,9 @@ from knowarm.world.tasks import task_probes
 from knowarm.world.tasks.probe import BaseProbe, Findings
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.state import NamedArrays
+
+Places = Literal["graph", "shuffled", "unknown"]
+"""What an agent that solves knows of where objects belong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +66,8 @@ class Subject:
     """What it does if it sees no answer, or several."""
     level: float | None = None
     """How often the right object is to be among those that count as answers; None: by name."""
-    solves: bool = False
-    """Whether inverse kinematics act in place of the policy, to the frame that the network sees."""
+    seen: "SeenTest | None" = None
+    """How inverse kinematics act in place of the policy, to the frame that the network sees."""
 
     @property
     def trained(self) -> ExperimentConfig:
@@ -268,10 +273,30 @@ class SeenTest(BaseTest):
     """
 
     kind: Literal["seen"] = "seen"
+    places: Places = "graph"
+    """Where objects belong, for skills that need it: by the "graph", by the "shuffled" one, or
+    "unknown"; the last two are controls."""
+
+    @property
+    def label(self) -> str:
+        """Its kind, and a control."""
+        return _label(self.kind, "" if self.places == "graph" else self.places)
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent solve."""
-        return replace(subject, solves=True)
+        return replace(subject, seen=self)
+
+    def known_places(self, subject: Subject) -> KnowledgeGraph | None:
+        """Return the graph that says where objects belong; None where that is unknown."""
+        if self.places == "unknown":
+            return None
+        env = subject.env
+        graph = subject.graph
+        if graph is None:
+            graph = env.task.asked.answering_graph(facets_of(env))
+        if graph is None or self.places == "graph":
+            return graph
+        return shuffle_tails(graph, derive_seed(subject.trained.seed, "placebos"))
 
 
 def _edited_graph(env: EnvConfig) -> KnowledgeGraph | None:

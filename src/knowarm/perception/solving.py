@@ -11,6 +11,7 @@ from torch import Tensor
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.grounding import BATCH
 from knowarm.policy import PolicyAgent
@@ -27,6 +28,7 @@ class SolvingAgent:
     Args:
         agent: the agent whose recognition sees; its policy plays no part.
         env: robot and task.
+        graph: what it knows of where objects belong; None: nothing.
 
     Attributes:
         notes: those of ``agent``.
@@ -38,7 +40,9 @@ class SolvingAgent:
 
     notes: dict[str, np.ndarray]
 
-    def __init__(self, agent: PolicyAgent, env: EnvConfig) -> None:
+    def __init__(
+        self, agent: PolicyAgent, env: EnvConfig, graph: KnowledgeGraph | None = None
+    ) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
                 "Only what sees a grasp frame can solve the way to it: this agent has no "
@@ -49,8 +53,10 @@ class SolvingAgent:
         self._network = agent.recognition.network
         self._recognition.check_fits(env)
         self._guide = guide_of(env)
-        self._grasps = scene_of(env).grasp_position
-        names = [target.name for target in scene_of(env).targets]
+        self._skill = env.task.skill
+        self._graph = graph
+        self._scene = scene_of(env)
+        names = [target.name for target in self._scene.targets]
         facets = self._network.spec.facets
         self._object_of = np.array([names.index(name) for name, _ in facets])
 
@@ -64,6 +70,7 @@ class SolvingAgent:
         self._agent.reset(batch)
         self.notes = {}
         self._joints = np.stack(list(batch.joints.values()), axis=1)
+        self._facts = batch.facts
         self._way: Way | None = None
 
     def act(self, observations: Mapping[str, np.ndarray]) -> Integers:
@@ -90,8 +97,11 @@ class SolvingAgent:
         order = np.argsort(distance, axis=1, kind="stable")
         objects = np.take_along_axis(objects, order, axis=1)
         points = np.take_along_axis(points, order[..., None], axis=1)
-        places = points[..., :2] - self._grasps[objects, :2]
-        return Sight(self._joints, position, matrix, objects, places)
+        places = points[..., :2] - self._scene.grasp_position[objects, :2]
+        sight = Sight(self._joints, position, matrix, objects, places)
+        return self._skill.see(
+            self._scene, sight, images.numpy(), self._facts, self._graph
+        )
 
     def poses(self, frames: Tensor) -> tuple[Floats, Floats]:
         """Return the poses of frames (n, 9): (n, 3) [m], and row-major rotations (n, 9)."""

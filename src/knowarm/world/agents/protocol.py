@@ -32,6 +32,8 @@ class Batch:
     """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
     graph: Collection[tuple[str, str, str]] | None = None
     """Triples that replace the agent's own graph in these episodes."""
+    facts: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """What else the task tells of each episode, (n, ...); see `Skill.facts`."""
 
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:
@@ -42,7 +44,9 @@ class Batch:
         joints = dict(
             zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True)
         )
-        return cls(env=env.config, names=names, joints=joints)
+        task = env.config.task
+        facts = task.skill.facts(env.running, task.asked)
+        return cls(env=env.config, names=names, joints=joints, facts=facts)
 
     @property
     def size(self) -> int:

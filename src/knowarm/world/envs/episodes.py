@@ -6,7 +6,7 @@ from knowarm.world.config import EnvConfig, setting_of
 from knowarm.world.tasks.sampling import Episodes, Words, derive, uniforms
 
 _FIRST = 4
-"""Number of the task's first draws; those of the joint offsets follow, then those of looks."""
+"""Number of the task's first draws; those of joint offsets, looks, objects and skill follow."""
 
 
 class EpisodeSource:
@@ -25,20 +25,28 @@ class EpisodeSource:
         self._moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
         self._reach = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
         self._objects = config.task.asked.sampler(setting)
+        self._skill_draws = config.task.skill.draws
         self._names = np.array([target.name for target in scene.targets])
 
     def __call__(self, streams: Words, indices: Words) -> Episodes:
         """Draw n episodes; each depends only on its stream's seed and its number in it."""
-        counts = (_FIRST, self._joints, self._look_draws, self._objects.draws)
+        counts = (
+            _FIRST,
+            self._joints,
+            self._look_draws,
+            self._objects.draws,
+            self._skill_draws,
+        )
         u = uniforms(streams, indices, sum(counts))
         ends = np.cumsum(counts[:-1])
-        first, joints, look, more = np.split(u, ends, axis=1)
+        first, joints, look, more, surroundings = np.split(u, ends, axis=1)
         drawn = self._objects(first, more)
         offsets = (2 * joints - 1) * self._reach
         return Episodes(
             joint_offsets=np.where(self._moved, offsets, 0.0),
             look=look,
             names=self._names[drawn.objects],
+            surroundings=surroundings,
             **drawn._asdict(),
         )
 

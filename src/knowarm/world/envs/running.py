@@ -123,6 +123,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.look = np.zeros((n, config.randomization.draws))
         self.goal_position = np.zeros((n, 3))
         self.goal_matrix = np.zeros((n, 9))
+        self._surroundings = np.zeros((n, task.skill.draws))
         self._fresh = task.skill.memory(n)
         self.memory = {name: array.copy() for name, array in self._fresh.items()}
         self.threshold_factor = 1.0
@@ -151,11 +152,11 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
-        return self.task.asked.instruct(self, self.setting, env_id)
+        return self.task.instruct(self, self.setting, env_id)
 
     def describe(self, env_id: int) -> str:
         """Describe the goal of an environment's episode, as "red mug"."""
-        return self.task.asked.describe(self, self.setting, env_id)
+        return self.task.describe(self, self.setting, env_id)
 
     def reset(self, seed: Seeds, options: Options | None) -> Indices:
         """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
@@ -235,6 +236,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
             ("joints", episodes.joint_offsets, self.joint_targets),
             ("objects", episodes.objects, self.objects),
             ("draws of visual randomization", episodes.look, self.look),
+            ("draws of the skill", episodes.surroundings, self._surroundings),
         ):
             got = theirs.shape[1]
             expected = own.shape[1]
@@ -276,10 +278,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
             look=episodes.look,
             steps=0,
         )
-        self.memory = {
-            name: _put(array, ids, self._fresh[name][ids])
-            for name, array in self.memory.items()
-        }
+        self._begin(ids, episodes.surroundings)
         distractors = self._refresh(ids)
         objects = episodes.objects[..., None]
         targets = np.arange(len(scene.targets))
@@ -291,6 +290,15 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._measure()
         self.success = self.task.skill.success(self)
 
+    def _begin(self, ids: Indices, surroundings: Floats) -> None:
+        """Let the skill's memory of environments (k,) begin."""
+        task = self.task
+        begun = task.skill.begin(self, task.asked, ids, surroundings)
+        memory = {}
+        for name, array in self.memory.items():
+            memory[name] = _put(array, ids, begun.get(name, self._fresh[name][ids]))
+        self.memory = memory
+
     def _refresh(self, ids: Indices) -> Floats | None:
         """Recompute goals and appearance; return distractor positions, (k, D, 2) [m]."""
         objects = self.objects[ids]
@@ -298,6 +306,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         position, matrix = self.goal_frames(objects[:, 0], places)
         self._write(ids, goal_position=position, goal_matrix=matrix)
         shown = self._appearance(objects, self.colours[ids], places, self.look[ids])
+        self.task.skill.paint(self, ids, shown.rgba)
         if len(ids) == self.num_envs:
             self.shown = shown
         else:

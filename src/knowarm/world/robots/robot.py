@@ -171,8 +171,8 @@ class Robot:
     """Turn of the grasp frame of single targets about their approach direction [deg], and of those
     with a ``round_grasp`` under the name "round". A gripper with two fingers grasps equally after
     half a turn, and round things after any; the wrist's range may not allow all."""
-    tray_m: tuple[float, float] | None = None
-    """Centre of the tray on which things are placed, x and y [m]; None without one."""
+    trays_m: tuple[tuple[float, float], ...] = ()
+    """Centres of the trays on which things are placed, x and y [m]; empty without any."""
     camera_position_m: tuple[float, float, float]
     """Position of the fixed camera [m]."""
     camera_look_at_m: tuple[float, float, float]

@@ -75,6 +75,8 @@ class Episodes:
     """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
     names: Names
     """Names of the visible objects, (n, m): ``objects`` counts in the order of one config."""
+    surroundings: Floats
+    """Uniform draws for what else the skill puts into the scene, (n, S); S = 0 for most."""
 
     @property
     def target(self) -> Integers:

@@ -130,7 +130,22 @@ class Task:
             "is_success": state.success,
         }
         asked = self.asked.infos(state, self.nearest(state))
-        return infos | asked | self.skill.infos(state)
+        facts = self.skill.facts(state, self.asked)
+        return infos | asked | facts | self.skill.infos(state)
+
+    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Return an episode's goal in words that a policy may know, without the answer."""
+        goal = self.asked.instruct(state, setting, env_id)
+        return self._with_facts(goal, state, env_id)
+
+    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Describe the goal of one episode, as "red mug"."""
+        goal = self.asked.describe(state, setting, env_id)
+        return self._with_facts(goal, state, env_id)
+
+    def _with_facts(self, goal: str, state: EpisodeState, env_id: int) -> str:
+        facts = self.skill.instruct(state, self.asked, env_id)
+        return "; ".join(filter(None, [goal, facts]))
 
     def columns(self, setting: Setting, infos: NamedArrays) -> NamedArrays:
         """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.

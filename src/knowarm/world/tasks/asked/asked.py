@@ -100,6 +100,15 @@ class Asking(BaseTaskPart):
         """Return the graph that answers instead of ``graph``, where answers changed; else None."""
         return None
 
+    def answering_graph(self, facets: Facets) -> "KnowledgeGraph | None":
+        """Return the graph that answers the questions, edited or not; None without one."""
+        from knowarm.knowledge.formats import read_graph
+
+        edited = self.edited_graph(facets)
+        if edited is not None or self.graph is None:
+            return edited
+        return read_graph(self.graph)
+
     def nearest(self, state: EpisodeState, points: Floats) -> Integers:
         """Return which of several visible objects the gripper is at, (n,) int64; 0 is meant.
 

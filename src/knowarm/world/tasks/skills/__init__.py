@@ -9,6 +9,7 @@ SKILLS = Registry(
         "reach": "knowarm.world.tasks.skills.reach:Reach",
         "lift": "knowarm.world.tasks.skills.lift.lift:Lift",
         "place": "knowarm.world.tasks.skills.place.place:Place",
+        "sort": "knowarm.world.tasks.skills.sort.sort:Sort",
     },
 )
 """Skills by ``kind``. To add one, add an entry."""

@@ -14,6 +14,7 @@ APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
 WAYPOINTS = 8  # Poses of this way
 NEAR = 0.05  # Joints within this share of the largest step of a pose have passed it
 PASSES = 3  # Points that are passed in one step at most
+DESTINATION = "destination"  # Array of a skill's memory: where the object has to be put
 
 
 class Sight(NamedTuple):
@@ -29,6 +30,8 @@ class Sight(NamedTuple):
     """Visible objects, the one that is meant first, (n, m)."""
     places: Floats
     """Their x and y, (n, m, 2) [m]."""
+    destination: Floats | None = None
+    """x and y of where the one that is meant has to be put, (n, 2) [m]; None: nowhere."""
 
     @classmethod
     def true(cls, state: EpisodeState) -> Self:
@@ -39,6 +42,7 @@ class Sight(NamedTuple):
             matrix=state.goal_matrix,
             objects=state.objects,
             places=state.positions,
+            destination=state.memory.get(DESTINATION),
         )
 
 

@@ -4,19 +4,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.backend import Dynamics, MujocoSimulator
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.scene import Scene, build_scene, target_places
+from knowarm.world.scene.scene import Floats32, Scene, build_scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
-from knowarm.world.tasks.skills.guides import Guide, StraightApproach
+from knowarm.world.tasks.skills.guides import Guide, Sight, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState, Frames, NamedArrays
+from knowarm.world.tasks.state import EpisodeState, Frames, Indices, NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,11 @@ class Skill(BaseTaskPart):
     """Values of ``EnvConfig.dynamics`` with which it can be simulated."""
     moves_fingers: ClassVar[bool] = False
     """Whether it needs a robot whose fingers move."""
+
+    @property
+    def draws(self) -> int:
+        """Number of uniform draws per episode for what else it puts into the scene."""
+        return 0
 
     def check(self, asked: Asking) -> None:
         """Check that it can be done with what is asked.
@@ -103,6 +110,49 @@ class Skill(BaseTaskPart):
         They are stored and restored with the environment, and read from ``EpisodeState.memory``.
         """
         return {}
+
+    def begin(
+        self, state: EpisodeState, asked: Asking, ids: Indices, surroundings: Floats
+    ) -> NamedArrays:
+        """Return the arrays of ``memory`` with which episodes (k,) start, if others than those.
+
+        Args:
+            state: the episodes, of which objects, colours, places and question are known.
+            asked: what is asked in them.
+            ids: numbers of those that start, (k,).
+            surroundings: draws in [0, 1), (k, ``draws``).
+        """
+        return {}
+
+    def paint(self, state: EpisodeState, ids: Indices, rgba: Floats32) -> None:
+        """Paint what else it puts into the scene, in the colours of geoms, (k, G, 4) in 0..1."""
+
+    def facts(self, state: EpisodeState, asked: Asking) -> NamedArrays:
+        """Return what an agent is told of each episode besides what is asked, (n, ...)."""
+        return {}
+
+    def instruct(self, state: EpisodeState, asked: Asking, env_id: int) -> str:
+        """Return the same of one episode in words; none by default."""
+        return ""
+
+    def see(
+        self,
+        scene: Scene,
+        sight: Sight,
+        images: NDArray[np.uint8],
+        facts: Mapping[str, NDArray[Any]],
+        graph: KnowledgeGraph | None,
+    ) -> Sight:
+        """Add what it reads itself from images (n, H, W, 3) to what a network sees of objects.
+
+        Args:
+            scene: robot and objects.
+            sight: joint angles and objects.
+            images: the first ones of n episodes.
+            facts: as by `facts`.
+            graph: what the agent knows; None without.
+        """
+        return sight
 
     def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""

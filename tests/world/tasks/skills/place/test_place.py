@@ -140,8 +140,8 @@ def test_what_is_held_may_touch_nothing_either():
 
 
 def test_a_robot_without_a_tray_is_refused_with_a_remedy():
-    robot = replace(find_robot("irb120"), tray_m=None)
-    with pytest.raises(UserError, match=r"Set tray_m = \[x, y\]"):
+    robot = replace(find_robot("irb120"), trays_m=())
+    with pytest.raises(UserError, match=r"Set trays_m = "):
         Place().area_of(robot)
 
 

@@ -17,7 +17,7 @@ from knowarm.world.tasks.skills.lift.guide import (
     Surroundings,
     rotation,
 )
-from knowarm.world.tasks.skills.place.tray import THICK_M, centre_m
+from knowarm.world.tasks.skills.place.tray import THICK_M
 from knowarm.world.tasks.state import Frames
 
 CARRY_M = (0.10, 0.18, 0.28)  # Heights at which the object is carried
@@ -83,7 +83,9 @@ class PlaceGuide(LiftGuide):
         position, matrix = start
         offset = position.copy()
         offset[:, :2] -= sight.places[:, 0]
-        tray = np.array([*centre_m(self._lifting.robot), THICK_M + RELEASE_M])
+        assert sight.destination is not None
+        above = np.full(len(grasp), THICK_M + RELEASE_M)
+        tray = np.column_stack([sight.destination, above])
         joints = []
         positions = []
         matrices = []

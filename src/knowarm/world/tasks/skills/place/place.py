@@ -5,17 +5,18 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from mujoco import MjSpec, mjtGeom
+from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.compose import ROBOT_BIT, SUPPORT_BIT
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.reward import SUCCESS_REWARD, paper_reward
+from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import (
     FALLEN_M,
     LOST_M,
@@ -26,11 +27,10 @@ from knowarm.world.tasks.skills.lift.lift import (
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.place.guide import PlaceGuide
-from knowarm.world.tasks.skills.place.tray import HALF_M, THICK_M, centre_m
+from knowarm.world.tasks.skills.place.tray import HALF_M, add_trays, centres_m
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import NamedArrays
+from knowarm.world.tasks.state import Indices, NamedArrays
 
-TRAY_RGBA = (0.30, 0.36, 0.46, 1.0)
 DOWN_M = 0.02  # Rise below which a released object has been put down
 STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
 UPRIGHT_DEG = 15.0
@@ -61,10 +61,13 @@ class PlaceSimulator(LiftSimulator):
 class Place(Lift):
     """Put the object that is meant down on the tray beside the others, where it stood upright.
 
-    Actions and physics are those of lifting. The tray stands at the robot's ``tray_m``.
+    Actions and physics are those of lifting. The tray stands at the first of the robot's
+    ``trays_m``.
     """
 
     max_steps = 160
+    outcomes: ClassVar[tuple[str, ...]] = OUTCOMES
+    """How an episode can end."""
     column_meanings: ClassVar[dict[str, str]] = {
         "placing": f"how the episode ended: {', '.join(OUTCOMES)}",
         "tray_distance_m": "from the object's centre of mass to the tray's centre [m]",
@@ -89,7 +92,7 @@ class Place(Lift):
 
     def area_of(self, robot: Robot) -> str:
         """Check that the robot has a tray."""
-        centre_m(robot)
+        centres_m(robot)
         return self.area
 
     @staticmethod
@@ -97,21 +100,8 @@ class Place(Lift):
         robot: Robot, targets: Sequence[Target], distractors: int
     ) -> LiftScene:
         """Build the scene of lifting with a tray."""
-        x, y = centre_m(robot)
-
-        def add_tray(spec: MjSpec) -> None:
-            height = robot.support_height_m + THICK_M / 2
-            spec.worldbody.add_geom(
-                name="tray",
-                type=mjtGeom.mjGEOM_BOX,
-                size=[HALF_M, HALF_M, THICK_M / 2],
-                pos=[x, y, height],
-                rgba=TRAY_RGBA,
-                contype=SUPPORT_BIT,
-                conaffinity=ROBOT_BIT,
-            )
-
-        return build_lift_scene(robot, targets, distractors, furnish=add_tray)
+        furnish = add_trays(robot, centres_m(robot)[:1])
+        return build_lift_scene(robot, targets, distractors, furnish=furnish)
 
     def simulator(
         self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
@@ -134,7 +124,27 @@ class Place(Lift):
             "taken": np.zeros(num_envs, bool),
             "rested": np.zeros(num_envs, np.int64),
             "centre": np.zeros((num_envs, 3)),
+            DESTINATION: np.zeros((num_envs, 2)),
         }
+
+    def begin(
+        self, state: State, asked: Asking, ids: Indices, surroundings: Floats
+    ) -> NamedArrays:
+        """Let the object's destination be the tray."""
+        tray = centres_m(state.scene.robot)[0]
+        return {DESTINATION: np.tile(tray, (len(ids), 1))}
+
+    def see(
+        self,
+        scene: Scene,
+        sight: Sight,
+        images: NDArray[np.uint8],
+        facts: Mapping[str, NDArray[Any]],
+        graph: KnowledgeGraph | None,
+    ) -> Sight:
+        """Know where the tray is."""
+        tray = centres_m(scene.robot)[0]
+        return sight._replace(destination=np.tile(tray, (len(images), 1)))
 
     def remember(self, state: State) -> NamedArrays:
         """Compare with the step before."""
@@ -142,7 +152,7 @@ class Place(Lift):
         moved = np.linalg.norm(centre - state.memory["centre"], axis=1)
         rests = state.memory["taken"] & _is_placed(state) & (moved < STILL_M)
         is_up = state.simulator.rise(state.target) >= self.height_m
-        return {
+        return state.memory | {
             "taken": state.memory["taken"] | is_up,
             "rested": np.where(rests, state.memory["rested"] + 1, 0),
             "centre": centre,
@@ -175,7 +185,7 @@ class Place(Lift):
             "gripped": state.simulator.touched(state.target),
             "disturbed": disturbed(state),
             "tray_distance": np.linalg.norm(_tray_offset(state), axis=1),
-            "placing": np.array(OUTCOMES)[self._outcome(state)],
+            "placing": np.array(self.outcomes)[self._outcome(state)],
         }
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
@@ -206,9 +216,9 @@ class Place(Lift):
 
 
 def _tray_offset(state: State) -> Floats:
-    """Return x and y from the tray's centre to the object's centre of mass, (n, 2) [m]."""
+    """Return x and y from the right tray's centre to the object's centre of mass, (n, 2) [m]."""
     centre = state.simulator.centre(state.target)[:, :2]
-    return centre - np.array(centre_m(state.scene.robot))
+    return centre - state.memory[DESTINATION]
 
 
 def _is_over_tray(state: State) -> Mask:

@@ -1,0 +1,226 @@
+"""Sorting: put the object that is meant on the tray of the place where it belongs by a graph."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers
+from knowarm.errors import UserError
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.measures import Measure
+from knowarm.world.objects.target import COLOURS, Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import Floats32, Scene
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.skills.guides import DESTINATION, Sight
+from knowarm.world.tasks.skills.lift.lift import State
+from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.skills.place.place import BESIDE, OUTCOMES, Place
+from knowarm.world.tasks.skills.place.tray import (
+    HALF_M,
+    add_trays,
+    centres_m,
+    tray_name,
+)
+from knowarm.world.tasks.skills.sort.belongings import (
+    Belongings,
+    belongings,
+    true_belongings,
+)
+from knowarm.world.tasks.skills.sort.looking import trays_by_colour
+from knowarm.world.tasks.state import Indices, NamedArrays
+
+TRAY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "pink")
+"""Colours of trays: far apart, so that they are told apart in any light."""
+NAMES = np.array(TRAY_COLOURS)
+TRAY_RGB = np.array([COLOURS[name] for name in TRAY_COLOURS])
+MAX_TRAYS = 4
+WRONG_TRAY = len(OUTCOMES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sort(Place):
+    """Put the object that is meant on the tray of the place where it belongs.
+
+    Each of the robot's ``trays_m`` has a colour and stands for a place, both drawn; which colour is
+    which place is told, and where the object belongs follows from the graph that answers the
+    questions. The object belongs at exactly one of an episode's places.
+    """
+
+    outcomes = (*OUTCOMES, "wrong_tray")
+    column_meanings: ClassVar[dict[str, str]] = Place.column_meanings | {
+        "placing": f"how the episode ended: {', '.join(OUTCOMES)} or wrong_tray",
+        "on_tray": "whether the object was put down on any tray",
+        "tray_right": "whether it was put down on the tray of the place where it belongs",
+    }
+    measures: ClassVar[tuple[Measure, ...]] = (
+        *Place.measures,
+        Measure("right_tray", "right trays", "tray_right", among="on_tray"),
+    )
+    kind: Literal["sort"] = "sort"  # type: ignore[assignment]
+    """Tag of this skill in JSON."""
+    relation: str = "isLocatedIn"
+    """Relation of the graph whose values are the places where objects belong."""
+
+    @property
+    def draws(self) -> int:
+        """Number of draws per episode: for places, order of the trays, and colours."""
+        return 2 * MAX_TRAYS + len(TRAY_COLOURS)
+
+    def area_of(self, robot: Robot) -> str:
+        """Check that the robot has trays."""
+        centres_m(robot, least=2)
+        return self.area
+
+    @staticmethod
+    def build_scene(
+        robot: Robot, targets: Sequence[Target], distractors: int
+    ) -> LiftScene:
+        """Build the scene of lifting with all trays."""
+        furnish = add_trays(robot, _centres(robot))
+        return build_lift_scene(robot, targets, distractors, furnish=furnish)
+
+    def memory(self, num_envs: int) -> NamedArrays:
+        """Remember also the place and colour of each tray, by number, -1 where there is none."""
+        trays = np.full((num_envs, MAX_TRAYS), -1)
+        return super().memory(num_envs) | {"tray_places": trays, "tray_colours": trays}
+
+    def begin(
+        self, state: State, asked: Asking, ids: Indices, surroundings: Floats
+    ) -> NamedArrays:
+        """Draw which tray has which colour and stands for which place."""
+        known = true_belongings(asked, state.facets, self.relation)
+        centres = _centres(state.scene.robot)
+        count = len(centres)
+        of_places, of_order, of_colours = np.split(
+            surroundings, [MAX_TRAYS, 2 * MAX_TRAYS], axis=1
+        )
+        places = _draw_places(known, state.target[ids], of_places[:, :count])
+        order = np.argsort(of_order[:, :count], axis=1)
+        places = np.take_along_axis(places, order, axis=1)
+        right = np.argmin(order, axis=1)
+        colours = np.argsort(of_colours, axis=1)[:, :count]
+        return {
+            DESTINATION: centres[right],
+            "tray_places": _padded(places),
+            "tray_colours": _padded(colours),
+        }
+
+    def paint(self, state: State, ids: Indices, rgba: Floats32) -> None:
+        """Paint the trays."""
+        colours = state.memory["tray_colours"][ids]
+        for number in range(len(_centres(state.scene.robot))):
+            geom = state.scene.model.geom(tray_name(number)).id
+            rgba[:, geom, :3] = TRAY_RGB[colours[:, number]]
+
+    def facts(self, state: State, asked: Asking) -> NamedArrays:
+        """Return which tray is which place: ``tray_places`` and ``tray_colours``, (n, K) names.
+
+        They are in the order of the places' names, which says nothing of where trays stand.
+        """
+        count = len(_centres(state.scene.robot))
+        places = state.memory["tray_places"][:, :count]
+        colours = state.memory["tray_colours"][:, :count]
+        order = np.argsort(places, axis=1)
+        known = true_belongings(asked, state.facets, self.relation)
+        return {
+            "tray_places": known.places[np.take_along_axis(places, order, axis=1)],
+            "tray_colours": NAMES[np.take_along_axis(colours, order, axis=1)],
+        }
+
+    def instruct(self, state: State, asked: Asking, env_id: int) -> str:
+        """Return the same of one episode, as "the red tray is the kitchen"."""
+        facts = self.facts(state, asked)
+        pairs = zip(
+            facts["tray_colours"][env_id], facts["tray_places"][env_id], strict=True
+        )
+        words = [f"the {colour} tray is the {place}" for colour, place in pairs]
+        return "; ".join(words).replace("_", " ")
+
+    def see(
+        self,
+        scene: Scene,
+        sight: Sight,
+        images: NDArray[np.uint8],
+        facts: Mapping[str, NDArray[Any]],
+        graph: KnowledgeGraph | None,
+    ) -> Sight:
+        """Read the trays' colours; choose that of a place where the object that is seen belongs.
+
+        Where the graph says of none of the places, or of several, that it belongs there, it is the
+        first of these trays in the robot's order.
+        """
+        places = facts["tray_places"]
+        centres = _centres(scene.robot)
+        belongs = np.zeros(places.shape, bool)
+        if graph is not None:
+            facets = tuple((target.name, "") for target in scene.targets)
+            known = belongings(graph, facets, self.relation)
+            belongs = known.of(sight.objects[:, 0], places)
+        trays = trays_by_colour(scene, images, centres, facts["tray_colours"])
+        is_right = np.zeros_like(belongs)
+        np.put_along_axis(is_right, trays, belongs, axis=1)
+        return sight._replace(destination=centres[np.argmax(is_right, axis=1)])
+
+    def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
+        """Store also whether the object was put on a tray, and on the right one."""
+        placing = infos["placing"]
+        is_right = placing == "placed"
+        return super().columns(setting, infos) | {
+            "on_tray": is_right | (placing == self.outcomes[WRONG_TRAY]),
+            "tray_right": is_right,
+        }
+
+    def _outcome(self, state: State) -> Integers:
+        """Return how episodes stand; what is put down on another tray is on a wrong one."""
+        outcome = super()._outcome(state)
+        centre = state.simulator.centre(state.target)[:, None, :2]
+        way = np.abs(centre - _centres(state.scene.robot)).max(axis=2)
+        is_on_tray = (way < HALF_M).any(axis=1)
+        outcome[(outcome == BESIDE) & is_on_tray] = WRONG_TRAY
+        return outcome
+
+
+def _draw_places(known: Belongings, objects: Integers, draws: Floats) -> Integers:
+    """Draw K places for objects (n,), of which only the first is right, from draws (n, K).
+
+    Raises:
+        UserError: an object belongs nowhere, or nearly everywhere.
+    """
+    belongs = known.belongs[objects]
+    chosen = []
+    allowed = belongs
+    for draw in draws.T:
+        count = allowed.sum(axis=1)
+        if not count.all():
+            name = known.objects[objects[np.argmin(count)]]
+            stated = known.places[known.belongs[known.objects.index(name)]]
+            raise UserError(
+                f"{len(draws.T)} trays need one place where the object belongs and "
+                f"{len(draws.T) - 1} where it does not. Of {name} the graph states "
+                f"{', '.join(stated) or 'none'}, of {', '.join(known.places)}. Add facts, or leave "
+                "it out of targets."
+            )
+        rank = np.floor(draw * count)
+        place = np.argmax(np.cumsum(allowed, axis=1) > rank[:, None], axis=1)
+        chosen.append(place)
+        if len(chosen) == 1:
+            allowed = ~belongs
+        else:
+            allowed = allowed.copy()
+            allowed[np.arange(len(place)), place] = False
+    return np.stack(chosen, axis=1)
+
+
+def _centres(robot: Robot) -> Floats:
+    """Return x and y of the trays' centres, (K, 2) [m]."""
+    return centres_m(robot, least=2)[:MAX_TRAYS]
+
+
+def _padded(numbers: Integers) -> Integers:
+    """Return numbers of trays (n, K) with -1 for those that there are not, (n, MAX_TRAYS)."""
+    missing = MAX_TRAYS - numbers.shape[1]
+    return np.pad(numbers, ((0, 0), (0, missing)), constant_values=-1)
