@@ -361,9 +361,10 @@ class Asker:
         if picked is not None:
             wanted = np.array([facet == picked for facet in self.facets])
             unclear = "guess"
-        agent = self.trained.answering(
+        answering = self.trained.answering(
             wanted[None], unclear=unclear, thresholds=self.thresholds
         )
+        agent = self.trained.acting(answering)
         film = record_episode(agent, self._env, episode)
         end = self._env.running
         infos = end.config.task.infos(end)
@@ -382,7 +383,7 @@ class Asker:
             points=self._points(seen),
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
-            stopped=not agent.moves[0],
+            stopped=not answering.moves[0],
             reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),

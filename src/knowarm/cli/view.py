@@ -169,6 +169,6 @@ class View:
 
         def make(env: ArmVectorEnv) -> AgentProtocol:
             check_fits(trained, env, knows_task=False)
-            return trained.agent
+            return trained.player
 
         return make, config

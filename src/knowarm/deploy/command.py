@@ -160,7 +160,7 @@ class Record:
         if trained is None:
             agent: AgentProtocol = SCRIPTED_AGENTS[self.agent].make(env, self.seed)
         else:
-            agent = trained.agent
+            agent = trained.player
         solved = record(
             agent,
             env,

@@ -83,6 +83,11 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
         UserError: its MPI is larger than that of the robot, or the joint map does not fit.
     """
     env = trained.config.env
+    if trained.config.solves:
+        raise UserError(
+            "A run of the algorithm 'seen' has no policy to take out of the simulator: inverse "
+            "kinematics act in its place. Train one, e.g. with the algorithm 'distil'."
+        )
     rows = env.task.asked.knowledge_rows(facets_of(env))
     table = trained.table
     step = None

@@ -15,6 +15,7 @@ from knowarm.learn.algorithms import (
     DistilConfig,
     PPOConfig,
     PrivilegedConfig,
+    SeenConfig,
 )
 from knowarm.own import installed, load, named_by, share
 
@@ -49,6 +50,8 @@ class Algorithm:
     """Fields of the policy's config that have other values under this algorithm."""
     grounded: Mapping[str, Any] = field(default_factory=dict)
     """The same for agents whose policy receives the grasp frame of a grounding network."""
+    needs_grounding: bool = False
+    """Whether it is for agents with a grounding network only."""
 
 
 # Trainers are imported when they are made: they import torch, which naming an experiment does not
@@ -77,6 +80,14 @@ def _make_a3c(
     if config.is_fixed:
         return FixedScheduleA3CTrainer(config, policy, make_env, **options)
     return A3CTrainer(config, policy, make_env, **options)
+
+
+def _make_untrained(
+    config: SeenConfig, policy: "Policy", make_env: "MakeEnv", **options: Any
+) -> "Trainer":
+    from knowarm.learn.untrained import UntrainedTrainer
+
+    return UntrainedTrainer(policy, **options)
 
 
 CENTRED_PIXELS = {"pixel_shift": 0.5, "pixel_scale": 4.0}
@@ -147,6 +158,13 @@ ALGORITHMS: dict[str, Algorithm] = {
         make_trainer=_make_a3c,
         total_steps=10_000_000,
         policy=CENTRED_PIXELS,
+    ),
+    "seen": Algorithm(
+        about="no policy: inverse kinematics move to what the grounding network sees",
+        config=SeenConfig(),
+        make_trainer=_make_untrained,
+        total_steps=1,
+        needs_grounding=True,
     ),
 }
 """Algorithms by name; the first is that of the default experiment. See `algorithms`."""

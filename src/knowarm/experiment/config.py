@@ -9,7 +9,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.knows import Knows, fits
-from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
+from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig, SeenConfig
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
@@ -110,6 +110,11 @@ class ExperimentConfig:
                 f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "
                 f"{self.env.task.name!r}. Take another agent or task."
             )
+
+    @property
+    def solves(self) -> bool:
+        """Whether inverse kinematics act in place of a policy."""
+        return isinstance(self.algorithm, SeenConfig)
 
     @property
     def evaluate_every(self) -> int:

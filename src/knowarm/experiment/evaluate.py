@@ -15,6 +15,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.evaluation import (
     EvaluationConfig,
     Played,
+    SeenTest,
     Subject,
     step_columns,
 )
@@ -245,7 +246,8 @@ def _subject(
             "This task is not the agent's own, and its evaluation would replace that in the run "
             "folder. Give it a label=..., or set write=False."
         )
-    return Subject(env=env or trained.config.env, config=trained.config)
+    seen = SeenTest() if trained.config.solves else None
+    return Subject(env=env or trained.config.env, config=trained.config, seen=seen)
 
 
 def agent_for_test(

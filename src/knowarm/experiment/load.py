@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,18 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
 from knowarm.experiment.knows import Knowledge, row_names
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn import read_checkpoint
 from knowarm.learn.checkpoint import to_tensors
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.calibration import calibrated_thresholds
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.solving import SolvingAgent
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
+from knowarm.world.config import facets_of
 
 log = logging.getLogger("knowarm.experiment")
 
@@ -31,7 +35,7 @@ log = logging.getLogger("knowarm.experiment")
 class TrainedAgent:
     """A trained agent and its origin."""
 
-    agent: PolicyAgent  #: Chooses actions by the policy, with its memory and knowledge.
+    agent: PolicyAgent  #: Recognizes, and chooses actions by the policy where `player` is it.
     policy: Policy  #: The network, in evaluation mode.
     table: np.ndarray  #: (rows, K) float32, the knowledge table of its training.
     network: GroundingNetwork | None  #: Its trained grounding network, if it has one.
@@ -92,7 +96,7 @@ class TrainedAgent:
             names = self._names
             if names is None:
                 names = np.repeat(row_names(env)[:1], len(images))
-            self.agent.reset(Batch(env=env, names=names))
+            self.player.reset(Batch(env=env, names=names))
             self._is_new = False
         started = 0 if self._is_new is None else len(self.agent.rows)
         if len(images) != started:
@@ -100,8 +104,24 @@ class TrainedAgent:
                 f"{started} episodes have started, and there are {len(images)} images: call "
                 "reset(info) whenever environments are reset."
             )
-        actions = self.agent.act({"image": images})
+        actions = self.player.act({"image": images})
         return actions.reshape(*shape[:-3], -1)
+
+    @cached_property
+    def player(self) -> PolicyAgent | SolvingAgent:
+        """What acts: the agent with its policy, or inverse kinematics in its place."""
+        return self.acting(self.agent)
+
+    def acting(
+        self, agent: PolicyAgent, graph: KnowledgeGraph | None = None
+    ) -> PolicyAgent | SolvingAgent:
+        """Return what acts for an agent; ``graph`` says where objects belong, None: its own."""
+        if not self.config.solves:
+            return agent
+        env = self.config.env
+        if graph is None:
+            graph = env.task.asked.answering_graph(facets_of(env))
+        return SolvingAgent(agent, env, graph)
 
     def thresholds(self, level: float) -> torch.Tensor:
         """Return the likelihoods from which its network takes objects for answers, by facet."""

@@ -118,6 +118,12 @@ class ExperimentName:
         policy = dict(algorithm.policy)
         if knows.grounding is not None:
             policy |= algorithm.grounded
+        elif algorithm.needs_grounding:
+            grounded = [name for name, entry in AGENTS.items() if entry.knows.grounding]
+            raise UserError(
+                f"The algorithm {self.algorithm!r} acts on what a grounding network sees, and the "
+                f"agent {self.agent!r} has none. Take one of {', '.join(grounded)}."
+            )
         graph = task.asked.graph
         if knows.scope == "query" and graph is not None:
             # described by the graph of the questions

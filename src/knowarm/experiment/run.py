@@ -138,7 +138,10 @@ def _train(
         return should_stop() or folder.ended_early_at(config.stop_when) is not None
 
     with TrainingProgress(f"{config.name}/{config.seed}", last) as progress:
-        for line in announcements(parts, policy):
+        lines = announcements(parts, policy)
+        if config.solves:
+            lines[0] = "no policy: inverse kinematics act on what the network sees"
+        for line in lines:
             progress.line(line)
         grounding = config.knows.grounding
         embedding = knowledge.embedding

@@ -41,6 +41,14 @@ class AlgorithmConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SeenConfig(AlgorithmConfig):
+    """No policy: inverse kinematics move the arm to what the grounding network sees."""
+
+    name: Literal["seen"] = "seen"
+    """Identifies the algorithm in a config file."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ScheduleConfig(AlgorithmConfig):
     """The learning rate over a training."""
 

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.agent import FrameRecognition
+from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.grounding import BATCH
 from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
@@ -65,8 +66,24 @@ class SolvingAgent:
         """Whether episodes of different queries differ."""
         return self._agent.depends_on_rows
 
+    @property
+    def moves(self) -> Mask:
+        """Whether the arm moves in each environment, (n,) bool."""
+        if isinstance(self._agent, AnsweringAgent):
+            return self._agent.moves
+        return np.ones(len(self._joints), bool)
+
     def reset(self, batch: Batch) -> None:
-        """Forget everything: n episodes start."""
+        """Forget everything: n episodes start.
+
+        Raises:
+            UserError: the batch does not tell the joint angles.
+        """
+        if not batch.joints:
+            raise UserError(
+                "An agent that sees and solves needs the arm's joint angles as episodes start: "
+                "play it by `evaluate`, `ask`, `view` or `record`, or give Batch.joints."
+            )
         self._agent.reset(batch)
         self.notes = {}
         self._joints = np.stack(list(batch.joints.values()), axis=1)
@@ -80,7 +97,8 @@ class SolvingAgent:
             frames = self._agent.recognize(images)
             self.notes = self._agent.notes
             self._way = self._guide.way(self._sight(images, frames))
-        return nearest_levels(self._way.error(observations["joint_targets"]))
+        actions = nearest_levels(self._way.error(observations["joint_targets"]))
+        return np.where(self.moves[:, None], actions, 0)
 
     def _sight(self, images: Tensor, frames: Tensor) -> Sight:
         """Return what images show: the goal frames (n, 9), and all objects.
