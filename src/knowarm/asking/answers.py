@@ -3,7 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,8 @@ class Answers:
     """Whether the places in a scene decide: `within` says who answers there."""
     left_out: Sequence[str] = ()
     """Words that were left out when the question was read."""
+    graph: KnowledgeGraph | None = field(default=None, compare=False, repr=False)
+    """What answered."""
 
     @property
     def as_read(self) -> str:
@@ -150,7 +152,7 @@ def answer(
     """
     answering = _Answering(graph, facets, names)
     read = answering.read(text)
-    answers = replace(answering.answers(read.text), left_out=read.left_out)
+    answers = replace(answering.answers(read.text), left_out=read.left_out, graph=graph)
     if not answers.judgements:
         raise answering.no_answer(answers)
     return answers

@@ -73,6 +73,10 @@ class Asked:
     """Whether both are within the task's thresholds."""
     film: tuple[Frame, ...]
     """The episode."""
+    result: str = ""
+    """What became of the object, where reaching it is not all."""
+    told: str = ""
+    """What the agent was told besides the question, such as which tray is which place."""
 
     @property
     def right(self) -> bool:
@@ -86,8 +90,18 @@ class Asked:
         if self.stopped:
             several = f"several answers: {seen}" if seen else "no answer"
             return f"The arm stayed: it sees {several}."
-        what = "reached" if self.within else "did not arrive; it ended nearest to"
         judgement = "which answers" if self.right else "which does not answer"
+        if self.result:
+            went = f"The arm went for the {in_words(self.reached)}, {judgement}"
+            sentences = [
+                f"{went}.",
+                self.result,
+                f"It took {self.film[-1].step} steps.",
+            ]
+            if self.told:
+                sentences.insert(0, f"It was told: {self.told}.")
+            return " ".join(sentences)
+        what = "reached" if self.within else "did not arrive; it ended nearest to"
         outcome = (
             f"The arm {what} the {in_words(self.reached)}, {judgement}, after "
             f"{self.film[-1].step} steps: {100 * self.distance:.1f} cm and {self.angle:.0f} "
@@ -364,10 +378,11 @@ class Asker:
         answering = self.trained.answering(
             wanted[None], unclear=unclear, thresholds=self.thresholds
         )
-        agent = self.trained.acting(answering)
+        agent = self.trained.acting(answering, answers.graph)
         film = record_episode(agent, self._env, episode)
         end = self._env.running
-        infos = end.config.task.infos(end)
+        task = end.config.task
+        infos = task.infos(end)
         is_reached = infos["objects"] == infos["reached_object"][:, None]
         nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
@@ -389,6 +404,8 @@ class Asker:
             angle=float(angle[0]),
             within=bool(is_success(distance, angle, *end.limits)[0]),
             film=tuple(film),
+            result=task.skill.result(end, task.asked, 0),
+            told=task.skill.instruct(end, task.asked, 0),
         )
 
 

@@ -135,6 +135,10 @@ class Skill(BaseTaskPart):
         """Return the same of one episode in words; none by default."""
         return ""
 
+    def result(self, state: EpisodeState, asked: Asking, env_id: int) -> str:
+        """Say what became of the object of one episode; empty where reaching it is all."""
+        return ""
+
     def see(
         self,
         scene: Scene,

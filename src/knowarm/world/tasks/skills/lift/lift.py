@@ -202,6 +202,14 @@ class Lift(Skill):
             "disturbed": disturbed(state),
         }
 
+    def result(self, state: State, asked: Asking, env_id: int) -> str:
+        """Say whether it was lifted."""
+        if state.success[env_id]:
+            return "It is lifted."
+        if disturbed(state)[env_id]:
+            return "It is not lifted: another object was moved."
+        return "It is not lifted."
+
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store rise, touch and what was disturbed at the end of each episode."""
         names = {"rise": "rise_m", "gripped": "gripped", "disturbed": "disturbed"}

@@ -46,6 +46,14 @@ NO_TEACHER = (
 OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
 tray; another object moved or taken; none of these within the time limit."""
+RESULTS = (
+    "It stands on the tray.",
+    "It is put down beside the tray.",
+    "It has toppled or fallen.",
+    "Another object was moved.",
+    "It is not put down.",
+)
+"""The same in sentences."""
 PLACED, BESIDE, FALLEN, DISTURBED, UNFINISHED = range(len(OUTCOMES))
 
 
@@ -187,6 +195,10 @@ class Place(Lift):
             "tray_distance": np.linalg.norm(_tray_offset(state), axis=1),
             "placing": np.array(self.outcomes)[self._outcome(state)],
         }
+
+    def result(self, state: State, asked: Asking, env_id: int) -> str:
+        """Say where it is."""
+        return RESULTS[self._outcome(state)[env_id]]
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store how each episode ended, and how far from the tray."""

@@ -18,7 +18,7 @@ from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import State
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
-from knowarm.world.tasks.skills.place.place import BESIDE, OUTCOMES, Place
+from knowarm.world.tasks.skills.place.place import BESIDE, OUTCOMES, PLACED, Place
 from knowarm.world.tasks.skills.place.tray import (
     HALF_M,
     add_trays,
@@ -139,6 +139,19 @@ class Sort(Place):
         )
         words = [f"the {colour} tray is the {place}" for colour, place in pairs]
         return "; ".join(words).replace("_", " ")
+
+    def result(self, state: State, asked: Asking, env_id: int) -> str:
+        """Say where it is, and on which tray."""
+        outcome = self._outcome(state)[env_id]
+        if outcome not in (PLACED, WRONG_TRAY):
+            return super().result(state, asked, env_id)
+        centre = state.simulator.centre(state.target)[env_id, :2]
+        way = np.linalg.norm(_centres(state.scene.robot) - centre, axis=1)
+        tray = np.argmin(way)
+        colour = TRAY_COLOURS[state.memory["tray_colours"][env_id, tray]]
+        places = true_belongings(asked, state.facets, self.relation).places
+        place = places[state.memory["tray_places"][env_id, tray]].replace("_", " ")
+        return f"It stands on the {colour} tray, the {place}."
 
     def see(
         self,
