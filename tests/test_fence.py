@@ -1,15 +1,25 @@
 """Parsers on hostile input: the process of KnowArm goes on, and the error is one line."""
 
+import ctypes
+import os
 import subprocess
+import sys
+import threading
 import time
+from functools import partial
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from knowarm import fence
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.fence import ParserError, fenced
-from knowarm.knowledge import read_graph
+from knowarm.fence import Fence, ParserError, fenced
+from knowarm.knowledge import household, read_graph
+from knowarm.knowledge.queries.sparql import sparql
+from knowarm.own_robot.urdf import as_mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 
 DEPTH = 20_000
 PREFIX = "http://example.org/"
@@ -71,52 +81,224 @@ def test_a_graph_that_nests_as_people_write_is_read(tmp_path, name):
     assert len(read_graph(path))
 
 
-HANGS = "def parse(data):\n    while True: pass\n"
-FILLS = "def parse(data):\n    return b'x' * 2**40\n"
-DEEP = "import ctypes\ndef parse(data):\n    ctypes.string_at(0)\n"
-FAILS = "def parse(data):\n    raise KeyError('mine')\n"
-EXITS = "import os\ndef parse(data):\n    os._exit(3)\n"
-ECHOES = "def parse(data):\n    return data[::-1]\n"
+@pytest.fixture
+def second(monkeypatch):
+    """A second of processor time for all that is fenced."""
+    monkeypatch.setattr(fence, "SECONDS", 1)
+    monkeypatch.setattr(fence, "WAIT", 100)
+
+
+def hang():
+    while True:
+        pass
+
+
+def fill():
+    return b"x" * 2**40
+
+
+def overflow():
+    ctypes.string_at(0)
+
+
+def fail():
+    raise KeyError("mine")
+
+
+def refuse():
+    raise UserError("no")
 
 
 @pytest.mark.parametrize(
-    ("parser", "words"),
+    ("function", "words"),
     [
-        (HANGS, "memory or time"),
-        (FILLS, "memory"),
-        (DEEP, "SIGSEGV"),
-        (EXITS, "exit code"),
+        (hang, "more than 1 s .*SIGXCPU"),
+        (fill, "2.0 GiB"),
+        (overflow, "SIGSEGV"),
+        (lambda: os._exit(3), "exit code 3"),
+        (lambda: lambda: 0, "exit code 1"),  # it cannot be sent
+        (lambda: sys.exit(0), "exit code 1"),
     ],
 )
-def test_a_parser_that_crosses_a_limit_is_an_error(monkeypatch, parser, words):
-    monkeypatch.setattr(fence, "SECONDS", 1.0)
+def test_what_crosses_a_limit_is_an_error(second, function, words):
     with pytest.raises(ValueError, match=words) as error:
-        fenced(parser, b"")
+        fenced(function)
     assert not isinstance(error.value, ParserError)
 
 
-def test_what_a_parser_raises_is_its_message():
+def test_what_a_function_raises_is_its_message():
     with pytest.raises(ParserError, match="mine"):
-        fenced(FAILS, b"")
-    assert fenced(ECHOES, b"abc") == b"cba"
-    assert fenced(ECHOES, bytes(2**24)) == bytes(2**24)
+        fenced(fail)
+    with pytest.raises(UserError, match="no"):
+        fenced(refuse)
+    assert fenced(bytes, 2**24) == bytes(2**24)
+    assert fenced(fenced, sum, [1, 2]) == 3
+
+
+def test_a_process_is_kept_until_it_crosses_a_limit(second):
+    calls = []
+
+    def count(ends=False):
+        calls.append(0)
+        return os.abort() if ends else len(calls)
+
+    counting = Fence(count)
+    assert [counting(), counting()] == [1, 2]
+    with pytest.raises(ValueError, match="SIGABRT"):
+        counting(True)
+    assert counting() == 1
+    assert calls == []
+    counting.close()
+
+
+def test_time_is_that_of_a_call(second):
+    def work():
+        begin = time.process_time()
+        while time.process_time() < begin + 0.7:
+            pass
+
+    working = Fence(work)
+    for _ in range(3):
+        working()
 
 
 def test_a_parser_that_waits_is_ended(monkeypatch):
-    monkeypatch.setattr(fence, "SECONDS", 0.4)
+    monkeypatch.setattr(fence, "SECONDS", 1)
+    monkeypatch.setattr(fence, "WAIT", 0.5)
     begin = time.monotonic()
-    with pytest.raises(ValueError, match="takes 2 s"):
-        fenced("import time\ndef parse(data):\n    time.sleep(100)\n", b"")
+    with pytest.raises(ValueError, match="takes more than 0 s"):
+        fenced(time.sleep, 100)
     assert time.monotonic() - begin < 30
 
 
-def test_an_interrupt_ends_the_parser(monkeypatch):
-    def interrupted(*arguments, **options):
+def test_an_interrupt_ends_the_process(monkeypatch):
+    waiting = Fence(time.sleep)
+    waiting(0)
+    process = waiting._process
+
+    def interrupted(seconds):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(subprocess, "run", interrupted)
+    monkeypatch.setattr(waiting._pipe, "poll", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fenced(ECHOES, b"")
+        waiting(100)
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_the_process_ends_with_the_one_that_started_it():
+    code = (
+        "import os, time\n"
+        "from knowarm.fence import Fence\n"
+        "print(Fence(os.getpid)(), flush=True)\n"
+        "os.abort()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    process = int(done.stdout)
+    deadline = time.monotonic() + 20
+    while Path(f"/proc/{process}").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+CROSS_JOIN = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
+
+
+def test_a_query_that_takes_too_long_is_one_line_while_others_are_answered(second):
+    errors = []
+
+    def join():
+        with pytest.raises(UserError, match="needs more than 1 s") as error:
+            sparql(household(), CROSS_JOIN)
+        errors.append(str(error.value))
+
+    threads = [threading.Thread(target=join) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    assert sparql(household(), "ASK { :mug :usedFor :drinking }").rows == (("yes",),)
+    assert not errors
+    for thread in threads:
+        thread.join()
+    assert len(errors) == 3
+    assert not any("\n" in error for error in errors)
+
+
+XACRO = """<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<link name="${%s}"/></robot>"""
+BODY = "<mujoco><worldbody>%s</worldbody></mujoco>"
+ROBOTS = {
+    "power.xacro": XACRO % "9**9**9**9",
+    "text.xacro": XACRO % "'a' * 10**10",
+    "list.xacro": XACRO % "[0] * 10**10",
+    "loop.xacro": XACRO % "sum([i for i in range(10**10)])",
+    "macro.xacro": XACRO % "1"
+    + '<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/></robot>',
+    "deep.urdf": "<robot>" + "<a>" * 10**5 + "</a>" * 10**5 + "</robot>",
+    "deep.xml": BODY % ("<body>" * 10**5 + "</body>" * 10**5),
+    "field.xml": "<mujoco><asset><hfield name='a' size='1 1 1 1' nrow='90000' "
+    "ncol='90000'/></asset></mujoco>",
+    "replicate.xml": BODY
+    % "<replicate count='1000000000'><geom size='1'/></replicate>",
+    "memory.xml": "<mujoco><size memory='900T'/>" + BODY % "" + "</mujoco>",
+    "texture.xml": "<mujoco><asset><texture name='a' type='2d' builtin='flat' "
+    "width='200000' height='200000'/></asset></mujoco>",
+    "self.xml": "<mujoco><include file='self.xml'/></mujoco>",
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_robot_that_computes_without_end_is_one_line(tmp_path, name, second):
+    if name.endswith("xacro"):
+        pytest.importorskip("xacro")
+    path = tmp_path / name
+    path.write_text(ROBOTS[name])
+    read = partial(as_mjcf, path, tmp_path / "made")
+    if name.endswith("xml"):
+        read = partial(read_mjcf, path, "Robot 'a'")
+    with pytest.raises(UserError, match=name) as error:
+        read()
+    assert "\n" not in str(error.value)
+
+
+def test_an_onnx_file_that_computes_without_end_is_one_line(tmp_path, second):
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    from onnx import TensorProto, helper
+
+    from knowarm.benchmark.external import OnnxPolicy
+
+    def value(name, kind, shape):
+        return helper.make_tensor_value_info(name, kind, shape)
+
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["goes"], ["on"]),
+            helper.make_node("Identity", ["x"], ["y"]),
+        ],
+        "body",
+        [
+            value("i", TensorProto.INT64, []),
+            value("goes", TensorProto.BOOL, []),
+            value("x", TensorProto.FLOAT, ["n", 6]),
+        ],
+        [value("on", TensorProto.BOOL, []), value("y", TensorProto.FLOAT, ["n", 6])],
+    )
+    graph = helper.make_graph(
+        [helper.make_node("Loop", ["", "yes", "joint_targets"], ["a"], body=body)],
+        "graph",
+        [value("joint_targets", TensorProto.FLOAT, ["n", 6])],
+        [value("a", TensorProto.FLOAT, ["n", 6])],
+        [helper.make_tensor("yes", TensorProto.BOOL, [], [True])],
+    )
+    opset = helper.make_opsetid("", 17)
+    model = helper.make_model(graph, opset_imports=[opset], ir_version=9)
+    path = tmp_path / "loop.onnx"
+    onnx.save(model, path)
+    policy = OnnxPolicy(path)
+    policy._state = {}
+    with pytest.raises(UserError, match=r"loop\.onnx.*needs more than 1 s") as error:
+        policy.act({"joint_targets": np.zeros((1, 6), np.float32)})
+    assert "\n" not in str(error.value)
 
 
 def test_a_mistake_in_an_ontology_keeps_its_line(tmp_path):

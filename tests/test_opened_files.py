@@ -41,6 +41,7 @@ WITHOUT = {
     "deploy/record.py": "the dataset that it has just written",
     "deploy/runner.py": "without KnowArm; regular files only",
     "experiment/csv_log.py": "its log, which it has read before",
+    "fence.py": "/proc",
     "knowledge/formats/files.py": "its callers read it in `reading`",
     "knowledge/formats/tables.py": "an output",
     "knowledge/graph/denials.py": "words of the package",

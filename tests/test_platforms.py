@@ -24,6 +24,7 @@ POSIX_ONLY = re.compile(
 )
 GUARDED = {
     "cores.py": "hasattr(os, 'sched_getaffinity')",
+    "fence.py": "hasattr(os, 'fork')",
     "learn/parallel/fork_server.py": "",  # only a fork server imports it
     "learn/parallel/processes.py": "hasattr(signal, 'SIGHUP')",
 }

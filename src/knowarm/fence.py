@@ -1,78 +1,175 @@
-"""Fence: parsers written in C or Rust, run on a stranger's file in a process with limits.
+"""Fence: a forked process with limits, in which what a stranger wrote is parsed or computed.
 
-A file that nests deep enough overflows the stack of such a parser, which ends its process; another
-one lets it compute for ever. In a process of its own, both are an error in one line.
+A file that nests deep enough overflows the stack of a parser in C or Rust, another one lets it
+compute for ever or fill the memory. In a process of its own, each is an error in one line. A fork
+takes milliseconds, and shares the modules and graphs of this process. Windows cannot fork: there,
+nothing limits what is computed.
 """
 
 import math
+import os
 import signal
-import subprocess
-import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import BoundedSemaphore
+from typing import Any, NoReturn, TypeVar
+
+from knowarm.errors import UserError
 
 SECONDS = 60.0
-"""Processor time of a parser, and of any further megabyte of its input [s]."""
+"""Processor time of a call, and of any further megabyte of its input [s]."""
 WAIT = 5.0
-"""Longest time that it takes on a machine that others use, in processor times."""
+"""Longest time that a call takes on a machine that others use, in processor times."""
 MEMORY = 2 * 2**30
-"""Address space of a parser [bytes], beside 200 times the size of its input."""
-LIMITS = """
-import sys
-data = sys.stdin.buffer.read()
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None
-if resource:
-    for kind, most in ((resource.RLIMIT_AS, {memory}), (resource.RLIMIT_CPU, {seconds}),
-                       (resource.RLIMIT_CORE, 0)):
-        _, hard = resource.getrlimit(kind)
-        resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
-try:
-    sys.stdout.buffer.write(parse(data))
-except MemoryError:
-    sys.exit(2)
-except Exception as error:
-    sys.stderr.write(str(error) or type(error).__name__)
-    sys.exit(1)
-"""
+"""Memory beyond that of this process [bytes], beside 200 times the size of the input."""
+STACK = 4 * 2**20
+"""Stack [bytes]: smaller than that of this process, which may read again what a fence has read."""
+_ROOM = BoundedSemaphore(4)
+"""As many processes compute at a time, or strangers could fill the memory by many questions."""
+
+T = TypeVar("T")
 
 
 class ParserError(ValueError):
-    """A parser does not read its input; the message is the parser's own."""
+    """What is fenced raises an exception that is no `UserError`; the message is its own."""
 
 
-def fenced(parser: str, data: bytes) -> bytes:
-    """Run a parser on data in a process with limits, and return what it makes of them.
+class Fence:
+    """Calls a function in a process with limits, which starts at the first call and is kept.
 
     Args:
-        parser: source that defines ``parse``, from bytes to bytes; it imports no KnowArm.
-        data: content of the file.
-
-    Raises:
-        ParserError: the parser raised any exception.
-        ValueError: it crossed a limit.
+        function: of arguments that can be pickled, as what it returns.
+        size: of its input [bytes], which limits its time and memory.
     """
-    megabytes = len(data) / 2**20
-    seconds = SECONDS * (1 + megabytes)
-    limits = LIMITS.format(memory=MEMORY + 200 * len(data), seconds=math.ceil(seconds))
-    command = [sys.executable, "-P", "-c", parser + limits]
-    try:
-        done = subprocess.run(
-            command, input=data, capture_output=True, timeout=WAIT * seconds
-        )
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"its parser takes {WAIT * seconds:.0f} s") from None
-    if done.returncode < 0 or done.returncode > 1:
-        reason = "nests too deep, or needs more memory or time than its size allows"
-        raise ValueError(f"it {reason} ({_name(done.returncode)})")
-    if done.returncode:
-        raise ParserError(done.stderr.decode(errors="replace"))
-    return done.stdout
+
+    is_inside = not hasattr(os, "fork")
+    """Whether this process is fenced itself, or cannot be: functions are called in it."""
+
+    def __init__(self, function: Callable[..., Any], *, size: int = 0) -> None:
+        self._function = function
+        self._seconds = math.ceil(SECONDS * (1 + size / 2**20))
+        self._memory = MEMORY + 200 * size
+        self._process = 0
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function.
+
+        Raises:
+            UserError: as the function does.
+            ParserError: it raises any other exception.
+            ValueError: it crosses a limit; the process is a new one at the next call.
+        """
+        if Fence.is_inside:
+            value, error = _outcome(self._function, arguments)
+        else:
+            value, error = self._ask(arguments)
+        if error is not None:
+            raise error
+        return value
+
+    def close(self) -> str:
+        """End the process; return how it ended."""
+        if not self._process:
+            return ""
+        os.kill(self._process, signal.SIGKILL)  # of one that has ended: without effect
+        _, status = os.waitpid(self._process, 0)
+        self._process = 0
+        self._pipe.close()
+        code = os.waitstatus_to_exitcode(status)
+        return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _ask(self, arguments: Any) -> Any:
+        """Return the outcome of the function in its process."""
+        if not self._process:
+            self._start()
+        try:
+            self._pipe.send(arguments)
+            if self._pipe.poll(WAIT * self._seconds):
+                return self._pipe.recv()
+        except (EOFError, ConnectionError):
+            limits = f"{self._seconds} s or {self._memory / 2**30:.1f} GiB"
+            raise ValueError(
+                f"it nests too deep, or needs more than {limits} ({self.close()})"
+            ) from None
+        except BaseException:
+            self.close()
+            raise
+        self.close()
+        raise ValueError(f"it takes more than {WAIT * self._seconds:.0f} s")
+
+    def _start(self) -> None:
+        self._pipe, there = Pipe()
+        self._process = os.fork()
+        if not self._process:
+            self._pipe.close()
+            self._serve(there)
+        there.close()
+
+    def _serve(self, pipe: Connection) -> NoReturn:
+        """Answer calls until the other process ends, or one of them crosses a limit."""
+        try:
+            Fence.is_inside = True
+            _set_limits(self._memory)
+            while True:
+                arguments = pipe.recv()
+                _limit("CPU", math.ceil(time.process_time()) + self._seconds)
+                pipe.send(_outcome(self._function, arguments))
+        finally:
+            os._exit(1)
 
 
-def _name(code: int) -> str:
-    """Name the signal that ended a process."""
+def fenced(function: Callable[..., T], *arguments: Any, size: int = 0) -> T:
+    """Call a function once in a process with limits; see `Fence`."""
+    if Fence.is_inside:
+        return Fence(function)(*arguments)
+    fence = Fence(partial(function, *arguments), size=size)
+    with _ROOM, closing(fence):
+        return fence()
+
+
+def _outcome(
+    function: Callable[..., Any], arguments: Any
+) -> tuple[Any, ValueError | None]:
+    """Return what a function returns, and what it raises."""
     try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"exit code {code}"
+        return function(*arguments), None
+    except UserError as error:
+        return None, error
+    except MemoryError:
+        raise
+    except Exception as error:
+        return None, ParserError(str(error) or type(error).__name__)
+
+
+def _set_limits(memory: int) -> None:
+    """Limit memory and stack of this process, which the other one alone ends and reads."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    null = os.open(os.devnull, os.O_RDWR)
+    for stream in (1, 2):  # parsers that end the process say so there
+        os.dup2(null, stream)
+    _limit("CORE", 0)
+    _limit("STACK", STACK)
+    state = Path("/proc/self/statm")
+    if state.exists():  # Linux
+        pages = int(state.read_bytes().split()[0])
+        _limit("AS", pages * os.sysconf("SC_PAGE_SIZE") + memory)
+
+
+def _limit(kind: str, most: int) -> None:
+    """Set a limit of this process, below that of the system."""
+    import resource  # which Windows lacks
+
+    number = getattr(resource, f"RLIMIT_{kind}")
+    _, hard = resource.getrlimit(number)
+    if hard >= 0:
+        most = min(most, hard)
+    resource.setrlimit(number, (most, hard))

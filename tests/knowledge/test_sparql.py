@@ -100,13 +100,11 @@ def test_threads_do_not_see_what_another_one_states():
     def ask(colour):
         query = SparqlQuery(graph, "SELECT ?c { :mug :hasColor ?c }")
         with query.stating("mug", ["hasColor"], [colour]):
-            inside = [query.answer().rows for _ in range(20)]
+            inside = [query.answer().rows for _ in range(3)]
         return set(inside)
 
     def read(_):
-        return {
-            sparql(graph, "SELECT ?c { :mug :hasColor ?c }").rows for _ in range(20)
-        }
+        return {sparql(graph, "SELECT ?c { :mug :hasColor ?c }").rows for _ in range(3)}
 
     with ThreadPoolExecutor(8) as pool:
         asked = list(pool.map(ask, colours * 10))

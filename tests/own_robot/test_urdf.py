@@ -175,7 +175,7 @@ def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> No
         (
             "<robot>" + "<a>" * 3000 + "</a>" * 3000 + "</robot>",
             {},
-            "more than 300 deep",
+            "maximum recursion depth",
         ),
         (urdf('<mesh filename="none.stl"/>'), {}, "Mesh 'none.stl' .* is not found"),
         (urdf('<mesh filename="package://no/a.stl"/>'), {}, "--package no=FOLDER"),

@@ -5,6 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from knowarm.knowledge.graph.homonyms import short
 from knowarm.knowledge.graph.individuals import Meant, classes_of, may_have, meant
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
-from knowarm.knowledge.queries.sparql import Answer, SparqlQuery
+from knowarm.knowledge.queries.sparql import Answer, SparqlQuery, limited
 from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
@@ -312,7 +313,10 @@ class _Answering:
         """Return what a question says of an individual, and whether places decide; read once."""
         if text not in self._parts:
             if _SPARQL.match(text):
-                self._parts[text] = _sparql(self.graph, text), False
+                ones = list(chain.from_iterable(self.individuals.values()))
+                judgements = limited(_sparql, self.graph, text, ones)
+                judged = dict(zip(ones, judgements, strict=True))
+                self._parts[text] = judged.__getitem__, False
             else:
                 reader = self.reader(text)
                 self._parts[text] = reader.whole(), reader.has_places
@@ -390,8 +394,10 @@ def words(
     return objects
 
 
-def _sparql(graph: KnowledgeGraph, text: str) -> Part:
-    """Return what a SPARQL query selects as ?object and, if it does, in the colour ?colour.
+def _sparql(
+    graph: KnowledgeGraph, text: str, individuals: Iterable[Individual]
+) -> list[Judgement]:
+    """Judge individuals by what a SPARQL query selects as ?object, if it does in a ?colour.
 
     It runs once per facet, whose colour the graph then states, as the image shows it; once for all
     if it reads no colours.
@@ -409,7 +415,7 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     is_coloured = query.may_read(COLOUR_RELATION)
     by_object: dict[str, list[dict[str, str]]] = {}
     if not is_coloured:
-        for row in _rows(query.answer()):
+        for row in _rows(query.run()):
             by_object.setdefault(row["object"], [row])
 
     def rows(name: str, colour: str | None) -> list[dict[str, str]]:
@@ -421,9 +427,9 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
             plain = [colour, name_of_iri(own + colour)]
             shown = graph.names.at(graph.alike(colour)) or plain
         with query.stating(name, relations, shown):
-            return [row for row in _rows(query.answer(name)) if row["object"] == name]
+            return [row for row in _rows(query.run(name)) if row["object"] == name]
 
-    def part(individual: Individual) -> Judgement:
+    def judge(individual: Individual) -> Judgement:
         if individual.entity is None:
             return undescribed(individual)
         judgements = []
@@ -432,7 +438,7 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
             judgements.append(_selected(selecting, individual.colour))
         return surest(judgements)
 
-    return part
+    return list(map(judge, individuals))
 
 
 def _rows(result: Answer) -> list[dict[str, str]]:

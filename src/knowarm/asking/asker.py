@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, groupby
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -182,6 +183,7 @@ class Asker:
             graph = read_graph(graph)
         self._graph = graph
         self._env = ArmVectorEnv(trained.config.env, 1)
+        self._playing = Lock()  # of the environment, which threads share
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, self._spec)
         # Facets of each scene, (N, m): those of an object follow each other, one per colour.
@@ -212,7 +214,8 @@ class Asker:
                     answers.insert(0, before)
         if scene is None:
             scene = self.scene(answers)
-        return self.play(answers[-1], scene, unclear)
+        with self._playing:
+            return self.play(answers[-1], scene, unclear)
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
@@ -262,8 +265,9 @@ class Asker:
     def look(self, scene: int) -> tuple[np.ndarray, tuple[ObjectColour, ...]]:
         """Return the image of a scene, (480, 480, 3) uint8, and what stands in it."""
         _check_scene(scene)
-        self._env.reset(options={"episodes": self._scenes[scene : scene + 1]})
-        return self._env.render()[0], self._named(self._shown[scene])
+        with self._playing:
+            self._env.reset(options={"episodes": self._scenes[scene : scene + 1]})
+            return self._env.render()[0], self._named(self._shown[scene])
 
     def scene(self, answers: Sequence[Answers]) -> int:
         """Return the first scene in which one object answers, another one for each of several.

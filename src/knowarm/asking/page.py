@@ -1,6 +1,5 @@
 """Page of a question: answers, evidence, map of places and film; written, or served for changes."""
 
-import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -191,8 +190,7 @@ def make_server(
     *,
     port: int = 0,
 ) -> HTTPServer:
-    """Make a server on the loopback interface, which listens and answers one question at a time."""
-    computing = threading.Lock()
+    """Make a server on the loopback interface, which listens: a scene is played at a time."""
 
     class Handler(LocalHandler):
         timeout = 1.0  # [s]: browsers keep connections that ask nothing
@@ -210,8 +208,7 @@ def make_server(
             if url.path != "/":
                 self.send_error(404)
                 return
-            with computing:
-                body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
+            body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))

@@ -1,5 +1,7 @@
 """Policies of other libraries: ONNX files and models of Stable-Baselines3."""
 
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +10,37 @@ import numpy as np
 from knowarm.arrays import Integers
 from knowarm.deploy.runner import Runner
 from knowarm.errors import UserError, packages_of
+from knowarm.fence import Fence
 from knowarm.reading import digest, one_line, read_bytes, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
+
+
+REMEDY = "Give the ONNX file of a policy."
+
+
+class _Model:
+    """A model of an ONNX file, loaded at the first call."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._session: Any = None
+
+    def __call__(self, inputs: Observations | None = None) -> Any:
+        """Return the outputs, or the inputs by size, the number of outputs and the training."""
+        if self._session is None:
+            import onnxruntime
+
+            options = onnxruntime.SessionOptions()
+            options.intra_op_num_threads = 1  # sums in the same order on every machine
+            with reading(self._path, REMEDY):
+                self._session = onnxruntime.InferenceSession(self._path, options)
+        if inputs is not None:
+            return self._session.run(None, inputs)
+        sizes = {tensor.name: tensor.shape for tensor in self._session.get_inputs()}
+        about = self._session.get_modelmeta().custom_metadata_map
+        outputs = len(self._session.get_outputs())
+        return sizes, outputs, about.get("training", "")
 
 
 class OnnxPolicy:
@@ -22,26 +52,21 @@ class OnnxPolicy:
 
     def __init__(self, path: Path) -> None:
         with packages_of("onnx", "An ONNX file"):
-            import onnxruntime
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1  # sums in the same order on every machine
-        with reading(path, "Give the ONNX file of a policy."):
-            self._session = session = onnxruntime.InferenceSession(path, options)
-        self._observed = set()
-        self._state_sizes = {}
-        for tensor in session.get_inputs():
-            if tensor.name in ("image", "joint_targets"):
-                self._observed.add(tensor.name)
-            else:
-                self._state_sizes[tensor.name] = tensor.shape[1:]
-        if len(session.get_outputs()) != 1 + len(self._state_sizes):
+            import onnxruntime  # noqa: F401
+        self._model = Fence(_Model(path))
+        with reading(path, REMEDY):
+            sizes, outputs, self.training = self._model()
+        self._observed = sizes.keys() & {"image", "joint_targets"}
+        self._state_sizes = {
+            name: size[1:] for name, size in sizes.items() if name not in self._observed
+        }
+        if outputs != 1 + len(self._state_sizes):
             raise UserError(
                 f"{path} must have an output for the actions and one per state (all inputs but "
                 f"image and joint_targets; here {', '.join(self._state_sizes) or 'none'})."
             )
         self._path = path
         self.inputs = tuple(self._observed & {"image"})
-        self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
         self.digest = digest(read_bytes(path))
 
     def reset(self, batch: Batch) -> None:
@@ -57,8 +82,8 @@ class OnnxPolicy:
         inputs = {name: observations[name] for name in self._observed}
         inputs |= self._state
         try:
-            actions, *states = self._session.run(None, inputs)
-        except Exception as error:  # ONNX Runtime's errors have no common class
+            actions, *states = self._model(inputs)
+        except ValueError as error:
             shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in inputs.items())
             raise UserError(
                 f"{self._path} does not take {shapes}: {one_line(error)}."
@@ -80,19 +105,34 @@ class OnnxPolicy:
 class ExportedPolicy:
     """Plays the runner of an exported folder; what fails is an error of the folder."""
 
-    def __init__(self, runner: Runner, folder: Path) -> None:
-        self._runner = runner
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._call = Fence(self._run)
+        rows, self.joint_names = self._ask("about")
+        self.rows = tuple(rows)
 
     def reset(self, batch: Batch) -> None:
         """Start the episodes."""
-        with reading(self._folder, "Export the policy again."):
-            self._runner.reset(batch)
+        self._ask("reset", replace(batch, graph=None))
 
     def act(self, observations: Observations) -> Integers:
         """Choose actions (n, J)."""
+        return self._ask("act", observations)
+
+    def _ask(self, *request: Any) -> Any:
         with reading(self._folder, "Export the policy again."):
-            return self._runner.act(observations)
+            return self._call(*request)
+
+    @cached_property
+    def _runner(self) -> Runner:
+        return Runner.load(self._folder)
+
+    def _run(self, method: str, *arguments: Any) -> Any:
+        """Call a method of the runner, which the fence alone loads."""
+        if method == "about":
+            rows = self._runner.contract["knowledge"]["rows"]
+            return rows, self._runner.joint_names
+        return getattr(self._runner, method)(*arguments)
 
 
 class PredictingPolicy:

@@ -15,6 +15,7 @@ from PIL import Image, ImageSequence
 from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import EvaluationConfig, share_of
+from knowarm.fence import fenced
 from knowarm.measures import Columns, Measure
 from knowarm.reading import read_json, reading, replacing
 from knowarm.statistics import Interval, bootstrap
@@ -412,16 +413,20 @@ def write_film(path: Path, frames: np.ndarray) -> None:
 
 def read_film(path: Path) -> np.ndarray:
     """Read the images of a film written by `write_film`: (T, H, W, 3) uint8."""
-    frames: list[np.ndarray] = []
     with reading(path, AGAIN):
-        with Image.open(path) as film:
-            for number, frame in enumerate(ImageSequence.Iterator(film)):
-                image = np.asarray(frame.convert("RGB"))
-                # The encoder stores equal neighbours once, with the sum of their times.
-                shown_ms = int(frame.info.get("duration", 0))  # a single image has none
-                is_last = number == getattr(film, "n_frames", 1) - 1
-                extra_ms = shown_ms - (LAST_MS if is_last else FRAME_MS)
-                frames.extend(repeat(image, 1 + max(0, extra_ms) // FRAME_MS))
-                if len(frames) > MAX_FRAMES:
-                    raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
-        return np.stack(frames)
+        return fenced(_decode_film, path)
+
+
+def _decode_film(path: Path) -> np.ndarray:
+    frames: list[np.ndarray] = []
+    with reading(path, AGAIN), Image.open(path) as film:
+        for number, frame in enumerate(ImageSequence.Iterator(film)):
+            image = np.asarray(frame.convert("RGB"))
+            # The encoder stores equal neighbours once, with the sum of their times.
+            shown_ms = int(frame.info.get("duration", 0))  # a single image has none
+            is_last = number == getattr(film, "n_frames", 1) - 1
+            extra_ms = shown_ms - (LAST_MS if is_last else FRAME_MS)
+            frames.extend(repeat(image, 1 + max(0, extra_ms) // FRAME_MS))
+            if len(frames) > MAX_FRAMES:
+                raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
+    return np.stack(frames)

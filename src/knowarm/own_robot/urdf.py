@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Sequence
 from copy import deepcopy
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,9 +13,10 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from mujoco import FatalError, MjsBody, MjSpec, mjtMeshInertia
+from mujoco import MjsBody, MjSpec, mjtMeshInertia
 
 from knowarm.errors import UserError, packages_of
+from knowarm.fence import fenced
 from knowarm.private_apis import xacro_packages
 from knowarm.reading import (
     one_line,
@@ -27,8 +27,6 @@ from knowarm.reading import (
     writing,
 )
 
-MOST_NESTED = 300
-"""Most XML elements inside each other; MJCF nests one per joint."""
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".xacro")
 """Files with these suffixes hold a bare model, for which a description is drafted."""
 
@@ -67,44 +65,53 @@ def as_mjcf(
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
-    ros = _Packages(path, packages)
-    root = None
     refuse_pointer(path)
+    ros = _Packages(path, packages)
+    name = path.with_suffix("").stem + ".xml"
+    with TemporaryDirectory() as temporary:
+        try:
+            note = fenced(_convert, ros, arguments, Path(temporary) / name)
+        except UserError:
+            raise
+        except ValueError as error:
+            raise UserError(
+                f"{path} cannot be converted: {one_line(error)}. Correct it."
+            ) from None
+        if not note:
+            return path, ""
+        if folder.exists():
+            raise UserError(
+                f"The folder {folder} for the converted model exists; remove or rename it."
+            )
+        with writing(folder):
+            shutil.copytree(temporary, folder)
+    return folder / name, note
+
+
+def _convert(ros: "_Packages", arguments: Sequence[str], file: Path) -> str:
+    """Write the MJCF of a URDF or xacro file; return what was done, "" for another file."""
+    path = ros.path
+    root = None
     if path.suffix != XACRO and path.is_file():
         text = read_text(path, remedy="Give a URDF, xacro or MJCF file.")
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise UserError(f"{path} is not valid XML: {one_line(error)}.") from None
-        _refuse_nested(root, path)
     if path.suffix == XACRO or (root is not None and _is_xacro(root)):
         root = _expand(ros, _pairs("--xacro", arguments, ":="))
     elif arguments:
         raise UserError(f"--xacro needs a {XACRO} file, got {path}.")
     if root is None or root.tag != "robot":
-        return path, ""
-    if folder.exists():
-        raise UserError(
-            f"The folder {folder} for the converted model exists; remove or rename it."
-        )
+        return ""
     softened = _set_limits(root, path)
-    name = path.with_suffix("").stem + ".xml"
-    with TemporaryDirectory() as temporary:
-        file = Path(temporary) / name
-        _remove(root, "mujoco")
-        SubElement(SubElement(root, "mujoco"), "compiler", COMPILER)
-        textured = _convert_meshes(root, file.with_name(MESHES), ros)
-        ElementTree.ElementTree(root).write(file)
-        try:
-            spec = MjSpec.from_file(str(file))
-            missing, repaired = _repair_inertias(spec)
-            file.write_text(_compile(spec), encoding="utf-8")
-        except (ValueError, FatalError) as error:
-            raise UserError(
-                f"{path} cannot be converted: {one_line(error)}. Correct it."
-            ) from None
-        with writing(folder):
-            shutil.copytree(temporary, folder)
+    _remove(root, "mujoco")
+    SubElement(SubElement(root, "mujoco"), "compiler", COMPILER)
+    textured = _convert_meshes(root, file.with_name(MESHES), ros)
+    ElementTree.ElementTree(root).write(file)
+    spec = MjSpec.from_file(str(file))
+    missing, repaired = _repair_inertias(spec)
+    file.write_text(_compile(spec), encoding="utf-8")
     notes = [f"converted from {path.name}"]
     for what, names in (
         ("inertia from shapes or least values, as the file has none: ", missing),
@@ -114,7 +121,7 @@ def as_mjcf(
     ):
         if names:
             notes.append(what + ", ".join(names))
-    return folder / name, "; ".join(notes)
+    return "; ".join(notes)
 
 
 def _compile(spec: MjSpec) -> str:
@@ -144,19 +151,6 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
             )
         pairs[name] = value
     return pairs
-
-
-def _refuse_nested(root: Element, path: Path) -> None:
-    """Refuse XML whose elements lie so deep in each other that no robot is described so."""
-    level = [root]
-    for _ in range(MOST_NESTED):
-        level = list(chain.from_iterable(level))
-        if not level:
-            return
-    raise UserError(
-        f"{path} nests XML elements more than {MOST_NESTED} deep, as no robot's file does. Give a "
-        "URDF, xacro or MJCF file."
-    )
 
 
 def _is_xacro(root: Element) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
+from knowarm.fence import fenced
 from knowarm.reading import (
     digest,
     one_line,
@@ -152,8 +153,8 @@ def _model_files(path: Path) -> list[Path]:
     import mujoco  # most who read descriptions need no simulator
 
     try:
-        names = mujoco.mju_getXMLDependencies(str(mjcf))
-    except (ValueError, mujoco.FatalError) as error:
+        names = fenced(mujoco.mju_getXMLDependencies, str(mjcf))
+    except ValueError as error:
         raise UserError(
             f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
         ) from error

@@ -7,7 +7,7 @@ import heapq
 import io
 import re
 import xml.sax
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -69,20 +69,6 @@ _GENERATED = re.compile(r"_:[a-f][0-9a-f]{25,31}")
 """Random names that pyoxigraph gives to blank nodes without a name."""
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
-_OWL_PARSER = """
-import pyhornedowl
-def parse(data):
-    ontology = pyhornedowl.open_ontology_from_string(data.decode(), "{syntax}")
-    return ontology.save_to_string("owl").encode()
-"""
-_JSON_LD_PARSER = """
-import pyoxigraph
-def parse(data):
-    for _ in pyoxigraph.parse(data, format=pyoxigraph.RdfFormat.JSON_LD, lenient=True):
-        pass
-    return b""
-"""
-"""Parsers that are run in a `fenced` process: deep input ends them."""
 LINES = (RdfFormat.N_TRIPLES, RdfFormat.N_QUADS)
 """Syntaxes with one statement per line."""
 TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
@@ -119,7 +105,8 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
         _refuse_binary(path)
         if syntax == RdfFormat.JSON_LD:
             with open_bytes(path) as file, suppress(ParserError):
-                fenced(_JSON_LD_PARSER, file.read())
+                data = file.read()
+                fenced(_parse_json_ld, data, size=len(data))
         opened = partial(open_bytes, path)
         if syntax == RdfFormat.RDF_XML:
             with suppress(SyntaxError):
@@ -161,13 +148,25 @@ def _owl_as_rdf(text: str, syntax: str) -> bytes:
     OBO is translated without references to other databases if it cannot be read with them: many
     write them as no parser expects.
     """
-    parser = _OWL_PARSER.format(syntax=syntax)
     try:
-        return fenced(parser, text.encode())
+        return fenced(_translated, text, syntax, size=len(text))
     except ParserError:
         if syntax != "obo":
             raise
-    return fenced(parser, re.sub(r"^xref:.*$", "", text, flags=re.MULTILINE).encode())
+    text = re.sub(r"^xref:.*$", "", text, flags=re.MULTILINE)
+    return fenced(_translated, text, syntax, size=len(text))
+
+
+def _translated(text: str, syntax: Any) -> bytes:
+    import pyhornedowl
+
+    ontology = pyhornedowl.open_ontology_from_string(text, syntax)
+    return ontology.save_to_string("owl").encode()
+
+
+def _parse_json_ld(data: bytes) -> None:
+    """Parse JSON-LD, which overflows the stack if it nests deep enough."""
+    deque(parse(data, format=RdfFormat.JSON_LD, lenient=True), maxlen=0)
 
 
 def _read(

@@ -4,12 +4,13 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urljoin
 
 from pyoxigraph import QueryBoolean, QueryTriples
 
 from knowarm.errors import UserError
+from knowarm.fence import fenced
 from knowarm.knowledge.formats.rdf import PREFIXES
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -22,9 +23,10 @@ from knowarm.knowledge.graph.terms import (
     name_of_term,
     object_term,
 )
-from knowarm.knowledge.queries.store import store_of
+from knowarm.knowledge.queries.store import LOCK, store_of
 from knowarm.reading import one_line
 
+T = TypeVar("T")
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
 _QUIET = (
     r'"{3}(?:[^\\]|\\.)*?"{3}|' + r"'{3}(?:[^\\]|\\.)*?'{3}|"
@@ -95,6 +97,14 @@ class SparqlQuery:
         self._store = store_of(graph)
 
     def answer(self, about: str | None = None) -> Answer:
+        """Run the query in a process with limits; see `run`.
+
+        Raises:
+            UserError: the query is malformed, or needs more time or memory than the limits.
+        """
+        return limited(self.run, about)
+
+    def run(self, about: str | None = None) -> Answer:
         """Run the query; blank nodes that it made are numbered in the order of the answer.
 
         Args:
@@ -113,16 +123,10 @@ class SparqlQuery:
             return text
 
         try:
-            with self._store.lock:
+            with LOCK:
                 return self._run(name, about)
-        except UserError:
-            raise
         except SyntaxError as error:
             raise self._malformed(error) from error
-        except Exception as error:
-            raise UserError(
-                f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}"
-            ) from error
 
     def stating(
         self, head: str, relations: Iterable[str], tails: Iterable[str]
@@ -230,6 +234,17 @@ class SparqlQuery:
 def _keywords(query: str, mark: str) -> str:
     """Return a query with a mark for strings and IRIs, and without comments."""
     return _QUIET_OR_IRI.sub(lambda quiet: " " if quiet["comment"] else mark, query)
+
+
+def limited(function: Callable[..., T], *arguments: Any) -> T:
+    """Call a function that runs queries in a process with limits of time and memory."""
+    try:
+        return fenced(function, *arguments)
+    except UserError:
+        raise
+    except ValueError as error:
+        reason = one_line(error)
+        raise UserError(f"SPARQL query: {reason}. Example: {EXAMPLE}") from error
 
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:

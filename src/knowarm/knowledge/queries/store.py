@@ -1,5 +1,6 @@
 """Oxigraph stores of graphs: made at the first SPARQL query of a graph, and kept with it."""
 
+import os
 import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -19,16 +20,10 @@ from knowarm.knowledge.graph.terms import (
 
 
 class GraphStore:
-    """The triples and labels of a graph in a store.
-
-    Attributes:
-        store: the store.
-        lock: held while the store is read or changed, since threads share it.
-    """
+    """The triples and labels of a graph in a store."""
 
     def __init__(self, graph: KnowledgeGraph) -> None:
         self.store = Store()
-        self.lock = RLock()
         self.store.bulk_extend(_quads(graph))
         self.store.bulk_extend(starmap(_quad, graph.label_statements()))
 
@@ -41,7 +36,7 @@ class GraphStore:
         Other threads wait for the end of the block, which restores the triples of the graph.
         """
         new = list(starmap(_quad, product([head], relations, tails)))
-        with self.lock:
+        with LOCK:
             old = set[Quad]()
             for quad in new:
                 old.update(
@@ -59,6 +54,14 @@ class GraphStore:
         self.store.extend(new)
 
 
+LOCK = RLock()
+"""Held while a store is read or changed, since threads share it, and so does a forked process."""
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=LOCK.acquire,
+        after_in_parent=LOCK.release,
+        after_in_child=LOCK.release,
+    )
 _STORES: dict[int, GraphStore] = {}
 """Stores by the identity of their graph, while it exists."""
 _MAKING = RLock()

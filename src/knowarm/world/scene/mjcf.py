@@ -10,6 +10,7 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
+from knowarm.fence import fenced
 from knowarm.reading import one_line, reading, refuse_pointer
 from knowarm.world.description import HOW_TO_GET, menagerie_folder
 
@@ -33,10 +34,9 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
     if not is_file:
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
-        return spec
-    except (ValueError, mujoco.FatalError) as error:
+        fenced(_compile, path)
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
         _refuse_pointers(path)
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
@@ -44,12 +44,16 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         ) from None
 
 
+def _compile(path: Path) -> None:
+    mujoco.MjSpec.from_file(str(path)).compile()
+
+
 def _refuse_pointers(path: Path) -> None:
     """Refuse an MJCF file that, or of which a mesh or texture, is a pointer of Git LFS."""
     refuse_pointer(path)
     try:
-        names = mujoco.mju_getXMLDependencies(str(path))
-    except (ValueError, mujoco.FatalError):  # of the file itself is said what is wrong
+        names = fenced(mujoco.mju_getXMLDependencies, str(path))
+    except ValueError:  # of the file itself is said what is wrong
         return
     for name in names:
         refuse_pointer(Path(name))
