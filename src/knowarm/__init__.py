@@ -102,7 +102,11 @@ the package registers its Gymnasium ids (``knowarm/IRB120Reach-v0``). The comman
 
 import lazy_loader
 
-from knowarm.world import register_environments
+from knowarm.memory_limit import check_memory_limit
+
+check_memory_limit()
+
+from knowarm.world import register_environments  # noqa: E402 (loads libraries)
 
 __version__ = "0.1.0"
 

@@ -7,8 +7,8 @@ import pytest
 
 from knowarm.asking.answers import answer
 from knowarm.errors import UserError
-from knowarm.fence import Fence
 from knowarm.experiment.names import experiment_config
+from knowarm.fence import Fence
 from knowarm.knowledge.formats import read_graph, shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited

@@ -310,7 +310,11 @@ def test_a_mistake_ends_in_one_line_on_a_terminal_with_colours(capsys, monkeypat
 
 @pytest.mark.parametrize(
     "error",
-    [MemoryError(), OSError(errno.EMFILE, "Too many open files")],
+    [
+        MemoryError(),
+        OSError(errno.EMFILE, "Too many open files"),
+        ImportError("libtorch_cpu.so: failed to map segment from shared object"),
+    ],
     ids=lambda e: f"{e!r}",
 )
 def test_limits_of_the_machine_end_in_one_line(capsys, monkeypatch, error):
@@ -320,6 +324,22 @@ def test_limits_of_the_machine_end_in_one_line(capsys, monkeypatch, error):
     monkeypatch.setattr("knowarm.cli.list.List.run", run)
     assert main(["list"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no limits")
+@pytest.mark.parametrize("kind", ["RLIMIT_AS", "RLIMIT_DATA"])
+@pytest.mark.parametrize("megabytes", [30, 60, 100, 150, 200, 300, 400, 500])
+def test_too_little_memory_for_libraries_is_one_line(kind, megabytes):
+    code = (
+        f"import resource, runpy; size = {megabytes} << 20\n"
+        f"resource.setrlimit(resource.{kind}, (size, size))\n"
+        "runpy.run_module('knowarm', run_name='__main__')"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"memory is limited to {(megabytes << 20) // 10**6} MB" in done.stderr
 
 
 def test_integers_may_be_written_as_floats():

@@ -15,7 +15,6 @@ from knowarm.reading import digest, one_line, read_bytes, reading
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
-
 REMEDY = "Give the ONNX file of a policy."
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
+from knowarm.reading import one_line
 from knowarm.world.description import trust
 
 COMMANDS = {
@@ -120,6 +121,10 @@ def _run_command(arguments: list[str]) -> int:
         return 130
     except BrokenPipeError:  # the reader (head, less) has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except ImportError as error:
+        if "shared object" not in str(error):
+            raise
+        return _fail(f"{one_line(error)}. Raise the limit of memory (ulimit -a).")
     except MemoryError:
         return _fail("The memory of this machine is not enough: give smaller numbers.")
     except OSError as error:  # of files, full disks, closed streams and limits
