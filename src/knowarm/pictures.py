@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knowarm.errors import UserError, packages_of
+from knowarm.errors import UserError
 
 
 def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) -> bytes:
@@ -63,36 +63,3 @@ def central_square(image: Image.Image, size: int) -> Image.Image:
     return image.resize(
         (size, size), Image.Resampling.BOX, (left, top, left + side, top + side)
     )
-
-
-def rectified(
-    image: Image.Image,
-    size: int,
-    fovy_deg: float,
-    intrinsics: Sequence[float],
-    distortion: Sequence[float],
-) -> Image.Image:
-    """Return what a pinhole camera of a field of view sees, from an image of a real camera.
-
-    Args:
-        image: of the real camera.
-        size: width and height of the result [px].
-        fovy_deg: its field of view [deg].
-        intrinsics: fx, fy, cx and cy of the real camera, in heights of its images.
-        distortion: k1, k2, p1, p2 and k3 of OpenCV, or none.
-    """
-    with packages_of("camera", "Rectifying images"):
-        import cv2
-    x, y, centre_x, centre_y = np.array(intrinsics) * image.height
-    # OpenCV counts from the middle of the first pixel.
-    matrix = np.array([[x, 0, centre_x - 0.5], [0, y, centre_y - 0.5], [0, 0, 1]])
-    side = max(1, round(image.height / size)) * size
-    length = side / 2 / np.tan(np.radians(fovy_deg) / 2)
-    middle = (side - 1) / 2
-    wanted = np.array([[length, 0, middle], [0, length, middle], [0, 0, 1]])
-    lens = np.array([*distortion] or [0.0] * 5)
-    maps = cv2.initUndistortRectifyMap(
-        matrix, lens, None, wanted, (side, side), cv2.CV_32FC1
-    )
-    fine = cv2.remap(np.asarray(image), *maps, cv2.INTER_LINEAR)
-    return central_square(Image.fromarray(fine), size)

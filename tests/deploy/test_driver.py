@@ -42,8 +42,11 @@ CONTRACT = {
 class Robot:
     """A runner whose policy always raises both joints, or does ``step``, behind a driver."""
 
-    def __init__(self, step=None, *, box=None, gripper=None, resize=False, **safety):
+    def __init__(
+        self, step=None, *, box=None, gripper=None, lens=None, resize=False, **safety
+    ):
         contract = CONTRACT if box is None else CONTRACT | {"workspace_m": box}
+        contract = contract | {"camera": CONTRACT["camera"] | (lens or {})}
         self.calls = []
 
         def policy(inputs):
@@ -167,6 +170,22 @@ def test_old_or_wrong_input_holds_until_it_is_right_again(given, words):
     assert "\n" not in robot.driver.status
     assert not robot.calls
     np.testing.assert_allclose(robot.tick(), [0.05, 0.55])
+
+
+def test_images_of_a_camera_with_a_lens_come_whole_and_the_policy_sees_them_rectified():
+    robot = Robot(
+        lens={"intrinsics": [0.9, 0.9, 0.66, 0.5], "distortion": [-0.2], "fovy_deg": 40}
+    )
+    whole = np.random.default_rng(0).integers(0, 255, (12, 16, 3), np.uint8)
+    for image in (IMAGE, whole[:, 2:14], whole[..., :2], whole.astype(float)):
+        assert robot.tick(image) is None
+        assert (
+            "image is refused: images must be uint8 RGB and whole"
+            in robot.driver.status
+        )
+    assert robot.tick(whole) is not None
+    (inputs,) = robot.calls
+    assert inputs["image"].shape == (1, 4, 4, 3)
 
 
 def test_a_camera_that_stops_holds_and_then_ends_the_episode():

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from knowarm.cli.main import main
 from knowarm.deploy.driver import shrunk
+from knowarm.deploy.runner import Lens
 from knowarm.errors import UserError
 from knowarm.own_robot import camera_check
 from knowarm.own_robot.camera_check import check_camera, named_points, rectify
@@ -300,8 +301,9 @@ def test_a_photograph_is_rectified_to_what_the_policy_sees(scene, k1: float) -> 
         np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=1.5)
 
 
-def test_images_of_a_real_camera_are_rectified_before_a_policy_sees_them(scene) -> None:
+def test_the_runner_rectifies_images_as_opencv_does(scene) -> None:
     camera = real_camera(scene, k1=-0.3, zoom=0.8)
+    camera.lens[1:] = [0.1, 0.01, -0.02, 0.03]
     contract = {
         "size": 64,
         "fovy_deg": scene.robot.camera_fovy_deg,
@@ -309,17 +311,46 @@ def test_images_of_a_real_camera_are_rectified_before_a_policy_sees_them(scene) 
         "distortion": tuple(camera.lens),
     }
     place = [*points(scene).values()][-4]
-    x, y = (by_hand(camera, place[None])[0] * HEIGHT).round().astype(int)
     photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    photo[100:300, 200:500] = (200, 120, 40)
+    x, y = (by_hand(camera, place[None])[0] * HEIGHT).round().astype(int)
     photo[y - 4 : y + 5, x - 4 : x + 5] = 255
-    seen = shrunk(photo, contract)
+    lens = Lens(contract)
+    (seen,) = lens.rectified(photo[None])
     assert seen.shape == (64, 64, 3)
-    rows, columns = np.nonzero(seen.sum(axis=2) > 200)
+    rows, columns = np.nonzero(seen[:, :, 2] > 120)
     wanted = (project(scene, place[None])[0] * [1, -1] + 1) * 32 - 0.5
     np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=0.7)
-    plain = shrunk(photo, {"size": 64})
-    assert (plain != seen).any(), "the central square is another image"
-    assert shrunk(seen, contract) is seen, "which is rectified already"
+    robot = replace(
+        scene.robot,
+        camera_intrinsics=contract["intrinsics"],
+        camera_distortion=contract["distortion"],
+    )
+    fine = np.asarray(rectify(Image.fromarray(photo), robot, 512), float)
+    by_opencv = fine.reshape(64, 8, 64, 8, 3).mean(axis=(1, 3))
+    assert np.abs(by_opencv - seen).mean() < 1.5
+    plain = shrunk(photo, {"size": 64}).astype(float)
+    assert np.abs(plain - seen).mean() > 10, "the central square is another image"
+    assert shrunk(photo, contract) is photo, "which the runner takes whole"
+
+
+@pytest.mark.parametrize(
+    "shape", [(64, 64), (64, 85), (480, 480), (85, 64), (640, 480), (64, 0), (480, 900)]
+)
+def test_no_other_images_than_whole_ones_are_rectified(scene, shape: tuple) -> None:
+    camera = real_camera(scene, k1=-0.3)
+    about = {"size": 64, "fovy_deg": 40.0, "intrinsics": tuple(camera.focus)}
+    lens = Lens(about | {"distortion": ()})
+    assert lens.problem(np.zeros((1, *lens.shape), np.uint8)) == ""
+    assert lens.problem(np.zeros((2, 480, 640, 3), np.uint8)) == ""
+    for image in (
+        np.zeros((1, *shape, 3), np.uint8),
+        np.zeros((480, 640, 3), np.uint8),
+        np.zeros((1, 480, 640, 4), np.uint8),
+        np.zeros((1, 480, 640, 3)),
+    ):
+        with pytest.raises(ValueError, match="images must be uint8 RGB and whole"):
+            lens.rectified(image)
 
 
 def test_the_simulator_renders_a_rolled_camera(scene) -> None:

@@ -200,10 +200,9 @@ def export(
 def play_once(player: Runner) -> None:
     """Let a runner import and compile what it needs: later no file may be free to open."""
     joints = player.contract["joints"]
-    size = player.contract["camera"]["size"]
     home = dict(zip(joints["names"], joints["home"], strict=True))
     player.reset(Start(home, player.contract["knowledge"]["rows"][0]))
-    player.act({"image": np.zeros((1, size, size, 3), np.uint8)})
+    player.act({"image": np.zeros((1, *player.image_shape), np.uint8)})
 
 
 def tcp_position(scene: Scene, joints: Floats) -> Floats:

@@ -21,7 +21,7 @@ from knowarm.config import above_zero, at_least, check_values
 from knowarm.deploy.runner import Runner, Start
 from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
-from knowarm.pictures import central_square, rectified
+from knowarm.pictures import central_square
 from knowarm.reading import one_line
 
 Targets = Floats
@@ -171,12 +171,15 @@ class Driver:
         """Return an image with its stamp, or the reason why it is not taken."""
         if isinstance(image, str):
             return image
-        camera = self._runner.contract["camera"]
-        size = camera["size"]
+        runner = self._runner
         if self._resize:
-            image = shrunk(image, camera)
-        if image.shape != (size, size, 3) or image.dtype != np.uint8:
-            return f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+            image = shrunk(image, runner.contract["camera"])
+        if runner.lens is not None:
+            problem = runner.lens.problem(image[None])
+            if problem:
+                return f"is refused: {problem}"
+        elif image.shape != runner.image_shape or image.dtype != np.uint8:
+            return f"is {image.shape} instead of {runner.image_shape}; resize it"
         if image.min() == image.max():
             return "shows a single colour"
         return image, stamp_s
@@ -379,17 +382,14 @@ def _named(names: Sequence[str], is_meant: Mask) -> str:
 def shrunk(image: NDArray[Any], camera: Mapping[str, Any]) -> NDArray[Any]:
     """Average the central square of an RGB image (H, W, 3) to a policy's; smaller ones stay.
 
-    Images of a contract's ``camera`` with intrinsics are rectified first, those of its size not.
+    So do those of a contract's ``camera`` with intrinsics, which the runner rectifies.
     """
     size = camera["size"]
     is_rgb = image.shape[2:] == (3,) and image.dtype == np.uint8
-    if not is_rgb or min(image.shape[:2]) < size or image.shape[:2] == (size, size):
+    is_small = min(image.shape[:2]) < size or image.shape[:2] == (size, size)
+    if not is_rgb or is_small or "intrinsics" in camera:
         return image
-    whole = Image.fromarray(image)
-    if "intrinsics" not in camera:
-        return np.asarray(central_square(whole, size))
-    lens = (camera["fovy_deg"], camera["intrinsics"], camera["distortion"])
-    return np.asarray(rectified(whole, size, *lens))
+    return np.asarray(central_square(Image.fromarray(image), size))
 
 
 def decoded(

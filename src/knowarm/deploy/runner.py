@@ -19,6 +19,10 @@ import numpy as np
 FORMAT = "knowarm-contract-2"
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
 ENDLESS = (-np.inf, np.inf)
+SAMPLES = 8  # Along each side of a pixel of a rectified image
+MOST_CROPPED = (
+    0.1  # How far off its centre a principal point may lie, in heights of the image
+)
 RESTING_M = 0.005  # how far beyond their limits fingers may rest
 Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
 Arrays = Mapping[str, np.ndarray]
@@ -77,6 +81,70 @@ class JointMap:
         return scaled[..., self._columns] / self._scale
 
 
+class Lens:
+    """Lens of a real camera, a contract's ``camera`` with intrinsics: rectifies its images.
+
+    ``shape`` (H, W, 3) is that of an image of such a camera.
+    """
+
+    def __init__(self, camera: Contract) -> None:
+        self._size = camera["size"]
+        self._half = np.tan(np.radians(camera["fovy_deg"]) / 2)
+        self._intrinsics = np.array(camera["intrinsics"], float)
+        self._distortion = np.zeros(5)
+        self._distortion[: len(camera["distortion"])] = camera["distortion"]
+        height = 2 * self._size
+        self.shape = (height, round(2 * height * self._intrinsics[2]), 3)
+        self._rows_columns: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
+
+    def problem(self, images: np.ndarray) -> str:
+        """Say why images are not whole ones of the camera, (n, H, W, 3) uint8; '' if they are."""
+        if images.ndim == 4 and images.shape[3] == 3 and images.dtype == np.uint8:
+            height, width = images.shape[1:3]
+            middle = np.array([width, height]) / 2
+            cut = np.abs(self._intrinsics[2:] * height - middle).max()
+            if height > self._size and cut <= MOST_CROPPED * height:
+                return ""
+        return (
+            f"images must be uint8 RGB and whole, such as {(1, *self.shape)}, as the contract has "
+            f"the camera's lens: not cropped or shrunk; got {images.shape} {images.dtype}"
+        )
+
+    def rectified(self, images: np.ndarray) -> np.ndarray:
+        """Return what the policy's camera sees of whole images (n, H, W, 3) uint8; black beside.
+
+        Raises `ValueError` for other images.
+        """
+        problem = self.problem(images)
+        if problem:
+            raise ValueError(problem)
+        count, height, width, _ = images.shape
+        rows, columns = self._pixels(height, width)
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        fine = images[:, rows.clip(0, height - 1), columns.clip(0, width - 1)]
+        fine = np.where(inside[:, :, None], fine, 0)
+        blocks = (count, self._size, SAMPLES, self._size, SAMPLES, 3)
+        coarse = fine.reshape(blocks).mean(axis=(2, 4))
+        return coarse.round().astype(np.uint8)
+
+    def _pixels(self, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns of an image that each sample sees, after OpenCV's model."""
+        if (height, width) not in self._rows_columns:
+            samples = self._size * SAMPLES
+            line = ((np.arange(samples) + 0.5) / samples * 2 - 1) * self._half
+            x, y = np.meshgrid(line, line)
+            k1, k2, p1, p2, k3 = self._distortion
+            square = x * x + y * y
+            radial = 1 + square * (k1 + square * (k2 + square * k3))
+            bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+            bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+            focal_x, focal_y, middle_x, middle_y = self._intrinsics * height
+            rows = np.floor(focal_y * bent_y + middle_y).astype(int)
+            columns = np.floor(focal_x * bent_x + middle_x).astype(int)
+            self._rows_columns = {(height, width): (rows, columns)}
+        return self._rows_columns[height, width]
+
+
 class Runner:
     """Plays n episodes side by side, one on a robot, and then the next ones.
 
@@ -121,6 +189,12 @@ class Runner:
         self.is_started = False
         self._policy = policy
         self._recognition = recognition
+        size = contract["camera"]["size"]
+        self.lens = None  # That of the real camera, whose images `act` rectifies
+        self.image_shape = (size, size, 3)
+        if "intrinsics" in contract["camera"]:
+            self.lens = Lens(contract["camera"])
+            self.image_shape = self.lens.shape
 
     def _check_contract(self) -> None:
         """Raise `ValueError` for a contract or table by which nothing should move."""
@@ -212,10 +286,15 @@ class Runner:
         return np.array([rows.index(name) for name in names])
 
     def act(self, observations: Arrays) -> np.ndarray:
-        """Return levels (n, J) for the images (n, H, W, 3) uint8, and add them to `targets`."""
+        """Return levels (n, J) for the images (n, H, W, 3) uint8, and add them to `targets`.
+
+        Images have the contract's size; whole ones of a camera with a `lens` are rectified.
+        """
         if not self.is_started:
             raise ValueError("no episode has started; give the joint angles first")
         image = observations["image"]
+        if self.lens is not None:
+            image = self.lens.rectified(image)
         size = self.contract["camera"]["size"]
         shape = (len(self.targets), size, size, 3)
         if image.shape != shape or image.dtype != np.uint8:

@@ -323,7 +323,7 @@ def metadata(runner: Runner) -> dict[str, Any]:
         **runner.contract,
         "action_horizon": 1,
         "observation": {
-            IMAGE: "uint8 RGB",
+            IMAGE: f"uint8 RGB such as {runner.image_shape}",
             STATE: f"{', '.join(runner.joint_map.names)}; read as an episode starts",
             PROMPT: "a row of knowledge.rows, or a query in plain words that means one; "
             "another one starts an episode",

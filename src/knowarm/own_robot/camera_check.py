@@ -12,6 +12,7 @@ from PIL import Image, ImageOps
 
 from knowarm.arrays import Floats
 from knowarm.check import Check
+from knowarm.errors import packages_of
 from knowarm.own_robot.camera_fit import (
     FOVY,
     LEAST_POINTS,
@@ -25,7 +26,7 @@ from knowarm.own_robot.camera_fit import (
 )
 from knowarm.own_robot.pixels import draw_large
 from knowarm.own_robot.poses import CORNERS, Fields, rounded, support_places
-from knowarm.pictures import central_square, rectified
+from knowarm.pictures import central_square
 from knowarm.reading import read_text, reading, replacing
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.robots.robot import Robot
@@ -75,13 +76,19 @@ def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
     """
     if robot.camera_intrinsics is None:
         return central_square(image, side)
-    return rectified(
-        image,
-        side,
-        robot.camera_fovy_deg,
-        robot.camera_intrinsics,
-        robot.camera_distortion,
+    with packages_of("camera", "Rectifying images"):
+        import cv2
+    x, y, centre_x, centre_y = np.array(robot.camera_intrinsics) * image.height
+    # OpenCV counts from the middle of the first pixel.
+    matrix = np.array([[x, 0, centre_x - 0.5], [0, y, centre_y - 0.5], [0, 0, 1]])
+    length = side / 2 / np.tan(np.radians(robot.camera_fovy_deg) / 2)
+    middle = (side - 1) / 2
+    wanted = np.array([[length, 0, middle], [0, length, middle], [0, 0, 1]])
+    lens = np.array([*robot.camera_distortion] or [0.0] * 5)
+    maps = cv2.initUndistortRectifyMap(
+        matrix, lens, None, wanted, (side, side), cv2.CV_32FC1
     )
+    return Image.fromarray(cv2.remap(np.asarray(image), *maps, cv2.INTER_LINEAR))
 
 
 def named_points(scene: Scene, data: MjData) -> dict[str, Floats]:
