@@ -16,6 +16,7 @@ from knowarm.deploy.contract import deployment
 from knowarm.deploy.joint_map import real_joints
 from knowarm.deploy.runner import JointMap, Start
 from knowarm.errors import UserError
+from knowarm.own_robot import command
 from knowarm.own_robot.calibration import (
     Motor,
     joint_map_toml,
@@ -356,7 +357,8 @@ def move_each_joint(arm: OwnArm, robot_file: Path, out: Path) -> None:
         before = arm.encoders()[j]
         start[j] += 0.01 if slide else math.radians(5)
         arm.drive(joint_map.to_real(start[None])[0].tolist())
-        rows.append((name, before, arm.encoders()[j], "deg"))
+        unit = "m" if slide else "deg"
+        rows.append((name, before, arm.encoders()[j], unit))
     with out.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["joint", "before", "after", "unit"])
@@ -448,6 +450,9 @@ def test_readings_in_the_units_of_arms(rows: str, words: str, tmp_path: Path) ->
         ("joint,before,after,unit\nshoulder,0,nan,deg\n", "no finite readings"),
         ("joint,before,after,unit\nshoulder,0,5,grad\n", "in a known unit"),
         ("joint,before,after,unit\nelbow9,0,5,deg\n", "names 'elbow9'"),
+        ("joint,before,after,unit\nfingers,0,.01,m\n", "names 'fingers'"),
+        ("joint,before,after,unit\nshoulder,0,.01,m\n", "turns, and m does not"),
+        ("joint,before,after,unit\nlift,0,5,deg\n", "slides, and deg does not"),
     ],
 )
 def test_files_of_moved_joints_that_cannot_be_are_refused(
@@ -456,6 +461,83 @@ def test_files_of_moved_joints_that_cannot_be_are_refused(
     (tmp_path / "moved.csv").write_text(text)
     with pytest.raises(UserError, match=words):
         Doctor(robot=str(EXAMPLES / "scara.toml"), joints=tmp_path / "moved.csv").run()
+
+
+TIAGO = """joint,before,after,unit
+{}
+fingers,{},m
+"""
+TURNED = "\n".join(f"arm_{j}_joint,0,5,deg" for j in range(1, 8))
+
+
+@pytest.mark.parametrize(
+    ("entry", "reading", "remedy"),
+    [
+        ({}, "0,.01", None),
+        ({}, "0,.012", "joint_map.fingers.scale = 0.8333"),
+        ({"unit": "range_0_1"}, "0,.01", None),
+        ({"unit": "range_0_1"}, "0,.012", "joint_map.fingers.range = [0.0, 0.0468]"),
+        ({"unit": "range_0_1", "sign": -1, "offset": 1.0}, "0,.01", None),
+        ({"sign": -1}, ".01,0", "joint_map.fingers.sign = 1, with the offset"),
+        ({}, "0,0", "It did not move"),
+    ],
+)
+def test_fingers_are_measured_as_they_close(
+    entry: dict, reading: str, remedy: str | None, tmp_path: Path
+) -> None:
+    text = describe_tiago(entry)
+    (tmp_path / "arm.toml").write_text(text)
+    (tmp_path / "moved.csv").write_text(TIAGO.format(TURNED, reading))
+    robot = str(tmp_path / "arm.toml")
+    checks = [*check_moved_joints(robot, tmp_path / "moved.csv")]
+    failed = [check for check in checks if not check.ok]
+    assert len(checks) > 8
+    if remedy is None:
+        assert failed == []
+        return
+    (check,) = failed
+    assert check.name == "joint fingers"
+    assert remedy in check.remedy
+
+
+def test_fingers_of_the_map_have_to_move_too(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(describe_tiago({}))
+    rows = TIAGO.format(TURNED, "0,.01").splitlines()[:-1]
+    (tmp_path / "moved.csv").write_text("\n".join(rows))
+    first, *_ = check_moved_joints(str(tmp_path / "arm.toml"), tmp_path / "moved.csv")
+    assert first.remedy == "Move the others too: fingers."
+
+
+def describe_tiago(fingers: dict) -> str:
+    """Return the description of the shipped TIAGo with a joint map that has fingers."""
+    robot = ROBOTS["tiago"]
+    text = robot.mjcf.with_suffix(".toml").read_text()
+    text = text.replace('"tiago.xml"', json.dumps(str(robot.mjcf)))
+    entries = {name: {} for name in robot.joints} | {"fingers": fingers}
+    return f"{text}\n{joint_map_toml(entries)}"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"unit": "range"}, "--unit must be rad or deg here, got range"),
+        ({"unit": "rad", "calibration": True}, "--unit must be range or deg here"),
+        ({"camera": True, "unit": "deg"}, "--unit needs no --camera"),
+        ({"camera": True, "joints": True}, "--joints needs no --camera"),
+        ({"joints": True, "calibration": True}, "--calibration needs no --joints"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_before_a_draft(
+    options: dict, words: str, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(command, "as_mjcf", None)
+    for name, value in options.items():
+        if value is True:
+            options[name] = tmp_path / "file"
+    (tmp_path / "arm.urdf").write_text(as_urdf())
+    for robot in (str(tmp_path / "arm.urdf"), "irb120"):
+        with pytest.raises(UserError, match=words):
+            Doctor(robot=robot, **options).run()
 
 
 def test_ranges_that_are_given_come_before_the_files() -> None:

@@ -373,6 +373,16 @@ SITES = {
     "an optical frame": {"gripper_optical_frame": "0 0 .12", "EndEffector": "0 0 .12"},
     "a tool beside a gripper": {"gripper": "0 0 .1", "tool0": "0 0 .12"},
     "robosuite's axes": {"ee_x": "0 0 .11", "grip_site": "0 0 .12"},
+    "a scanner": {"gripper_lidar": "0 0 .12", "ee": "0 0 .12"},
+    "a camera by its product": {"grasp_realsense_link": "0 0 .12", "ee": "0 0 .12"},
+    "a marker by its kind": {"tool_aruco": "0 0 .12", "ee": "0 0 .12"},
+    "a range finder": {"grip_tof_frame": "0 0 .12", "ee": "0 0 .12"},
+    "the middle of mass": {"gripper_com": "0 0 .1", "ee": "0 0 .12"},
+    "a microphone": {"tool_mic": "0 0 .12", "ee": "0 0 .12"},
+    "what carries the gripper": {"gripper_base_link": "0 0 .05", "ee": "0 0 .12"},
+    "a mount": {"gripper_mount": "0 0 .05", "attachment_site": "0 0 .12"},
+    "a tool changer": {"ToolChanger": "0 0 .05", "flange": "0 0 .12"},
+    "a dummy": {"dummy_gripper": "0 0 .12", "end_link": "0 0 .12"},
     "a flange behind the fingers": {"tool0": "0 0 -.02", "attachment_site": "0 0 .11"},
     "a frame beside the fingers": {"left_tcp": "0 .08 .1", "hand_tip": "0 0 .11"},
     "one word": {"gripperframe": "0 0 .12"},
@@ -389,6 +399,25 @@ def test_the_makers_tool_frame_is_taken(name: str) -> None:
         sites += f'<site name="{site}" pos="{place}" euler="0 0 90"/>'
     gripper = find_gripper(hand(sites, both))
     assert gripper.fields["tcp_site"] == [*SITES[name]][-1]
+
+
+@pytest.mark.parametrize(
+    ("sites", "taken"),
+    [
+        ({"gripper": ".094 0 0", "end_link": "0 0 .05"}, "end_link"),
+        ({"tcp_left": "0 .1 .1", "tcp": "0 0 .1"}, "tcp"),
+        ({"tcp": "0 .02 .1", "flange": "0 0 .05"}, "tcp"),
+        ({"tcp": "0 .1 .1"}, "tcp"),
+    ],
+)
+def test_without_fingers_a_frame_ahead_comes_before_one_beside(
+    sites: dict, taken: str
+) -> None:
+    """Elfin's file has a frame of a dummy gripper at its side."""
+    text = ""
+    for site, place in sites.items():
+        text += f'<site name="{site}" pos="{place}"/>'
+    assert find_gripper(hand(text)).fields["tcp_site"] == taken
 
 
 def test_a_frame_that_is_not_between_the_fingers_is_named() -> None:

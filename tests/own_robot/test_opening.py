@@ -159,6 +159,32 @@ def test_fingers_that_overlap_at_all_ends_are_none(tmp_path: Path) -> None:
     assert check.remedy == "Open them in the file, or with held_joints."
 
 
+def test_short_fingers_on_wide_carriages_are_as_open_as_their_tips() -> None:
+    """Those of the AR4 are 2 cm long, and their carriages pass each other."""
+    text = fingers((0.01, 1, "0 .014", 0), (-0.01, -1, "0 .014", 0))
+    old = '<geom type="box" size=".01 .005 .03" pos="0 0 0"/>'
+    assert text.count(old) == 2
+    short = (
+        '<geom type="box" size=".01 .003 .01" pos="0 0 .01"/>'
+        '<geom type="box" size=".01 .025 .009" pos="0 0 -.011"/>'
+    )
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text.replace(old, short)))
+    assert gripper.fields["held_joints"] == {"left": 0.014, "right": 0.014}
+    assert gripper.how.endswith("open by 4.2 cm")
+
+
+@pytest.mark.parametrize("names", [("left", "lef"), ("gone", "right"), ("left", "world")])
+def test_fingers_that_do_not_exist_fail_in_one_line(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    text, _ = CASES["open at the upper end"]
+    robot = describe(tmp_path, text, {"left": 0.03, "right": 0.03})
+    check = check_fingers(replace(robot, fingers=names))
+    assert not check.ok
+    assert check.found == f"{' and '.join(names)} of arm.xml"
+    assert check.remedy == "Name two bodies with geoms, or two geoms."
+
+
 URDF_FINGERS = {
     "overlap at 0, outside their range": (
         '<limit lower=".02" upper=".05" effort="9" velocity="1"/>',

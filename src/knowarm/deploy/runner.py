@@ -20,9 +20,7 @@ FORMAT = "knowarm-contract-2"
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
 ENDLESS = (-np.inf, np.inf)
 SAMPLES = 8  # Along each side of a pixel of a rectified image
-MOST_CROPPED = (
-    0.1  # How far off its centre a principal point may lie, in heights of the image
-)
+MOST_CROPPED = 0.1  # Offset of a principal point, in heights of the image
 RESTING_M = 0.005  # how far beyond their limits fingers may rest
 Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
 Arrays = Mapping[str, np.ndarray]

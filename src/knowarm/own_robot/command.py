@@ -1,6 +1,6 @@
 """``knowarm doctor``: checks of this installation or a robot, and drafts of descriptions."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -132,13 +132,15 @@ class Doctor(TableCommand):
         if self.robot is None:
             self._refuse("--robot", "calibration", "unit", "joints")
         if self.camera is not None:
-            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets")
+            others = ("calibration", "unit", "joints")
+            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets", *others)
             config = EnvConfig(robot=robot)
             overlay = self.image or Path("camera.png")
             checks = check_camera(config, self.camera, self.points, overlay)
             return f"camera of robot {config.robot}", checks
         if self.joints is not None:
-            self._refuse("no --joints", *DRAFT_OPTIONS, "task", "targets")
+            others = ("calibration", "unit", "image")
+            self._refuse("no --joints", *DRAFT_OPTIONS, "task", "targets", *others)
             return f"joints of robot {robot}", check_moved_joints(robot, self.joints)
         if self.task is not None:
             return f"objects of robot {robot}", self._check_robot(robot)
@@ -156,6 +158,7 @@ class Doctor(TableCommand):
         """Check a description, after drafting it where the robot is a bare model file."""
         new = self.write
         maps = self.calibration is not None or self.unit is not None
+        unit = self._unit()
         if not robot.endswith(MODEL_SUFFIXES):
             options = [name for name in DRAFT_OPTIONS if name != "write" or not maps]
             self._refuse("--robot with an MJCF, URDF or xacro file", *options)
@@ -180,7 +183,7 @@ class Doctor(TableCommand):
             draft = draft_robot(model, targets, given)
             if maps and self.calibration is None:
                 joints = draft.robot.joints
-                draft.fields["joint_map"] = unit_map(joints, self._unit(UNITS))
+                draft.fields["joint_map"] = unit_map(joints, unit)
             if self.task is None:
                 draft = repair_draft(draft, targets, given)
                 draft = shrink_distance(draft, targets)
@@ -218,7 +221,7 @@ class Doctor(TableCommand):
     def _write_map(self, robot: Robot) -> None:
         """Print the joint map of a description's real arm, or write it to a TOML file."""
         if self.calibration is None:
-            entries = unit_map(robot.joints, self._unit(UNITS))
+            entries = unit_map(robot.joints, self._unit())
         else:
             names = motor_names(robot.joint_map)
             entries = self._calibrated(robot.mjcf, robot.joint_ranges, names)
@@ -239,8 +242,9 @@ class Doctor(TableCommand):
                 f"--write must name a {SUFFIX} file that does not exist, got {new}."
             )
 
-    def _unit(self, allowed: Sequence[Unit]) -> Unit:
-        """Return the unit that is given, the first of those allowed by default."""
+    def _unit(self) -> Unit:
+        """Return the unit that is given, or the usual one."""
+        allowed = UNITS if self.calibration is None else LEROBOT_UNITS
         unit = self.unit or allowed[0]
         if unit not in allowed:
             raise UserError(
@@ -256,8 +260,7 @@ class Doctor(TableCommand):
         assert self.calibration is not None
         model = read_mjcf(mjcf, str(mjcf)).compile()
         motors = read_calibration(self.calibration)
-        unit = self._unit(LEROBOT_UNITS)
-        return lerobot_map(motors, ranges_of(model, ranges), names, unit)
+        return lerobot_map(motors, ranges_of(model, ranges), names, self._unit())
 
     def _print(self, draft: Draft, text: str, file: Path) -> None:
         """Print a draft, and the commands that come next."""

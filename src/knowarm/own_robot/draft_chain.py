@@ -29,8 +29,10 @@ TOOL_WORDS = (
 """Frames at the tool centre point have one of these words in their name, best first."""
 
 OTHER_WORDS = (
-    r"led|light|lamp|laser|\w*cam(era)?|optical|depth|rgb|lens|projector|\w*sensor|imu|gyro|"
-    "accel(erometer)?|ft|force|torque|touch|motor|tag|marker|screw|cable"
+    r"led|light|lamp|laser|\w*cam(era)?|optical|depth|rgbd?|lens|projector|\w*sensor|imu|gyro|"
+    "accel(erometer)?|ft|force|torque|touch|motor|tag|marker|screw|cable|lidar|scanner|realsense|"
+    "tof|aruco|barcode|com|inertial?|mic(rophone)?|proximity|ultrasonic|sonar|vision|collision|"
+    "dummy|base|mount|adapt[eo]r|changer|coupler"
 )
 """Frames with one of these words in their name are those of something else."""
 

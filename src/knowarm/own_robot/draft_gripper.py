@@ -99,10 +99,13 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     if outer:
         bodies = fixed_to(model, [hand])
     sites = tool_sites(model, bodies)
-    kept = sites
     if outer:
         geoms = geoms_of(model, fixed_to(model, outer))
         kept = [s for s in sites if _is_between(data, s, point, approach, geoms)]
+    else:  # a tool may stand aside, such as a dummy's frame beside that of the flange
+        kept = sorted(
+            sites, key=lambda s: _ahead_aside(data, s, point, approach)[1] >= ASIDE_M
+        )
     if kept:
         site = kept[0]
         name = model.site(site).name
@@ -136,17 +139,24 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     return fields | fingers, f"{source}{text}"
 
 
+def _ahead_aside(
+    data: MjData, site: int, point: Floats, approach: Floats
+) -> tuple[float, float]:
+    """Return how far a site lies ahead of a point along the approach, and beside that line [m]."""
+    way = data.site_xpos[site] - point
+    ahead = way @ approach
+    return float(ahead), float(norm(way - ahead * approach))
+
+
 def _is_between(
     data: MjData, site: int, point: Floats, approach: Floats, fingers: Integers
 ) -> bool:
     """Return whether a site lies where fingers grasp: near a point between them, or before it."""
-    way = data.site_xpos[site] - point
-    along = way @ approach
-    aside = norm(way - along * approach)
+    ahead, aside = _ahead_aside(data, site, point, approach)
     if aside >= ASIDE_M:
         return False
     length = point @ approach + extent(data, fingers, -approach)
-    return bool(-length - BEHIND_M < along < AHEAD_M)
+    return bool(-length - BEHIND_M < ahead < AHEAD_M)
 
 
 def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:

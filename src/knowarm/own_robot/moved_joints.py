@@ -5,32 +5,39 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from mujoco import mjtJoint
+import numpy as np
+from mujoco import MjSpec, mjtJoint
 
 from knowarm.arrays import Floats
 from knowarm.check import Check
+from knowarm.errors import UserError
 from knowarm.own_robot.calibration import TICKS
 from knowarm.own_robot.plausible import ranges_of
 from knowarm.own_robot.poses import robot_file
 from knowarm.reading import read_text, reading
+from knowarm.world.config import EnvConfig
+from knowarm.world.objects import find_targets
 from knowarm.world.robots import find_robot
-from knowarm.world.robots.robot import RealJoint
+from knowarm.world.robots.robot import FINGERS_JOINT, RealJoint, Robot
 from knowarm.world.scene.mjcf import check_names
+from knowarm.world.tasks.skills.lift.model import build_lift_scene
 
-COMMANDED_DEG = 5.0
-COMMANDED_M = 0.01  # Of a slide
 MOST_ERROR = 0.04
 """Largest share by which a joint moves more or less than it was told to: .2 of five degrees."""
 
-PER_DEGREE = {"deg": 1.0, "rad": math.radians(1), "ticks": TICKS / 360}
-"""What one degree is in the units in which arms read their joints; slides read metres."""
+TURNED = {"deg": 5.0, "rad": math.radians(5), "ticks": 5 * TICKS / 360}
+"""What a hinge is told, in the units in which arms read it."""
+
+SLID = {"m": 0.01, "mm": 10.0}
+"""What a slide is told, and each finger."""
 
 COLUMNS = ("joint", "before", "after", "unit")
 """The model's joint, what the arm read before and after it was told to move, and in which unit. A
 joint may have several rows, of which the mean counts."""
 
 REMEDY = (
-    f"Give the columns {', '.join(COLUMNS)}, with a unit of {', '.join(PER_DEGREE)}."
+    f"Give the columns {', '.join(COLUMNS)}, with a unit of {', '.join(TURNED)} where a joint "
+    f"turns, {', '.join(SLID)} where it slides."
 )
 
 
@@ -38,27 +45,22 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
     """Compare five degrees of each joint with what came back.
 
     A person or program tells each joint of the arm, one by one and through the joint map, to move
-    by `COMMANDED_DEG` (slides: `COMMANDED_M`) in the model's positive direction. The CSV file
+    as `TURNED` and `SLID` say, in the model's positive direction: fingers closed. The CSV file
     ``path`` has the arm's own readings, in its own units, which the joint map did not make.
     """
     description = find_robot(robot)
     rows = _read(path)
     part = robot_file(description)
-    check_names(
-        f"Robot {description.name!r}",
-        path.name,
-        [joint for joint, _, _ in rows],
-        description.mjcf,
-        "joints",
-        part.joints,
-    )
     moved: dict[str, list[float]] = {}
     for joint, change, unit in rows:
-        told = COMMANDED_DEG * PER_DEGREE[unit]
-        if part.joint(joint).type == mjtJoint.mjJNT_SLIDE:
-            told = COMMANDED_M
-        moved.setdefault(joint, []).append(change / told)
-    missing = [name for name in description.joints if name not in moved]
+        kind, units = _kind(description, part, path, joint)
+        if unit not in units:
+            raise UserError(f"{path}: {joint!r} {kind}, and {unit} does not. {REMEDY}")
+        moved.setdefault(joint, []).append(change / units[unit])
+    wanted = dict.fromkeys(description.joints)
+    if FINGERS_JOINT in description.joint_map:
+        wanted[FINGERS_JOINT] = None
+    missing = [name for name in wanted if name not in moved]
     yield Check(
         "moved joints",
         not missing,
@@ -66,10 +68,29 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
         f"Move the others too: {', '.join(missing)}.",
     )
     ranges = ranges_of(part.compile(), description.joint_ranges)
+    if FINGERS_JOINT in moved:
+        scene = build_lift_scene(description, find_targets(EnvConfig().targets))
+        assert scene.fingers is not None
+        ranges[FINGERS_JOINT] = np.array([0.0, scene.fingers.closed_m])
     for name, ratios in moved.items():
         real = description.joint_map.get(name, RealJoint())
-        ratio = real.sign * sum(ratios) / len(ratios)
+        ratio = sum(ratios) / len(ratios)
+        if name != FINGERS_JOINT:  # whose way is measured, and counted as in the model
+            ratio *= real.sign
         yield _check_ratio(name, real, ratio, ranges[name])
+
+
+def _kind(
+    robot: Robot, part: MjSpec, path: Path, joint: str
+) -> tuple[str, dict[str, float]]:
+    """Return whether a joint turns or slides, in words, and what it is told by unit."""
+    if joint == FINGERS_JOINT and robot.fingers:
+        return "slide", SLID
+    owner = f"Robot {robot.name!r}"
+    check_names(owner, path.name, [joint], robot.mjcf, "joints", part.joints)
+    if part.joint(joint).type == mjtJoint.mjJNT_SLIDE:
+        return "slides", SLID
+    return "turns", TURNED
 
 
 def _read(path: Path) -> list[tuple[str, float, str]]:
@@ -79,7 +100,7 @@ def _read(path: Path) -> list[tuple[str, float, str]]:
     with reading(path, REMEDY):
         for row in csv.DictReader(text.splitlines()):
             change = float(row["after"]) - float(row["before"])
-            if row["unit"] not in PER_DEGREE or not math.isfinite(change):
+            if row["unit"] not in TURNED | SLID or not math.isfinite(change):
                 raise ValueError(f"{row} has no finite readings in a known unit")
             rows.append((row["joint"], change, row["unit"]))
         if not rows:
@@ -91,12 +112,18 @@ def _check_ratio(name: str, real: RealJoint, ratio: float, limits: Floats) -> Ch
     """Check how many times as far as it was told a joint moved."""
     low, high = map(float, real.range or limits)
     if ratio < 0:
-        remedy = f"It moves the other way: joint_map.{name}.sign = {-real.sign}."
+        remedy = f"It moves the other way: joint_map.{name}.sign = {-real.sign}"
+        if name == FINGERS_JOINT:
+            remedy += ", with the offset of what it reads open"
+        remedy += "."
     elif ratio < MOST_ERROR:
         remedy = "It did not move: switch the motor on, and wait until it has moved."
     elif real.unit.startswith("range"):
-        wider = (ratio - 1) * (high - low) / 2
-        ends = [round(low - wider, 4), round(high + wider, 4)]
+        wider = (ratio - 1) * (high - low)
+        if name != FINGERS_JOINT:  # which begin open
+            wider /= 2
+            low -= wider
+        ends = [round(low, 4), round(high + wider, 4)]
         remedy = f"Its range is another: joint_map.{name}.range = {ends}."
     else:
         scale = real.scale / ratio

@@ -22,7 +22,8 @@ from knowarm.own_robot.poses import robot_file
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.surface import surface_points
 
-TIP_M = 0.03  # Length of a finger's tip
+TIP_M = 0.03  # Most length of a finger's tip
+TIP_SHARE = 0.5  # Most of a finger that is its tip
 SAME_M = 0.001  # Gaps that differ by less are equal
 LEAST_M = 0.005  # Of a gripper that is open
 LEAST_SHARE = 0.5  # Of the widest gap, at which fingers count as drawn open
@@ -40,11 +41,13 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
         solid = [geom for geom in geoms if model.geom_contype[geom] != 0]
         surfaces = [surface_points(data, geom) for geom in solid or geoms]
         spans.append(np.concatenate(surfaces) @ frame[:, 1:])
-    end = np.concatenate(spans)[:, 1].max()
+    lengths = np.concatenate(spans)[:, 1]
+    end = lengths.max()
+    tip_m = min(TIP_M, TIP_SHARE * np.ptp(lengths))
     sides = []
     for points in spans:
         across, along = points.T
-        tip = across[along > end - TIP_M]
+        tip = across[along > end - tip_m]
         if not len(tip):
             tip = across
         sides.append(tip)
@@ -122,7 +125,8 @@ def check_fingers(robot: Robot) -> Check:
             joints = joints_of(model, [model.body_weldid[body]])
             slides += [j for j in joints if is_slide(model, j)]
         else:
-            fingers.append([model.geom(name).id])
+            geom = mj_name2id(model, mjtObj.mjOBJ_GEOM, name)
+            fingers.append([geom] if geom >= 0 else [])
     names = " and ".join(robot.fingers)
     if len(fingers) != 2 or not all(fingers):
         return Check(
