@@ -173,7 +173,9 @@ def test_short_fingers_on_wide_carriages_are_as_open_as_their_tips() -> None:
     assert gripper.how.endswith("open by 4.2 cm")
 
 
-@pytest.mark.parametrize("names", [("left", "lef"), ("gone", "right"), ("left", "world")])
+@pytest.mark.parametrize(
+    "names", [("left", "lef"), ("gone", "right"), ("left", "world")]
+)
 def test_fingers_that_do_not_exist_fail_in_one_line(
     names: tuple[str, str], tmp_path: Path
 ) -> None:

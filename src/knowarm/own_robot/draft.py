@@ -22,6 +22,7 @@ from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
 from knowarm.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.own_robot.draft_view import FOVY_DEG, choose_view
+from knowarm.own_robot.grasp_check import MIN_TAUGHT, area_skills
 from knowarm.own_robot.object_check import MIN_ORACLE, oracle_success
 from knowarm.own_robot.pixels import fixed_parts
 from knowarm.own_robot.plausible import question_ranges, ranges_of
@@ -36,7 +37,6 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
-from knowarm.world.tasks.skills import SKILLS
 from knowarm.world.tasks.skills.skill import Skill
 from knowarm.world.tasks.task import Task
 
@@ -245,12 +245,10 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Fields) -> Draft:
         distance_m=min(most_m, max(LEAST_M, distance_m)),
     )
     if robot.fingers and not robot.areas:
-        for kind in SKILLS.types():
-            skill = kind()
-            if any(skill.areas_to_try(robot)):
-                area, how[skill.area] = find_area(draft, skill)
-                if area:
-                    values["areas"] = {skill.area: area}
+        for skill in area_skills(robot):
+            area, how[skill.area] = find_area(draft, skill)
+            if area:
+                values["areas"] = {skill.area: area}
     return draft
 
 
@@ -357,10 +355,10 @@ def find_area(draft: Draft, skill: Skill) -> tuple[Fields, str]:
             best_area = area
         if best >= ENOUGH:
             break
-    if not best_area:
-        return (
-            {},
-            "not possible: the teacher succeeds in none of the areas that were tried",
+    if best < MIN_TAUGHT:
+        return {}, (
+            f"no area: the teacher succeeds in at most {100 * best:.0f} % of the episodes in those "
+            "that were tried"
         )
     found = f"the teacher succeeds in {100 * best:.0f} % of the episodes in its area"
     return best_area, found

@@ -13,6 +13,7 @@ from knowarm.arrays import Floats, Mask
 from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, polyline_m
+from knowarm.own_robot.grasp_check import check_grasps
 from knowarm.own_robot.opening import check_fingers
 from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
 from knowarm.own_robot.plausible import fixed_parts_above, question_ranges
@@ -86,6 +87,7 @@ def check_robot(
     if not failed:
         distance_m = distance_m or env.scene.robot.evaluation_distance_m or EVALUATION_M
         yield from check_agents(replace(config, image_size=1), distance_m)
+        yield from check_grasps(env.scene.robot, config.robot)
 
 
 def _check_parts(env: ArmVectorEnv) -> Iterator[Check]:

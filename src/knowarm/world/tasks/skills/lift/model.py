@@ -198,7 +198,8 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
     if opening < LEAST_OPENING_M:
         raise UserError(
             f"Robot {robot.name!r}: its fingers {' and '.join(robot.fingers)} touch where they are "
-            f"drawn; open them with held_joints. {_finger_joints(robot)}"
+            "drawn; open them with held_joints, or name as fingers the geoms of their tips. "
+            f"{_finger_joints(robot)}"
         )
     origin, tcp_frame = _tcp_frame(data, robot)
     across = tcp_frame[:, 1]
