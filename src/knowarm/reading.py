@@ -58,9 +58,12 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """Beginning of the text that stands for a file of Git LFS that is not fetched."""
 
+WEB_PAGES = (b"<!doctype html", b"<html")
+"""Beginnings of pages about a file, which browsers save in its place."""
+
 
 def refuse_pointer(path: Path) -> None:
-    """Refuse a file that is missing its content, which Git LFS holds."""
+    """Refuse a file that is missing its content: a pointer of Git LFS, or a web page about it."""
     try:
         with reading(path, ""), path.open("rb") as file:
             start = file.read(len(LFS_POINTER))
@@ -70,6 +73,11 @@ def refuse_pointer(path: Path) -> None:
         raise UserError(
             f"{path} is a pointer of Git LFS, and not the file itself. Install git-lfs and fetch "
             f"the files: git -C {path.parent} lfs pull."
+        )
+    if start.lstrip().lower().startswith(WEB_PAGES):
+        raise UserError(
+            f"{path} is a web page, and not the file itself. Download the raw file, or clone the "
+            "repository."
         )
 
 

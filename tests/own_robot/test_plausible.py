@@ -186,6 +186,7 @@ def test_soft_limits_come_first(
     [
         (LIMIT.format(2.9, -2.9), "'j1' .* has a lower limit of 2.9 and an upper one"),
         (LIMIT.format("-2,9", 2.9), "'j1' .*: lower is '-2,9', which is no number"),
+        (LIMIT.format("nan", 2.9), "'j1' .*: lower is 'nan', which is no number"),
     ],
 )
 def test_limits_of_a_urdf_that_cannot_be_are_named(

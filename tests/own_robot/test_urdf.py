@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.urdf import as_mjcf
 from knowarm.world.description import description_files
+from knowarm.world.robots import find_robot
 from knowarm.world.scene.mjcf import read_mjcf
 
 LINK = """<link name="l{0}"><inertial><mass value="1"/><inertia ixx="{1}" iyy=".01" izz=".01"
@@ -183,6 +184,15 @@ def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> No
         (urdf().replace('link="l3"', 'link="l9"'), {}, "cannot be converted"),
         (urdf(), {"arguments": ["a:=1"]}, "--xacro needs a .xacro file"),
         (urdf(), {"packages": ["a"]}, "--package must have the form name=value"),
+        (f"<<<<<<< HEAD\n{urdf()}", {}, "it holds the markers of an unfinished merge"),
+        (
+            '<sdf version="1.6"><model name="m"/></sdf>',
+            {},
+            "holds <sdf>, and neither a",
+        ),
+        ("<mujocoinclude/>", {}, "holds <mujocoinclude>, and neither a URDF"),
+        ('<robot name="r"><group name="arm"/></robot>', {}, "describes no links"),
+        ("<!DOCTYPE html><html><body>404</body></html>", {}, "arm.urdf is a web page"),
     ],
 )
 def test_what_cannot_be_converted_is_refused(
@@ -200,6 +210,7 @@ def test_no_folder_is_overwritten(tmp_path: Path) -> None:
         as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
 
 
+IN_XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 POINTER = (
     f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 104284\n"
 )
@@ -218,6 +229,51 @@ def test_a_pointer_of_git_lfs_is_named_with_the_command_that_fetches_it(
     words = f"pointer of Git LFS.* git -C {mesh.parent} lfs pull"
     with pytest.raises(UserError, match=words):
         as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "dae"])
+def test_a_web_page_that_was_saved_as_a_mesh_is_named(
+    suffix: str, tmp_path: Path
+) -> None:
+    (tmp_path / f"link.{suffix}").write_text("\n<!doctype HTML><p>Not found")
+    (tmp_path / "arm.urdf").write_text(urdf(f'<mesh filename="link.{suffix}"/>'))
+    with pytest.raises(UserError, match=f"link.{suffix} is a web page"):
+        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        (POINTER, "part.xacro is a pointer of Git LFS"),
+        ("<!DOCTYPE html>", "part.xacro is a web page"),
+        ("<robot>", "part.xacro: no element found"),
+        ("", "part.xacro: no element found"),
+    ],
+)
+def test_the_included_file_that_is_wrong_is_named(
+    part: str, words: str, tmp_path: Path
+) -> None:
+    text = IN_XACRO.format('<xacro:include filename="part.xacro"/>')
+    (tmp_path / "arm.xacro").write_text(text)
+    (tmp_path / "part.xacro").write_text(part)
+    with pytest.raises(UserError, match=words):
+        as_mjcf(tmp_path / "arm.xacro", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["arm.URDF", "arm.Xml"])
+def test_suffixes_may_be_in_capitals(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(urdf())
+    file, note = as_mjcf(tmp_path / name, tmp_path / "out")
+    assert file.is_file()
+    assert note
+    with pytest.raises(UserError, match="is a model file"):
+        find_robot(str(tmp_path / name))
+
+
+@pytest.mark.parametrize("name", ["arm.sdf", "arm.usd", "arm.json"])
+def test_other_models_are_refused_with_those_that_are_read(name: str) -> None:
+    with pytest.raises(UserError, match="Other models than URDF, xacro and MJCF"):
+        find_robot(name)
 
 
 @pytest.mark.parametrize("name", ["arm.urdf", "arm.xml", "arm.urdf.xacro"])
@@ -244,9 +300,6 @@ def test_an_mjcf_file_with_a_pointer_is_refused_by_it(
     (tmp_path / "arm.xml").write_text(text)
     with pytest.raises(UserError, match=f"{name} is a pointer of Git LFS"):
         read_mjcf(tmp_path / "arm.xml", "Robot 'arm'")
-
-
-IN_XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 
 
 @pytest.mark.parametrize("name", ["arm.urdf", "arm.xml"])

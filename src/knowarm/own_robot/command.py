@@ -159,7 +159,7 @@ class Doctor(TableCommand):
         new = self.write
         maps = self.calibration is not None or self.unit is not None
         unit = self._unit()
-        if not robot.endswith(MODEL_SUFFIXES):
+        if not robot.lower().endswith(MODEL_SUFFIXES):
             options = [name for name in DRAFT_OPTIONS if name != "write" or not maps]
             self._refuse("--robot with an MJCF, URDF or xacro file", *options)
             if maps:

@@ -41,11 +41,12 @@ def unknown_robot(name: str) -> UserError:
     """Return the error for a name or file that is no robot."""
     if not Path(name).suffix and not Path(name).is_file():
         return unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
-    if name.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
+    if name.lower().endswith((".xml", ".mjcf", ".urdf", ".xacro")):
         return UserError(
             f"{name!r} is a model file. Draft a description of it, and name that instead: "
             f"knowarm doctor --robot {name} --write ROBOT{SUFFIX}."
         )
     return UserError(
-        f"{name!r} is no description of a robot, which is a {SUFFIX} file."
+        f"{name!r} is no description of a robot, which is a {SUFFIX} file. Other models than URDF, "
+        "xacro and MJCF are not read: convert it to one of these."
     )
