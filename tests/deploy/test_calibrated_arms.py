@@ -22,6 +22,7 @@ from knowarm.own_robot.calibration import (
     joint_map_toml,
     lerobot_map,
     motor_names,
+    narrower_ranges,
     read_calibration,
     unit_map,
 )
@@ -538,6 +539,33 @@ def test_what_does_not_go_together_is_refused_before_a_draft(
     for robot in (str(tmp_path / "arm.urdf"), "irb120"):
         with pytest.raises(UserError, match=words):
             Doctor(robot=robot, **options).run()
+
+
+def test_ranges_that_were_recorded_narrower_are_said(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    """LeRobot cuts off targets beyond them."""
+    ticks = dict(UNITS[1], elbow_flex=(1100, 3000), shoulder_pan=(900, 3398))
+    span = 1900 * 2 * math.pi / 4096
+    motors = read_calibration(write_calibration(tmp_path / "arm.json", ticks))
+    ranges = {name: np.array(ends) for name, ends in LIMITS.items()}
+    narrower = narrower_ranges(motors, ranges, {})
+    assert narrower == {"elbow_flex": pytest.approx([-span / 2, span / 2], abs=1e-4)}
+    # In between, the map is the same, so that what is sent stays within 100.
+    entries = lerobot_map(motors, ranges | narrower, {}, "range")
+    assert entries == lerobot_map(motors, ranges, {}, "range")
+    assert entries["elbow_flex"]["range"] == pytest.approx(
+        [-span / 2, span / 2], abs=1e-4
+    )
+
+    joint = ROBOTS["irb120"].joints[0]
+    names = ROBOTS["irb120"].joints
+    wide = dict.fromkeys(names[1:], (1, 4094)) | {joint: (1000, 3000)}
+    monkeypatch.setattr("knowarm.own_robot.command.check_robot", lambda *a, **o: [])
+    calibration = write_calibration(tmp_path / "other.json", wide)
+    Doctor(robot="irb120", calibration=calibration).run()
+    shown = capsys.readouterr().out
+    assert f"joint_ranges = {{{joint} = [-1.534, 1.534]" in shown
 
 
 def test_ranges_that_are_given_come_before_the_files() -> None:

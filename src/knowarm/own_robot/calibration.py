@@ -20,6 +20,7 @@ POSITION = ".pos"  # Ends LeRobot's names of joint positions
 GRIPPER_WORDS = re.compile("gripper|jaw", re.IGNORECASE)
 """Motors with these words in their names open from 0 to 100, in either of LeRobot's units."""
 
+MOST_MISSING_RAD = math.radians(0.5)  # At each end of a recorded range
 REMEDY = "Give the JSON file that LeRobot wrote when the arm was calibrated."
 
 Unit = Literal["rad", "deg", "range"]
@@ -126,6 +127,25 @@ def _entry(name: str, motor: Motor, limits: Floats, unit: Unit) -> Fields:
         entry["unit"] = "range_m100_100"
         ends = (middle - span / 2, middle + span / 2)
     return entry | {"range": [round(end, 5) for end in ends]}
+
+
+def narrower_ranges(
+    motors: Mapping[str, Motor], ranges: Mapping[str, Floats], names: Mapping[str, str]
+) -> dict[str, list[float]]:
+    """Return the ranges [rad] of joints that were recorded narrower than the model's.
+
+    Beyond them LeRobot cuts off what it is sent. Arguments are those of `lerobot_map`.
+    """
+    narrower = {}
+    for joint, (low, high) in ranges.items():
+        name = names.get(joint, joint)
+        if name not in motors or GRIPPER_WORDS.search(name):
+            continue
+        missing = (high - low - motors[name].span_rad) / 2
+        if missing > MOST_MISSING_RAD:
+            ends = [low + missing, high - missing]
+            narrower[joint] = [round(float(end), 4) for end in ends]
+    return narrower
 
 
 def unit_map(joints: Iterable[str], unit: Unit) -> Fields:

@@ -16,6 +16,7 @@ from knowarm.own_robot.calibration import (
     joint_map_toml,
     lerobot_map,
     motor_names,
+    narrower_ranges,
     read_calibration,
     unit_map,
 )
@@ -179,7 +180,8 @@ class Doctor(TableCommand):
             given = read_overrides(self.set)
             if self.calibration is not None:
                 ranges = given.get("joint_ranges", {})
-                given["joint_map"] = self._calibrated(model, ranges, {})
+                given["joint_map"], narrower = self._calibrated(model, ranges, {})
+                given["joint_ranges"] = narrower | ranges
             draft = draft_robot(model, targets, given)
             if maps and self.calibration is None:
                 joints = draft.robot.joints
@@ -224,7 +226,16 @@ class Doctor(TableCommand):
             entries = unit_map(robot.joints, self._unit())
         else:
             names = motor_names(robot.joint_map)
-            entries = self._calibrated(robot.mjcf, robot.joint_ranges, names)
+            ranges = robot.joint_ranges
+            entries, narrower = self._calibrated(robot.mjcf, ranges, names)
+            if narrower:
+                fields = ", ".join(
+                    f"{name} = {ends}" for name, ends in narrower.items()
+                )
+                print(
+                    "The arm turns less far than the model. Add to the description, and train "
+                    f"with it: joint_ranges = {{{fields}}}"
+                )
         text = joint_map_toml(entries)
         if self.write is None:
             print(text)
@@ -254,13 +265,15 @@ class Doctor(TableCommand):
         return unit
 
     def _calibrated(
-        self, mjcf: Path, ranges: Mapping[str, Any], names: Mapping[str, str]
-    ) -> dict[str, Any]:
-        """Return the joint map that a calibration file gives the joints of a model."""
+        self, mjcf: Path, given: Mapping[str, Any], names: Mapping[str, str]
+    ) -> tuple[dict[str, Any], dict[str, list[float]]]:
+        """Return the joint map that a calibration gives a model, and what it turns less far."""
         assert self.calibration is not None
         model = read_mjcf(mjcf, str(mjcf)).compile()
         motors = read_calibration(self.calibration)
-        return lerobot_map(motors, ranges_of(model, ranges), names, self._unit())
+        ranges = ranges_of(model, given)
+        narrower = narrower_ranges(motors, ranges, names)
+        return lerobot_map(motors, ranges, names, self._unit()), narrower
 
     def _print(self, draft: Draft, text: str, file: Path) -> None:
         """Print a draft, and the commands that come next."""

@@ -19,7 +19,7 @@ from knowarm.world.tasks.task import Task
 
 PLACES = 25
 MIN_HELD = 0.5  # Least share of the places at which the oracle or the teacher succeeds
-MIN_TAUGHT = 0.6  # Least success of the teacher in an area that is drafted
+MIN_TAUGHT = 0.4  # Least success of the teacher in an area that is drafted
 
 
 def area_skills(robot: Robot) -> Iterator[Skill]:
