@@ -47,7 +47,7 @@ HAND = """
     <geom type="box" size=".03 .03 .03"/>{inside}
     {fingers}
   </body></body></body></body></body></worldbody></mujoco>"""
-FINGERS = """<body name="{0}" pos="{1} 0 .05"><joint name="{0}_slide" type="slide" axis="1 0 0"
+FINGERS = """<body name="{0}" pos="{1} 0 .05"><joint name="{0}_slide" type="slide" axis="{1} 0 0"
     range="0 .04"/><geom type="box" size=".01 .01 .04" pos="0 0 .04"/></body>"""
 
 

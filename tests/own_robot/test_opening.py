@@ -159,6 +159,33 @@ def test_fingers_that_overlap_at_all_ends_are_none(tmp_path: Path) -> None:
     assert check.remedy == "Open them in the file, or with held_joints."
 
 
+OLD = 'size=".01 .005 .03" pos="0 0 0"/></body>'
+ONE_SIDED = {
+    "a camera on one finger": '<body name="eye" pos="0 .02 .05"><geom type="box" '
+    'size=".01 .01 .01"/></body>',
+    "a bent tip": '<geom type="box" size=".01 .02 .003" pos="0 .015 .033"/>',
+    "a plate outside": '<geom type="box" size=".01 .002 .02" pos="0 .03 0"/>',
+}
+
+
+@pytest.mark.parametrize("name", ONE_SIDED)
+def test_what_one_finger_carries_moves_no_tool_centre_point(name: str) -> None:
+    text, _ = CASES["open at the upper end"]
+    assert text.count(OLD) == 2
+    more = OLD.replace("</body>", ONE_SIDED[name] + "</body>")
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text.replace(OLD, more, 1)))
+    assert gripper.fields["fingers"] == ["left", "right"]
+    assert gripper.how.endswith("open by 7.0 cm")
+    assert gripper.fields["tcp_position_m"][:2] == pytest.approx((0, 0), abs=1e-6)
+
+
+def test_fingers_that_open_by_metres_are_none() -> None:
+    text = fingers((0.01, 1, "0 1", 0), (-0.01, -1, "0 1", 0))
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert "fingers" not in gripper.fields
+    assert gripper.how.endswith("left and right, open by 201.0 cm, as no gripper does")
+
+
 def test_short_fingers_on_wide_carriages_are_as_open_as_their_tips() -> None:
     """Those of the AR4 are 2 cm long, and their carriages pass each other."""
     text = fingers((0.01, 1, "0 .014", 0), (-0.01, -1, "0 .014", 0))

@@ -181,7 +181,8 @@ class Doctor(TableCommand):
             if self.calibration is not None:
                 ranges = given.get("joint_ranges", {})
                 given["joint_map"], narrower = self._calibrated(model, ranges, {})
-                given["joint_ranges"] = narrower | ranges
+                if narrower:
+                    given["joint_ranges"] = narrower | ranges
             draft = draft_robot(model, targets, given)
             if maps and self.calibration is None:
                 joints = draft.robot.joints

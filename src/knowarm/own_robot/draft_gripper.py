@@ -26,7 +26,7 @@ from knowarm.own_robot.draft_chain import (
     subtree,
     tool_sites,
 )
-from knowarm.own_robot.opening import LEAST_M, SAME_M, widest_opening
+from knowarm.own_robot.opening import LEAST_M, MOST_M, SAME_M, widest_opening
 from knowarm.own_robot.poses import Fields
 
 AGREEING_COSINE = 0.7
@@ -94,7 +94,9 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     approach, point = _approach(data, last, hand, outer)
     across = _across(data, outer, approach)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
-    fingers, text = _fingers(data, outer, frame)
+    fingers, text, middle_m = _fingers(data, outer, frame)
+    if middle_m is not None:
+        point = point + across * (middle_m - across @ point)
     bodies = inside
     if outer:
         bodies = fixed_to(model, [hand])
@@ -159,40 +161,42 @@ def _is_between(
     return bool(-length - BEHIND_M < ahead < AHEAD_M)
 
 
-def _fingers(data: MjData, outer: Ids, frame: Floats) -> tuple[Fields, str]:
+def _fingers(
+    data: MjData, outer: Ids, frame: Floats
+) -> tuple[Fields, str, float | None]:
     """Return ``fingers`` and their open values in ``held_joints``, if two slide across the hand.
 
     The columns of ``frame`` (3, 3) are any direction, that across the hand and the approach.
-    Also return what was found, in words.
+    Also return what was found, in words, and the middle between the fingers across the hand [m].
     """
     if not outer:
-        return {}, ""
+        return {}, "", None
     model = data.model
     slides = []
     for j in joints_of(model, outer):
         is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
         if is_slide(model, j) and is_across and model.joint(j).name:
             slides.append(j)
-    bodies = []
-    names = []
-    geoms = []
-    for finger in model.jnt_bodyid[slides].tolist():
-        tip = _tip(data, finger, frame[:, 2])
-        bodies.append(tip)
-        names.append(model.body(tip).name)
-        geoms.append(geoms_of(model, [tip]).tolist())
+    bodies = model.jnt_bodyid[slides].tolist()
+    tips = [_tip(data, finger, frame[:, 2]) for finger in bodies]
+    if not set(tips) & set(bodies):  # else what one finger carries is something else
+        bodies = tips
+    names = [model.body(body).name for body in bodies]
+    geoms = [geoms_of(model, [body]).tolist() for body in bodies]
     if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
-        return {}, "; no fingers: two named ones have to slide across the hand"
+        return {}, "; no fingers: two named ones have to slide across the hand", None
     opening = widest_opening(data, slides, geoms, frame)
     if opening is None:
         joints = " and ".join(joint_names(model, slides))
-        return {}, f"; no fingers, as {joints} have no range"
+        return {}, f"; no fingers, as {joints} have no range", None
     both = " and ".join(names)
-    gap_m, values = opening
+    gap_m, middle_m, values = opening
     if gap_m < LEAST_M:
-        return {}, f"; no fingers, as {both} overlap at all their ends"
-    text = f"; fingers: {both}, open by {100 * gap_m:.1f} cm"
-    return {"fingers": names, "held_joints": values}, text
+        return {}, f"; no fingers, as {both} overlap at all their ends", None
+    text = f"{both}, open by {100 * gap_m:.1f} cm"
+    if gap_m > MOST_M:
+        return {}, f"; no fingers: {text}, as no gripper does", None
+    return {"fingers": names, "held_joints": values}, f"; fingers: {text}", middle_m
 
 
 def _tip(data: MjData, finger: int, approach: Floats) -> int:

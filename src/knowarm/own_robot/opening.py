@@ -4,6 +4,7 @@ import copy
 from collections.abc import Iterable, Sequence
 from itertools import product
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from mujoco import MjData, MjModel, mj_kinematics, mj_name2id, mjtEq, mjtObj
@@ -26,14 +27,23 @@ TIP_M = 0.03  # Most length of a finger's tip
 TIP_SHARE = 0.5  # Most of a finger that is its tip
 SAME_M = 0.001  # Gaps that differ by less are equal
 LEAST_M = 0.005  # Of a gripper that is open
+MOST_M = 0.5  # Of any gripper
 LEAST_SHARE = 0.5  # Of the widest gap, at which fingers count as drawn open
 
 
-def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
-    """Return the gap between the tips of two fingers, of which the geoms are given [m].
+class Opening(NamedTuple):
+    """Two fingers that are open."""
 
-    The columns of ``frame`` (3, 3), world, are any direction, that across the hand in which the
-    fingers open, and that out of the hand.
+    gap_m: float  # Between their tips
+    middle_m: float  # Of that gap, from the world's origin across the hand
+    joints: dict[str, float]  # Values of their joints by name
+
+
+def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> tuple[float, float]:
+    """Return the gap between the tips of two fingers, and its middle across the hand [m].
+
+    ``fingers`` are their geoms. The columns of ``frame`` (3, 3), world, are any direction, that
+    across the hand in which the fingers open, and that out of the hand.
     """
     model = data.model
     spans = []
@@ -51,14 +61,16 @@ def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> float:
         if not len(tip):
             tip = across
         sides.append(tip)
-    one, other = sides
-    return float(max(one.min() - other.max(), other.min() - one.max()))
+    low, high = sides
+    if low.min() - high.max() > high.min() - low.max():
+        low, high = sides[::-1]
+    return float(high.min() - low.max()), float(high.min() + low.max()) / 2
 
 
 def widest_opening(
     drawn: MjData, joints: Ids, fingers: list[Ids], frame: Floats
-) -> tuple[float, dict[str, float]] | None:
-    """Return the widest gap at the ends of two fingers' slides [m], and their values by name.
+) -> Opening | None:
+    """Return the widest opening of two fingers at the ends of their slides.
 
     None if a slide has no end. The gap is negative where the tips overlap.
     Where fingers could pass through each other, the one counts in which each is on the side on
@@ -78,14 +90,15 @@ def widest_opening(
         values = np.round(ends, 5)
         data.qpos[address] = values
         mj_kinematics(model, data)
-        gap = finger_gap(data, fingers, frame)
+        gap, middle = finger_gap(data, fingers, frame)
         apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
         is_apart = norm(between) < SAME_M or apart @ across * side > 0
-        openings.append((round(gap / SAME_M), is_apart, gap, values.tolist()))
+        named = dict(zip(joint_names(model, joints), values.tolist(), strict=True))
+        openings.append((round(gap / SAME_M), is_apart, Opening(gap, middle, named)))
     if not openings:
         return None
-    *_, gap, ends = max(openings, key=lambda row: row[:2])
-    return gap, dict(zip(joint_names(model, joints), ends, strict=True))
+    *_, opening = max(openings, key=lambda row: row[:2])
+    return opening
 
 
 def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
@@ -136,12 +149,12 @@ def check_fingers(robot: Robot) -> Check:
             "Name two bodies with geoms, or two geoms.",
         )
     frame = data.site(robot.tcp_site).xmat.reshape(3, 3)
-    drawn = finger_gap(data, fingers, frame)
+    drawn, middle = finger_gap(data, fingers, frame)
     found = f"{names} are drawn {100 * drawn:.1f} cm apart"
     best = None
     if len(slides) == 2:
         best = widest_opening(data, slides, fingers, frame)
-    widest, values = best or (drawn, {})
+    widest, _, values = best or Opening(drawn, middle, {})
     if drawn >= min(LEAST_SHARE * widest, widest - SAME_M):
         remedy = "Open them in the file, or with held_joints."
         return Check("fingers", drawn >= LEAST_M, found, remedy)
