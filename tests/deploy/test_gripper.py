@@ -462,7 +462,7 @@ def lifted_by_the_driver(trained, episode, **safety):
     driver = Driver(parts.runner(), place, Safety(confirm_steps=0, **safety))
     now = 100.0
     driver.clock = lambda: now
-    env = ArmVectorEnv(trained.config.env, 1, autoreset=AutoresetMode.DISABLED)
+    env = ArmVectorEnv(trained.config.env, 1, autoreset_mode=AutoresetMode.DISABLED)
     images, _ = env.reset(options={"episodes": episode})
     sent = [env.joint_positions[0]]
     ended = False

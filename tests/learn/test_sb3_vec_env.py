@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -96,3 +99,16 @@ def test_return_and_length_of_episodes_are_logged(wrap):
     episodes = [info["episode"] for info in steps[-1][3]]
     assert [each["l"] for each in episodes] == [6] * 4
     np.testing.assert_allclose([each["r"] for each in episodes], returns, rtol=1e-5)
+
+
+def test_without_its_package_it_says_which_extra_to_install():
+    code = (
+        "import sys\nsys.modules['stable_baselines3'] = None\nimport knowarm\n"
+        "try: knowarm.SB3VecEnv\nexcept knowarm.UserError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    start, end = done.stdout.strip().split("(stable_baselines3.common")
+    assert start == "SB3VecEnv needs a package that is not installed "
+    assert end.endswith("): pip install 'knowarm[sb3]'.")

@@ -1,6 +1,13 @@
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.wrappers import FrameStackObservation
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
+import knowarm
+from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
 from knowarm.world.config import EnvConfig
@@ -84,3 +91,35 @@ def test_zero_stays_at_the_start(make_env: MakeEnv) -> None:
     assert result.steps.joint_positions == pytest.approx(
         np.repeat(env.scene.home + episodes.joint_offsets, 5, axis=0), abs=1e-6
     )
+
+
+def test_single_environments_are_played_as_vector_ones() -> None:
+    vector = knowarm.make("irb120", 3, image_size=16)
+    episodes = evaluation_episodes(vector.config, 4, seed=3)
+    expected = play(OracleAgent(vector), vector, episodes)
+    for env in (
+        knowarm.make("irb120", image_size=16),
+        gymnasium.make("knowarm/IRB120Reach-v0", image_size=16),
+        gymnasium.make("knowarm/IRB120Reach-v0", image_size=16).unwrapped,
+    ):
+        alone = play(OracleAgent(env), env, episodes)
+        assert (alone.steps.actions == expected.steps.actions).all()
+        assert (alone.episode_return == expected.episode_return).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: FrameStackObservation(knowarm.make("irb120"), 2), "FrameStackObs"),
+        (lambda: gymnasium.make("knowarm/IRB120Reach-v0", max_episode_steps=3), "Time"),
+        (lambda: RecordEpisodeStatistics(knowarm.make("irb120", 2)), "RecordEpisode"),
+        (lambda: knowarm.make("irb120", 2, "cpu"), "TorchArmVectorEnv"),
+        (lambda: gymnasium.make("CartPole-v1"), "CartPoleEnv|TimeLimit"),
+        (lambda: "irb120", "str"),
+    ],
+)
+def test_what_no_agent_can_play_is_refused_in_one_line(make: Any, name: str) -> None:
+    episodes = evaluation_episodes(EnvConfig(), 1, seed=3)
+    for use in (lambda env: play(ZeroAgent(), env, episodes), OracleAgent):
+        with pytest.raises(UserError, match=f"Agents play an ArmEnv .*got ({name})"):
+            use(make())

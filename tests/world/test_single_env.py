@@ -141,7 +141,7 @@ def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> N
         image_size=8,
         colours="randomized",
         max_episode_steps=2,
-        autoreset=AutoresetMode.SAME_STEP,
+        autoreset_mode=AutoresetMode.SAME_STEP,
         observe=("image", "joints", "knowledge"),
         knowledge=table,
     )

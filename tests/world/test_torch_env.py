@@ -56,7 +56,10 @@ def test_make_vec_takes_a_device() -> None:
     arrays = gymnasium.make_vec(env_id, num_envs=2, **options)
     assert isinstance(arrays.unwrapped, ArmVectorEnv)
     assert (infos["distance"].numpy() == arrays.reset(seed=0)[1]["distance"]).all()
-    for given in ({"autoreset": AutoresetMode.DISABLED}, {"render_mode": "rgb_array"}):
+    for given in (
+        {"autoreset_mode": AutoresetMode.DISABLED},
+        {"render_mode": "rgb_array"},
+    ):
         with pytest.raises(UserError, match="leave out device"):
             gymnasium.make_vec(env_id, num_envs=2, device="cpu", **options, **given)
 

@@ -44,15 +44,15 @@ def test_steps_give_what_the_spaces_promise(
 
 def test_a_mode_of_autoreset_may_be_given_by_its_value(make_env: MakeEnv) -> None:
     env = knowarm.make(
-        "irb120", num_envs=2, autoreset="NextStep", image_size=8, num_threads=1
+        "irb120", num_envs=2, autoreset_mode="NextStep", image_size=8, num_threads=1
     )
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    with pytest.raises(UserError, match="got autoreset NextStep"):
+    with pytest.raises(UserError, match="got autoreset_mode 'NextStep'"):
         knowarm.make(
-            "irb120", num_envs=2, autoreset="NextStep", device="cpu", image_size=8
+            "irb120", num_envs=2, autoreset_mode="NextStep", device="cpu", image_size=8
         )
     with pytest.raises(ValueError, match="'Never' is not a valid AutoresetMode"):
-        knowarm.make("irb120", num_envs=2, autoreset="Never", image_size=8)
+        knowarm.make("irb120", num_envs=2, autoreset_mode="Never", image_size=8)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -8,11 +8,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import VectorEnv
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
+
+with packages_of("sb3", "SB3VecEnv"):
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 Observations = np.ndarray | dict[str, np.ndarray]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
 from knowarm.cores import available_cores
+from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.scene.compose import SUBSTEPS
 from knowarm.world.scene.scene import Scene, target_places
 
@@ -19,7 +20,7 @@ Dynamics = Literal["dynamic", "kinematic"]
 _POSES = mujoco.mjtStage.mjSTAGE_POS.value
 
 
-class MujocoSimulator:
+class MujocoSimulator(Rebuilt):
     """Physics of n copies of a scene; results depend on neither n nor the thread count.
 
     "dynamic" moves the joints by position servos with ``SUBSTEPS`` physics steps per action;

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import knowarm
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.world.agents.play import play
@@ -112,3 +113,50 @@ def test_a_task_that_is_not_registered_is_named() -> None:
 def test_what_is_no_task_is_refused_in_one_line(place: str, message: str) -> None:
     with pytest.raises(UserError, match=message):
         register_task(place)
+
+
+def bad_methods() -> list[Any]:
+    """List what own methods may return wrongly, and what the error says of it."""
+    three = r"shape \(3,\), got"
+    columns = np.ones((3, 1))
+    frames = (np.zeros((3, 2)), np.zeros((3, 9)))
+    return [
+        ("skill", "reward", 1.0, rf"numbers of {three} float64 of shape \(\)"),
+        ("skill", "reward", [1.0, 2.0], rf"{three} float64 of shape \(2,\)"),
+        ("skill", "reward", columns, rf"{three} float64 of shape \(3, 1\)"),
+        ("skill", "reward", ["a", "b", "c"], rf"numbers of {three} <U1"),
+        ("skill", "success", False, rf"bool of {three} bool of shape \(\)"),
+        ("skill", "success", [0.0, 1.0, 0.0], rf"bool of {three} float64 of shape \(3"),
+        ("skill", "failure", True, rf"bool of {three}"),
+        ("skill", "done_to", True, rf"bool of {three}"),
+        ("skill", "infos", {"far": 1.0}, rf"{three}|\(3,\)"),
+        ("skill", "memory", {"seen": np.zeros(2)}, rf"{three} float64 of shape \(2,\)"),
+        ("skill", "goal_frames", frames, r"numbers of shape \(3, 3\), got .*\(3, 2\)"),
+        ("asked", "infos", {"near": np.zeros(4)}, rf"{three} float64 of shape \(4,\)"),
+        ("asked", "nearest", 0, rf"numbers of {three}"),
+        ("asked", "knowledge_input", 0, rf"numbers of {three}"),
+    ]
+
+
+@pytest.mark.parametrize(("part", "method", "value", "message"), bad_methods())
+def test_a_method_that_returns_another_shape_is_named_in_one_line(
+    part: str, method: str, value: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wrong(self: Any, *_: Any) -> Any:
+        return value
+
+    wrong.__name__ = method
+    env = EnvConfig(task=knowarm.AskObject(), image_size=8)
+    owner = type(getattr(env.task, part))
+    monkeypatch.setattr(owner, method, wrong)
+
+    def step() -> None:
+        made = ArmVectorEnv(env, 3)
+        assert len(made.knowledge_input) == 3
+        made.reset(seed=0)
+        made.step(np.zeros((3, 6), int))
+
+    with pytest.raises(UserError, match=message) as error:
+        step()
+    assert str(error.value).startswith(f"{owner.__name__}.{method} must return ")
+    assert "\n" not in str(error.value)

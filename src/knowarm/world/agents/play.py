@@ -13,6 +13,7 @@ from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.agents.protocol import AgentProtocol, Batch
 from knowarm.world.envs.base import Images
+from knowarm.world.envs.single_env import ArmEnv, vector_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.state import Array, NamedArrays
@@ -127,7 +128,7 @@ def play_steps(
 
 def play(
     agent: AgentProtocol,
-    env: ArmVectorEnv,
+    env: ArmEnv | ArmVectorEnv,
     episodes: Episodes,
     *,
     record_images: int = 0,
@@ -137,11 +138,16 @@ def play(
 
     Args:
         agent: chooses the actions.
-        env: the environment; its current episodes are abandoned.
+        env: the environment, single ones also of `gymnasium.make`; its current episodes are
+            abandoned.
         episodes: what to play, N.
         record_images: number of episodes, from the first, whose images are kept.
         report: receives a line on the progress every few seconds.
+
+    Raises:
+        UserError: the environment is of another kind, wrapped, or observes more than the image.
     """
+    env = vector_of(env)
     reported = time.monotonic()
     count = len(episodes)
     n = env.num_envs

@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.questions import find_rows
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
 from knowarm.world.envs.running import joint_increments
+from knowarm.world.envs.single_env import ArmEnv, vector_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 INPUTS = ("image", "words", "graph", "simulator")
@@ -115,15 +116,15 @@ class PrivilegedAgent:
     """Base of agents that use the simulator's state: each is made for one environment.
 
     Args:
-        env: the environment that the agent plays.
+        env: the environment that the agent plays, vector or single.
         seed: of what it draws.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("simulator",)
     """What the agent uses, of `INPUTS`."""
 
-    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
-        self._env = env
+    def __init__(self, env: ArmEnv | ArmVectorEnv, seed: int = 0) -> None:
+        self._env = vector_of(env)
         self._seed = seed
 
     def reset(self, batch: Batch) -> None:

@@ -15,6 +15,7 @@ from knowarm.world.agents.protocol import (
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.base import Images
 from knowarm.world.envs.running import joint_increments
+from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.skills.guides import Guide, Sight, Way
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
@@ -82,9 +83,9 @@ class OracleAgent(PrivilegedAgent):
     way: Way
     _straight = False  # Whether the way ends straight along the approach direction
 
-    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
+    def __init__(self, env: ArmEnv | ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
-        self.guide = guide_of(env.config, seed, self._straight)
+        self.guide = guide_of(self._env.config, seed, self._straight)
 
     def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""
@@ -116,9 +117,9 @@ class TeacherAgent(PrivilegedAgent):
     Its success tells where a student has something to learn from.
     """
 
-    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
+    def __init__(self, env: ArmEnv | ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
-        self.teacher = env.config.task.skill.teacher(env.running)
+        self.teacher = self._env.config.task.skill.teacher(self._env.running)
 
     def act(self, observations: Observations) -> Integers:
         """Choose for each joint the action that ends nearest to what the teacher says, (n, J)."""

@@ -8,12 +8,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knowarm.arrays import Mask
-from knowarm.errors import UserError
+from knowarm.errors import UserError, warn
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import Options, Seeds
 from knowarm.world.envs.interface import Interface
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.state import Array, Indices, NamedArrays
 
 Images = NDArray[np.uint8]
@@ -39,7 +40,8 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         self.num_envs = num_envs
         scene = scene_of(config)
         self.scene = scene
-        self._interface = Interface(config, scene.num_joints, **interface)
+        _question_distance(config, scene)
+        self._interface = Interface(config, scene, **interface)
         self.single_observation_space = self._interface.observation_space
         self.single_action_space = self._interface.action_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -124,6 +126,17 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         """Simulate one step of actions (n, J)."""
         steps = self._interface.steps(actions, self.num_envs, self.running.increments)
         self.running.move(steps)
+
+
+def _question_distance(config: EnvConfig, scene: Scene) -> None:
+    """Warn of a success distance that is longer than the diagonal of the rectangle."""
+    sides = 2 * np.array(scene.robot.rectangle_half_size_m)
+    if config.success_distance_m > np.linalg.norm(sides):
+        width, depth = sides
+        warn(
+            f"Objects stand in a rectangle of {width:g} x {depth:g} m, and the success distance of "
+            f"{config.success_distance_m:g} m is longer: every place in it counts as near enough."
+        )
 
 
 def draw_images(

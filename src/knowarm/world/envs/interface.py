@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.state import ACTION_LEVELS, Array, NamedArrays
 
 Action = Literal["levels", "continuous"]
@@ -26,7 +27,7 @@ class Interface:
 
     Args:
         config: robot and task.
-        joints: number of joints that the actions move, J.
+        scene: its J joints are those that the actions move.
         action: what an action is.
         observe: "image" for the image itself, or the names of the parts of a ``Dict``.
         knowledge: (R, K), one row per `Task.knowledge_rows`, where ``observe`` names "knowledge".
@@ -38,7 +39,7 @@ class Interface:
     def __init__(
         self,
         config: EnvConfig,
-        joints: int,
+        scene: Scene,
         action: Action = "levels",
         observe: Observe = "image",
         knowledge: ArrayLike | None = None,
@@ -53,9 +54,14 @@ class Interface:
         self._is_continuous = action == "continuous"
         self._table = _checked_table(config, names, knowledge)
         shape = (config.image_size, config.image_size, 3)
+        joints = scene.num_joints
+        # Contacts push joints beyond their limits.
+        reach = scene.joint_upper - scene.joint_lower
+        self._lower = (scene.joint_lower - reach).astype(np.float32)
+        self._upper = (scene.joint_upper + reach).astype(np.float32)
         parts: dict[str, spaces.Space[Any]] = {
             "image": spaces.Box(0, 255, shape, np.uint8),
-            "joints": spaces.Box(-np.inf, np.inf, (joints,), np.float32),
+            "joints": spaces.Box(self._lower, self._upper, dtype=np.float32),
             "knowledge": spaces.Box(-np.inf, np.inf, self._table.shape[1:], np.float32),
         }
         self.observation_space: spaces.Space[Any] = parts["image"]
@@ -69,8 +75,12 @@ class Interface:
     def observe(
         self, images: NDArray[np.uint8], joints: Floats, rows: Integers
     ) -> NamedArrays:
-        """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,)."""
-        parts: NamedArrays = {"image": images, "joints": joints.astype(np.float32)}
+        """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,).
+
+        Joints that are further beyond a limit than their range is wide are clipped to that.
+        """
+        angles = joints.astype(np.float32).clip(self._lower, self._upper)
+        parts: NamedArrays = {"image": images, "joints": angles}
         if "knowledge" in self._names:
             parts["knowledge"] = self._table[rows]
         return {name: parts[name] for name in self._names}

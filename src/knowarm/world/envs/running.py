@@ -23,10 +23,14 @@ from knowarm.world.scene.appearance import AppearanceSource, Shown
 from knowarm.world.tasks.sampling import Episodes, Words
 from knowarm.world.tasks.state import (
     ACTION_LEVELS,
+    BOOL,
+    NUMBERS,
     EpisodeState,
     Frames,
     Indices,
     NamedArrays,
+    returned,
+    returned_rows,
 )
 
 _STATE = (
@@ -124,7 +128,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.goal_position = np.zeros((n, 3))
         self.goal_matrix = np.zeros((n, 9))
         self._surroundings = np.zeros((n, task.skill.draws))
-        self._fresh = task.skill.memory(n)
+        self._fresh = returned_rows(task.skill.memory, task.skill.memory(n), n)
         self.memory = {name: array.copy() for name, array in self._fresh.items()}
         self.threshold_factor = 1.0
         self.change_episodes: ChangeEpisodes | None = None
@@ -144,11 +148,18 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
     @property
     def knowledge_input(self) -> Integers:
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
-        return self.task.asked.knowledge_input(self)
+        rows = self.task.asked.knowledge_input
+        return returned(rows, rows(self), (self.num_envs,), NUMBERS)
 
     def goal_frames(self, objects: Integers, places: Floats) -> Frames:
         """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
-        return self.task.skill.goal_frames(self.scene, objects, places)
+        goal = self.task.skill.goal_frames
+        position, matrix = goal(self.scene, objects, places)
+        k = len(objects)
+        return (
+            returned(goal, position, (k, 3), NUMBERS),
+            returned(goal, matrix, (k, 9), NUMBERS),
+        )
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
@@ -192,8 +203,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.steps = self.steps + 1
         self._measure()
         if self.memory:
-            self.memory = dict(self.task.skill.remember(self))
-        self.success = self.task.skill.success(self)
+            remember = self.task.skill.remember
+            self.memory = returned_rows(remember, remember(self), self.num_envs)
+        self._judge()
 
     def outcome(self) -> Outcome:
         """Compute reward, end and time limit in the current state."""
@@ -202,7 +214,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         if failure is not None:
             terminated = terminated | failure
         truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
-        return Outcome(self.task.skill.reward(self), terminated, truncated)
+        rule = self.task.skill.reward
+        reward = returned(rule, rule(self), (self.num_envs,), NUMBERS)
+        return Outcome(reward, terminated, truncated)
 
     def infos(self) -> NamedArrays:
         """Return the infos of the current state, without masks, (n, ...) each."""
@@ -223,7 +237,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._refresh(self._all)
         self.simulator.set_state(state["simulation"])
         self._measure()
-        self.success = self.task.skill.success(self)
+        self._judge()
 
     def _check(self, episodes: Episodes, count: int) -> None:
         """Check that episodes were drawn for this environment, of which ``count`` are reset."""
@@ -288,7 +302,7 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         np.put_along_axis(places, objects, episodes.positions, axis=1)
         self.simulator.reset(ids, joints, places, distractors, visible)
         self._measure()
-        self.success = self.task.skill.success(self)
+        self._judge()
 
     def _begin(self, ids: Indices, surroundings: Floats) -> None:
         """Let the skill's memory of environments (k,) begin."""
@@ -319,6 +333,11 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         """Replace arrays by copies with new values (k, ...) in the rows of environments (k,)."""
         for name, values in rows.items():
             setattr(self, name, _put(getattr(self, name), ids, values))
+
+    def _judge(self) -> None:
+        """Find which episodes are solved in the current state."""
+        rule = self.task.skill.success
+        self.success = returned(rule, rule(self), (self.num_envs,), BOOL)
 
     def _measure(self) -> None:
         """Measure distance and angle in the current state."""

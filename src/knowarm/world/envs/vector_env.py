@@ -37,7 +37,7 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         config: robot, task and objects.
         num_envs: n.
         num_threads: threads of physics and rendering; 0 for one per core.
-        autoreset: Gymnasium's mode; SAME_STEP adds ``final_obs`` and ``final_info``.
+        autoreset_mode: Gymnasium's; SAME_STEP adds ``final_obs`` and ``final_info``.
         render_mode: "rgb_array", or None.
         action: "levels"; or "continuous" for joint steps in units of the MPI, (n, J) in -1 to 1.
         observe: "image"; or a tuple of "image", "joints" (their angles, (n, J) [rad]) and
@@ -56,7 +56,7 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         config: EnvConfig,
         num_envs: int,
         num_threads: int = 0,
-        autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
+        autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
         *,
         action: Action = "levels",
@@ -75,7 +75,7 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": 10,
-            "autoreset_mode": AutoresetMode(autoreset),  # or its value
+            "autoreset_mode": AutoresetMode(autoreset_mode),  # or its value
         }
         self._large_renderer: Renderer | None = None
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -9,6 +9,7 @@ from numpy import float32, int32
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.render.cpu_kernels import RenderBatch, Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
 from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
@@ -37,7 +38,7 @@ class Trace(NamedTuple):
     distance: Floats32
 
 
-class Raycaster:
+class Raycaster(Rebuilt):
     """Ray caster for the geoms of a model, seen by one of its cameras; a ``Renderer``.
 
     The same state gives the same bytes at any batch size and number of threads.

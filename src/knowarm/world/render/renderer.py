@@ -14,6 +14,7 @@ from knowarm.arrays import Floats
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
+from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.render.numeric import Floats32, Images
 from knowarm.world.scene.scene import Scene
@@ -69,7 +70,7 @@ def make_renderer(
     )
 
 
-class OpenGLRenderer:
+class OpenGLRenderer(Rebuilt):
     """MuJoCo's renderer without shadows and reflections; slow, because it draws one by one."""
 
     def __init__(self, scene: Scene, size: int) -> None:

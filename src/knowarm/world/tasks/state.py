@@ -1,11 +1,13 @@
 """State of running episodes: the arrays from which tasks compute success, reward and infos."""
 
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask, Names
+from knowarm.errors import UserError
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.reward import measure
@@ -30,6 +32,47 @@ NamedArrays = dict[str, Array]
 
 Frames = tuple[Floats, Floats]
 """Positions, (k, 3) [m], and rotations from frame to world, row-major, (k, 9)."""
+
+BOOL = "b"
+"""Kind of the values of a mask, as NumPy calls it."""
+
+NUMBERS = "iuf"
+"""Kinds of the values of numbers."""
+
+
+def returned(
+    method: Callable[..., Any], values: Any, shape: tuple[int, ...], kinds: str
+) -> Array:
+    """Return what a method of a task's part returned, as an array.
+
+    Raises:
+        UserError: it is of another shape or kind.
+    """
+    array = np.asarray(values)
+    if array.shape == shape and array.dtype.kind in kinds:
+        return array
+    owner = type(getattr(method, "__self__", None)).__name__
+    what = "bool" if kinds == BOOL else "numbers"
+    raise UserError(
+        f"{owner}.{method.__name__} must return {what} of shape {shape}, got {array.dtype} of "
+        f"shape {array.shape}: the first axis is for environments."
+    )
+
+
+def returned_rows(
+    method: Callable[..., Any], arrays: Mapping[str, Any], count: int
+) -> NamedArrays:
+    """Return the named arrays of a method of a task's part, with ``count`` rows each.
+
+    Raises:
+        UserError: one has not.
+    """
+    rows = {}
+    for name, values in arrays.items():
+        shape = (count, *np.shape(values)[1:])
+        rows[name] = returned(method, values, shape, np.asarray(values).dtype.kind)
+    return rows
+
 
 SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
 """Class of a task's simulator."""

@@ -18,7 +18,14 @@ from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.skills import SKILLS
 from knowarm.world.tasks.skills.reach import Reach
 from knowarm.world.tasks.skills.skill import Skill
-from knowarm.world.tasks.state import EpisodeState, NamedArrays
+from knowarm.world.tasks.state import (
+    BOOL,
+    NUMBERS,
+    EpisodeState,
+    NamedArrays,
+    returned,
+    returned_rows,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,18 +110,24 @@ class Task:
         """Return which visible object the gripper is at, (n,) int64; 0 is the one that is meant."""
         if self.asked.visible == 1:
             return np.zeros(len(state.steps), np.int64)
-        return self.asked.nearest(state, self.skill.grasp_positions(state))
+        nearest = self.asked.nearest(state, self.skill.grasp_positions(state))
+        return returned(self.asked.nearest, nearest, state.steps.shape, NUMBERS)
 
     def failure(self, state: EpisodeState) -> Mask | None:
         """Return which episodes end without success before the time limit, (n,) bool, or None.
 
         Otherwise an agent could do it to all visible objects in turn.
         """
-        lost = self.skill.failure(state)
+        shape = state.steps.shape
+        skill = self.skill
+        lost = skill.failure(state)
+        if lost is not None:
+            lost = returned(skill.failure, lost, shape, BOOL)
         if self.asked.visible == 1:
             return lost
         nearest = self.nearest(state)
-        wrong = self.skill.done_to(state, nearest) & (nearest != 0)
+        done = returned(skill.done_to, skill.done_to(state, nearest), shape, BOOL)
+        wrong = done & (nearest != 0)
         if lost is None:
             return wrong
         return wrong | lost
@@ -129,9 +142,11 @@ class Task:
             "facet": state.facet_names[state.facet],
             "is_success": state.success,
         }
+        n = len(state.steps)
         asked = self.asked.infos(state, self.nearest(state))
-        facts = self.skill.facts(state, self.asked)
-        return infos | asked | facts | self.skill.infos(state)
+        infos |= returned_rows(self.asked.infos, asked, n)
+        infos |= self.skill.facts(state, self.asked)
+        return infos | returned_rows(self.skill.infos, self.skill.infos(state), n)
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Return an episode's goal in words that a policy may know, without the answer."""
