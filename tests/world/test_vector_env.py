@@ -186,7 +186,7 @@ def test_a_finished_environment_must_be_reset_when_autoreset_is_off(
     env.reset(seed=0)
     stay = np.zeros((2, 6), dtype=np.int64)
     env.step(stay)
-    with pytest.raises(UserError, match="Environment 0 has ended; reset it"):
+    with pytest.raises(UserError, match="Environment 0 has no running episode: reset"):
         env.step(stay)
     env.reset(options={"reset_mask": np.array([True, True])})
     env.step(stay)

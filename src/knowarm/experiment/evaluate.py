@@ -241,13 +241,14 @@ def _subject(
                 "This agent has no task of its own: pass env_config=EnvConfig(...)."
             )
         return Subject(env=env)
-    if own_folder and env not in (None, trained.config.env):
+    played = env or trained.config.env
+    if own_folder and played != trained.training:
         raise UserError(
             "This task is not the agent's own, and its evaluation would replace that in the run "
             "folder. Give it a label=..., or set write=False."
         )
     seen = SeenTest() if trained.config.solves else None
-    return Subject(env=env or trained.config.env, config=trained.config, seen=seen)
+    return Subject(env=played, config=trained.config, seen=seen)
 
 
 def agent_for_test(

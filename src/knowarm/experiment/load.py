@@ -13,20 +13,22 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.knows import Knowledge, row_names
+from knowarm.experiment.knows import Knowledge, NoKnowledge, row_names
+from knowarm.experiment.other_graphs import check_graph, with_graph
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn import read_checkpoint
 from knowarm.learn.checkpoint import to_tensors
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.calibration import calibrated_thresholds
+from knowarm.perception.config import shown_in
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.solving import SolvingAgent
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import facets_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of
 
 log = logging.getLogger("knowarm.experiment")
 
@@ -39,18 +41,25 @@ class TrainedAgent:
     policy: Policy  #: The network, in evaluation mode.
     table: np.ndarray  #: (rows, K) float32, the knowledge table of its training.
     network: GroundingNetwork | None  #: Its trained grounding network, if it has one.
-    config: ExperimentConfig  #: What it was trained with.
+    #: What it was trained with; with another ``graph``, that graph and its questions.
+    config: ExperimentConfig
     folder: RunFolder  #: The run.
     step: int  #: Environment steps it was trained for.
     which: (
         Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
     )
+    training: EnvConfig  #: The environment that it was trained in.
+    # New objects that were reported, and whether new questions were
+    _reported: set[str] = field(default_factory=set, init=False)
+    _reported_questions: bool = field(default=False, init=False)
     # Whether the next step is the first
     _is_new: bool | None = field(default=None, init=False)
     _names: np.ndarray | None = field(default=None, init=False)
 
     def reset(self, batch: Batch | Mapping[str, Any]) -> None:
         """Forget everything: episodes start, one or several side by side.
+
+        Objects and questions that training never showed or asked are logged as warnings, once.
 
         Args:
             batch: infos of an environment's reset, from which an agent whose knowledge depends
@@ -61,8 +70,12 @@ class TrainedAgent:
         """
         self._is_new = True
         self._names = None
-        if not self.agent.depends_on_rows:
-            return
+        if self.agent.depends_on_rows:
+            self._names = self._known_names(batch)
+        self._report_new(batch)
+
+    def _known_names(self, batch: Batch | Mapping[str, Any]) -> np.ndarray:
+        """Return the facet or query of each episode, which the agent knows."""
         info = self.config.env.task.asked.knowledge_info
         infos = {info: batch.names} if isinstance(batch, Batch) else batch
         if info not in infos:
@@ -70,9 +83,10 @@ class TrainedAgent:
                 f"The knowledge of this agent depends on the info {info!r} of the episode: pass "
                 "the infos of the environment's reset, agent.reset(info)."
             )
-        self._names = np.array(infos[info], np.str_).reshape(-1)
+        names = np.array(infos[info], np.str_).reshape(-1)
         known = dict.fromkeys(row_names(self.config.env), 0)
-        find_rows(f"{info} of {self.config.name}", self._names, known)
+        find_rows(f"{info} of {self.config.name}", names, known)
+        return names
 
     def act(self, observations: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         """Choose the action of a step in any environment, also one of ``gymnasium.make``.
@@ -123,6 +137,48 @@ class TrainedAgent:
             graph = env.task.asked.answering_graph(facets_of(env))
         return SolvingAgent(agent, env, graph)
 
+    def _report_new(self, batch: Batch | Mapping[str, Any]) -> None:
+        """Log objects that training never showed, once each; and once, questions of the kind."""
+        if isinstance(batch, Batch):
+            facets = sorted("/".join(facet) for facet in shown_in(batch.env))
+            questions = list(batch.queries or ())
+        else:
+            facets = _texts(batch, "facet")
+            questions = _texts(batch, "query")
+        shown, asked = self._familiar
+        seen = {facet.partition("/")[0] for facet in shown}
+        objects = set()
+        for facet in facets:
+            name, _, colour = facet.partition("/")
+            if facet not in shown:
+                objects.add(f"{colour} {name}" if name in seen else name)
+        self._report("showed", objects - self._reported)
+        self._reported.update(objects)
+        if not self._reported_questions:
+            unasked = set(questions) - asked
+            self._report("asked", unasked)
+            self._reported_questions = bool(unasked)
+
+    def _report(self, did: str, new: set[str]) -> None:
+        if new:
+            log.warning(
+                "%s meets what its training never %s: %s. Its scores there say how it generalizes; "
+                "make the environment with trained.training to play what it was trained on.",
+                self.config.name,
+                did,
+                "; ".join(sorted(new)),
+            )
+
+    @cached_property
+    def _familiar(self) -> tuple[set[str], set[str]]:
+        """Facets that training showed, and questions that it asked."""
+        shown = {"/".join(facet) for facet in shown_in(self.training)}
+        table = questions_of(self.training)
+        if table is None:
+            return shown, set()
+        asked = np.flatnonzero(table.askable.any(axis=1))
+        return shown, {table.queries[row].name for row in asked}
+
     def thresholds(self, level: float) -> torch.Tensor:
         """Return the likelihoods from which its network takes objects for answers, by facet."""
         assert self.network is not None
@@ -157,6 +213,7 @@ def load_agent(
     greedy: bool = True,
     seed: int = 0,
     perception: Path | str | None = None,
+    graph: KnowledgeGraph | Path | str | None = None,
 ) -> TrainedAgent:
     """Load the trained agent of a run.
 
@@ -166,9 +223,12 @@ def load_agent(
         greedy: take the most probable action instead of sampling one.
         seed: seed of the sampled actions.
         perception: file of another grounding network than the one that the run folder keeps.
+        graph: what it knows in place of the graph of its training, in tasks with queries: a graph,
+            its path, or the name of a shipped one. It answers all that this graph can be asked.
 
     Raises:
-        UserError: the folder holds no run, no such checkpoint, or a damaged one.
+        UserError: the folder holds no run, no such checkpoint, or a damaged one; the agent knows no
+            graph, or the given one describes too few objects.
     """
     folder = RunFolder.open(path)
     config = folder.experiment()
@@ -205,9 +265,43 @@ def load_agent(
         network = given_network(config, perception)
     elif config.knows.grounding is not None:
         network = stored_network(config, folder)
-    knowledge = config.knows.known(
-        config.env, config.seed, table=table, network=network
-    )
+    training = config.env
+    sources: dict[str, Any] = {"table": table}
+    if graph is not None:
+        config = _knowing(config, graph)
+        sources = {}
+    knowledge = config.knows.known(config.env, config.seed, network=network, **sources)
+    if graph is not None:
+        table = knowledge.table
     generator = torch.Generator().manual_seed(seed)
     agent = knowledge.make_agent(policy, greedy=greedy, generator=generator)
-    return TrainedAgent(agent, policy, table, network, config, folder, step, which)
+    return TrainedAgent(
+        agent,
+        policy,
+        table,
+        network,
+        config,
+        folder,
+        step,
+        which,
+        training,
+    )
+
+
+def _texts(infos: Mapping[str, Any], name: str) -> list[str]:
+    """Return the texts of an info of n environments, or of a single one; none without it."""
+    texts: list[str] = np.array(infos.get(name, ()), np.str_).reshape(-1).tolist()
+    return texts
+
+
+def _knowing(
+    config: ExperimentConfig, graph: KnowledgeGraph | Path | str
+) -> ExperimentConfig:
+    """Return what an agent was trained with, with another graph and its questions."""
+    if isinstance(config.knows, NoKnowledge):
+        raise UserError(
+            f"{config.name} knows no graph, so another one changes nothing. Leave out graph, or "
+            "take a run such as zoo/irb120-choose-answers-fast."
+        )
+    check_graph(config, config.env)
+    return with_graph(config, graph)

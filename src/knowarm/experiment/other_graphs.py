@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import compress
+from pathlib import Path
 
 import numpy as np
 
@@ -31,7 +32,9 @@ def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
 
 
 def with_graph(
-    config: ExperimentConfig, path: str, names: Mapping[str, str] | None = None
+    config: ExperimentConfig,
+    graph: KnowledgeGraph | Path | str,
+    names: Mapping[str, str] | None = None,
 ) -> ExperimentConfig:
     """Return an experiment whose questions and answers come from another graph.
 
@@ -39,9 +42,10 @@ def with_graph(
 
     Args:
         config: of a task with queries.
-        path: of the graph, or the name of a shipped one.
+        graph: the graph, its path, or the name of a shipped one.
         names: its names for objects, where they differ by more than their spelling.
     """
+    path = _cached(graph) if isinstance(graph, KnowledgeGraph) else str(graph)
     path = _with_names(path, names) if names else path
     task = config.env.task.asking(graph=path, hold_out=())
     is_described = described(read_graph(path), target_names(config.env))
@@ -69,17 +73,23 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
                 f"{name!r} cannot name {other!r}, too. Leave {name}={other} out."
             )
         labels[graph.names[entity]] = name
-    file = cache_file("graphs", list(graph), labels).with_suffix(".ttl")
+    labelled = KnowledgeGraph(
+        graph.names,
+        graph.relation_names,
+        graph.triples,
+        nodes=graph.nodes,
+        labels=labels,
+    )
+    return _cached(labelled)
+
+
+def _cached(graph: KnowledgeGraph) -> str:
+    """Write a graph to a file of the cache; return its path."""
+    follows = (list(graph), dict(graph.labels), graph.own_confidence())
+    file = cache_file("graphs", *follows).with_suffix(".ttl")
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
-        labelled = KnowledgeGraph(
-            graph.names,
-            graph.relation_names,
-            graph.triples,
-            nodes=graph.nodes,
-            labels=labels,
-        )
-        write_graph(labelled, file)
+        write_graph(graph, file)
     return str(file)
 
 

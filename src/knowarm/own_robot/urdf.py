@@ -162,5 +162,3 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
             )
         pairs[name] = value
     return pairs
-
-

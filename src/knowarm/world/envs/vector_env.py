@@ -95,8 +95,8 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         restart = self._ended
         if mode == AutoresetMode.DISABLED and restart.any():
             raise UserError(
-                f"Environment {int(np.argmax(restart))} has ended; reset it before the next step "
-                "(options={'reset_mask': ...}), or use another autoreset mode."
+                f"Environment {int(np.argmax(restart))} has no running episode: reset it before "
+                "the next step, one of several with options={'reset_mask': ...}."
             )
         self._move(actions)
         if mode == AutoresetMode.NEXT_STEP and restart.any():
