@@ -6,7 +6,8 @@ RUN useradd --create-home knowarm
 WORKDIR /home/knowarm
 COPY pyproject.toml README.md LICENSE ./source/
 COPY src ./source/src
-RUN pip install --no-cache-dir torch==2.13.0 ./source && rm -r ./source
+COPY zoo/irb120-choose-answers-fast ./source/zoo/irb120-choose-answers-fast
+RUN pip install --no-cache-dir torch ./source && rm -r ./source
 USER knowarm
 ENTRYPOINT ["knowarm"]
 CMD ["demo"]

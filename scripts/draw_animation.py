@@ -51,6 +51,8 @@ def main() -> None:
     parser.add_argument("--run", default="zoo/irb120-choose-answers-fast")
     parser.add_argument("--out", type=Path, default=Path("docs/images/choose.gif"))
     parser.add_argument("--episodes", type=int, default=4)
+    # In the first one a book hides what is meant.
+    parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     trained = load_agent(arguments.run)
@@ -58,7 +60,7 @@ def main() -> None:
     episodes = evaluation_episodes(env.config, arguments.episodes, arguments.seed)
     images: list[Image.Image] = []
     durations: list[int] = []
-    for i in range(len(episodes)):
+    for i in range(arguments.first, len(episodes)):
         frames = record_episode(trained.agent, env, episodes[i : i + 1])
         images += [draw(frame, frame is frames[-1]) for frame in frames]
         durations += [FRAME_MS] * (len(frames) - 1) + [LAST_MS]

@@ -11,12 +11,12 @@ from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
 from .experiment.evaluation import EvaluationConfig as EvaluationConfig
-from .experiment.hub import from_pretrained as from_pretrained
 from .experiment.hub import push_to_hub as push_to_hub
 from .experiment.knows import Grounded as Grounded
 from .experiment.knows import NoKnowledge as NoKnowledge
 from .experiment.knows import Vector as Vector
 from .experiment.load import TrainedAgent as TrainedAgent
+from .experiment.load import from_pretrained as from_pretrained
 from .experiment.load import load_agent as load_agent
 from .experiment.names import experiment_config as experiment_config
 from .experiment.names import experiment_names as experiment_names

@@ -71,6 +71,18 @@ def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
     assert "http" not in text.replace("http-equiv", "")
 
 
+def test_without_a_run_the_policy_of_the_package_answers(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    assert main(["ask", "something to drink from", "--json", "answer.json"]) == 0
+    assert json.loads(Path("answer.json").read_text())["success"]
+    assert "zoo/irb120-choose-answers-fast is that of a clone: " in caplog.text
+    # Questions that look like paths at first sight.
+    long = "usedFor drinking or " * 20 + "usedFor drinking"
+    assert main(["ask", long, "--json", "answer.json"]) == 0
+    assert main(["ask", "hasColor red/blue"]) == 2
+    assert "is not a run folder" not in caplog.text
+
+
 def test_an_edit_may_give_a_question_its_first_answer(tmp_path):
     path = tmp_path / "first.json"
     words = ["ask", RUN, "usedFor juggling", "--edit", "+ lamp usedFor juggling"]
@@ -237,7 +249,10 @@ def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([RUN], "Give a run, then a question"),
+        ([RUN], f'Give a question: knowarm ask {RUN} "'),
+        ([], 'Give a question: knowarm ask "'),
+        (["runs/none"], "Give a question: knowarm ask runs/none "),
+        (["zoo/irb120"], "Give a question: knowarm ask zoo/irb120 "),
         ([RUN, "--browser", "--page", "x.html"], "leave out --page"),
         (
             [RUN, "--browser", "--port", "70000"],

@@ -56,7 +56,7 @@ SHORT = [
     (r"^python examples/(train_with_sb3|benchmark/train_sb3).py", "--steps 640"),
 ]
 """Options that shorten commands, in place of those that a command has."""
-ENDLESS = r"^knowarm serve"
+ENDLESS = r"^knowarm (serve|ask --browser)"
 
 
 def shorten(command):

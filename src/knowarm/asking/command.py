@@ -1,5 +1,7 @@
 """``knowarm ask`` and ``answer``: questions to a trained agent, and to a graph alone."""
 
+import re
+import shlex
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_tabl
 from knowarm.errors import UserError, printable
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import meeting
+from knowarm.experiment.zoo import PACKAGED
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.homonyms import object_id
 from knowarm.perception.config import LEVEL, Unclear
@@ -29,8 +32,9 @@ SHOWN = 12  # most objects whose evidence is printed
 class Ask(TableCommand):
     """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there."""
 
-    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
-    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast."""
+    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[RUN]")] = ""
+    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast.
+    Default: the policy that the package holds."""
     question: Annotated[
         tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")
     ] = ""
@@ -67,21 +71,28 @@ class Ask(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Answer, play, and print or show."""
-        if not self.question and not self.browser:
+        run = self.agent
+        question = self.question
+        if not question and not _is_path(run):
+            question = run
+            run = PACKAGED
+        if not question and not self.browser:
+            of_run = ""
+            if self.agent:
+                of_run = f"{shlex.quote(run)} "
             raise UserError(
-                "Give a run, then a question: knowarm ask zoo/irb120-choose-answers-fast "
-                '"usedFor drinking and not hasColor blue".'
+                f'Give a question: knowarm ask {of_run}"something to drink from".'
             )
         if self.browser and self.page is not None:
             raise UserError(
                 "--browser serves a page and writes none: leave out --page."
             )
-        trained = load_agent(self.agent)
+        trained = load_agent(run)
         graph = None
         if self.graph:
             graph = read_graph(self.graph, self.format)
         names = read_names(self.names)
-        asking = (self.question, self.edit, self.scene, self.unclear)
+        asking = (question, self.edit, self.scene, self.unclear)
         asker = Asker(trained, graph, seed=self.seed, names=names, level=self.level)
         with closing(asker):
             if graph is not None:
@@ -97,7 +108,7 @@ class Ask(TableCommand):
                     asked = asker.play(asked.answers, asked.scene, picked=picked)
                     print(printable(asked.outcome))
         if self.page is not None:
-            write_page(Path(self.page), asked, self.question, self.edit)
+            write_page(Path(self.page), asked, question, self.edit)
             print(f"Wrote {self.page}")
         end = asked.film[-1]
         evidence = asked.answers.evidence
@@ -114,6 +125,16 @@ class Ask(TableCommand):
             "success": end.success,
             "steps": end.step,
         }
+
+
+def _is_path(word: str) -> bool:
+    """Return whether a word is a run and no question: a folder, or what looks like a path."""
+    if re.fullmatch(r"[^\s/\\]*[/\\]\S*", word):
+        return True
+    is_folder = False
+    with suppress(OSError):  # a question too long for a path
+        is_folder = word != "" and Path(word).is_dir()
+    return is_folder
 
 
 def _pick(choices: Sequence[ObjectColour]) -> ObjectColour | None:

@@ -1,6 +1,5 @@
 """Policies of a benchmark: run folders, exported folders, anything with ``reset`` and ``act``."""
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +15,7 @@ from knowarm.experiment.evaluation import Subject
 from knowarm.experiment.knows import NoKnowledge, answers_by_graph
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph
-from knowarm.experiment.run_folder import PERCEPTION_FILE
+from knowarm.experiment.zoo import POLICIES, shipped_name
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
 from knowarm.reading import digest, read_bytes, reading
@@ -62,7 +61,7 @@ def entrant(spec: str) -> Entrant:
         return _scripted(spec)
     if (path / "contract.json").is_file():
         return _exported(spec, path)
-    if path.is_dir():
+    if path.is_dir() or shipped_name(spec):
         return _run(spec)
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
@@ -84,7 +83,8 @@ def is_safe(spec: str) -> bool:
     if spec in SCRIPTED_AGENTS:
         return True
     is_remote = ":" in spec or spec.startswith(("//", "\\\\"))
-    return not is_remote and (Path(spec) / "config.json").is_file()
+    is_run = (Path(spec) / "config.json").is_file() or shipped_name(spec) in POLICIES
+    return not is_remote and is_run
 
 
 def _scripted(name: str) -> Entrant:
@@ -131,21 +131,12 @@ def _run(spec: str) -> Entrant:
     controls: dict[str, MakeAgent] = {}
     if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
-    files = sorted((folder.checkpoints / "best").glob("*.safetensors"))
-    others = (
-        "config.json",
-        "provenance.json",
-        "knowledge.safetensors",
-        PERCEPTION_FILE,
-    )
-    files += filter(Path.is_file, map(folder.path.joinpath, others))
-    digests = [hashlib.sha256(read_bytes(file)).digest() for file in files]
     return Entrant(
         spec=spec,
         make=make,
         inputs=tuple(filter(uses.get, INPUTS)),
         training=training,
-        digest=digest(b"".join(digests)),
+        digest=folder.digest,
         controls=controls,
         seed=config.seed,
     )

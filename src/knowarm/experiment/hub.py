@@ -12,7 +12,6 @@ from typing import Any
 
 from knowarm.errors import UserError, packages_of
 from knowarm.escapes import markdown
-from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.reading import one_line, read_bytes
 
@@ -86,13 +85,6 @@ def pull_from_hub(
             allow_patterns=[*RUN_FILES, *POLICY_FILES, *single_files, "README.md"],
         )
     return Path(folder)
-
-
-def from_pretrained(
-    repo_id: str, *, revision: str | None = None, **options: Any
-) -> TrainedAgent:
-    """Load a trained agent from the Hub; ``options`` are those of `load_agent`."""
-    return load_agent(pull_from_hub(repo_id, revision=revision), **options)
 
 
 @contextmanager

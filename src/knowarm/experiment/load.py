@@ -13,9 +13,11 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
+from knowarm.experiment.hub import pull_from_hub
 from knowarm.experiment.knows import Knowledge, NoKnowledge, row_names
 from knowarm.experiment.other_graphs import check_graph, with_graph
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
+from knowarm.experiment.zoo import open_run
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn import read_checkpoint
 from knowarm.learn.checkpoint import to_tensors
@@ -218,7 +220,7 @@ def load_agent(
     """Load the trained agent of a run.
 
     Args:
-        path: the run folder, such as ``runs/irb120-full-fast/0``.
+        path: the run folder, e.g. ``runs/irb120-full-fast/0``, or ``zoo/NAME``, a shipped policy.
         which: the policy of the best interim evaluation, the latest, or the initial weights.
         greedy: take the most probable action instead of sampling one.
         seed: seed of the sampled actions.
@@ -230,7 +232,7 @@ def load_agent(
         UserError: the folder holds no run, no such checkpoint, or a damaged one; the agent knows no
             graph, or the given one describes too few objects.
     """
-    folder = RunFolder.open(path)
+    folder = open_run(path)
     config = folder.experiment()
     table = folder.knowledge()
     stored = folder.provenance().policy
@@ -305,3 +307,10 @@ def _knowing(
         )
     check_graph(config, config.env)
     return with_graph(config, graph)
+
+
+def from_pretrained(
+    repo_id: str, *, revision: str | None = None, **options: Any
+) -> TrainedAgent:
+    """Load a trained agent from the Hub; ``options`` are those of `load_agent`."""
+    return load_agent(pull_from_hub(repo_id, revision=revision), **options)

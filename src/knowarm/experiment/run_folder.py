@@ -39,6 +39,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.reading import (
     digest,
     read_arrays,
+    read_bytes,
     read_json,
     reading,
     refuse_links,
@@ -252,6 +253,20 @@ class RunFolder:
         """Read the summaries of the post-training evaluations, by label."""
         files = sorted(self.path.glob("evaluation/*/summary.json"))
         return [Summary.read(file.parent) for file in files]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all files that decide what its best policy does and declares."""
+        files = sorted((self.checkpoints / "best").glob("*.safetensors"))
+        others = (
+            "config.json",
+            "provenance.json",
+            "knowledge.safetensors",
+            PERCEPTION_FILE,
+        )
+        files += filter(Path.is_file, map(self.path.joinpath, others))
+        digests = [hashlib.sha256(read_bytes(file)).digest() for file in files]
+        return digest(b"".join(digests))
 
     def write_knowledge(self, table: np.ndarray) -> None:
         """Store the knowledge table (F, K), float32."""

@@ -162,3 +162,306 @@ def _pairs(option: str, values: Sequence[str], sign: str) -> dict[str, str]:
             )
         pairs[name] = value
     return pairs
+
+
+def _refuse_others(root: Element, path: Path) -> None:
+    """Refuse XML of another kind."""
+    if root.tag not in ("robot", "mujoco"):
+        raise UserError(
+            f"{path} holds <{root.tag}>, and neither a URDF (<robot>) nor a whole MJCF file "
+            "(<mujoco>). Give such a file, or convert it."
+        )
+
+
+def _is_xacro(root: Element) -> bool:
+    """Return whether a robot's XML has xacro's elements or expressions."""
+    text = ElementTree.tostring(root, encoding="unicode")
+    return root.tag == "robot" and bool(XACRO_MARKS.search(text))
+
+
+class _Packages:
+    """Files of the ROS packages that a robot's file names: given, above it or beside those."""
+
+    def __init__(self, path: Path, given: Sequence[str]) -> None:
+        self.path = path
+        self.above = path.absolute().parents[:LEVELS]
+        self.given: dict[str, Path] = {}
+        for name, text in _pairs("--package", given, "=").items():
+            folder = Path(text).expanduser().resolve()
+            if not folder.is_dir():
+                raise UserError(
+                    f"--package {name}={text}: there is no folder {folder}. Give that of the "
+                    "package."
+                )
+            self.given[name] = folder
+
+    def folder(self, name: str) -> Path:
+        """Return the folder of a package."""
+        if name in self.given:
+            return self.given[name]
+        for above in self.above:
+            beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
+            for folder in (above, *beside):
+                if name == _package_name(folder):
+                    return folder
+        raise UserError(
+            f"Package {name!r} of {self.path} is not found in the {LEVELS} folders above it, nor "
+            f"beside them. Give its folder: --package {name}=FOLDER."
+        )
+
+    def mesh(self, name: str) -> Path:
+        """Return the file of a mesh."""
+        scheme, separator, place = name.replace("\\", "/").rpartition("://")
+        if separator:
+            place = unquote(place)
+        if scheme in ("package", "model"):
+            package, _, inside = place.partition("/")
+            # A copied folder may have lost its package.xml and its name.
+            folders = [above for above in self.above if (above / inside).is_file()]
+            folder = folders[0] if folders else self.folder(package)
+            file = folder / inside
+        else:
+            if re.match(r"/[A-Za-z]:/", place):
+                place = place[1:]
+            file = self.path.parent / place
+        if not file.is_file():
+            raise UserError(
+                f"Mesh {name!r} of {self.path} is not found: there is no {file}."
+            )
+        return file.resolve()
+
+
+def _package_name(folder: Path) -> str:
+    """Return the name in the package.xml of a folder, else the folder's."""
+    try:
+        name = ElementTree.parse(folder / "package.xml").findtext("name")
+    except (OSError, ElementTree.ParseError):
+        name = None
+    return (name or folder.name).strip()
+
+
+def _expand(ros: _Packages, arguments: dict[str, str]) -> Element:
+    """Expand a xacro file."""
+    path = ros.path
+    with packages_of("urdf", f"The xacro file {path}"):
+        import xacro
+    remedy = "Give a xacro file, and --xacro name:=value if it requires arguments."
+    with reading(path, remedy), xacro_packages(lambda name: str(ros.folder(name))):
+        try:
+            document = xacro.process_file(str(path.absolute()), mappings=arguments)
+        except Exception as error:  # of the file or one that it includes
+            if isinstance(getattr(error, "exc", None), UserError):
+                raise error.exc from None
+            included = Path(xacro.filestack[-1])
+            refuse_pointer(included)
+            if included == path.absolute():
+                raise
+            raise ValueError(f"{included}: {one_line(error)}") from error
+        return ElementTree.fromstring(document.toxml())
+
+
+def _remove(element: Element, tag: str) -> None:
+    """Remove the children of an element that have a tag."""
+    for child in element.findall(tag):
+        element.remove(child)
+
+
+SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit")
+"""Attributes of a joint's safety_controller."""
+
+
+def _set_limits(root: Element, path: Path) -> list[str]:
+    """Take the soft limits of joints, which a controller enforces; return those joints.
+
+    Raises:
+        UserError: a lower limit is above its upper one.
+    """
+    softened = []
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+            continue
+        low, high = _numbers(limit, ("lower", "upper"), name, path)
+        if low > high:
+            raise UserError(
+                f"Joint {name!r} of {path} has a lower limit of {low:g} and an upper one of "
+                f"{high:g}. Exchange or correct them in the file."
+            )
+        soft = joint.find("safety_controller")
+        if soft is None or not set(soft.attrib) >= {*SOFT_LIMITS}:
+            continue
+        soft_low, soft_high = _numbers(soft, SOFT_LIMITS, name, path)
+        ends = (max(low, soft_low), min(high, soft_high))
+        if ends != (low, high) and ends[0] < ends[1]:
+            limit.attrib.update(lower=str(ends[0]), upper=str(ends[1]))
+            softened.append(name)
+    return softened
+
+
+def _numbers(
+    element: Element, keys: Sequence[str], joint: str, path: Path
+) -> list[float]:
+    """Return numbers among the attributes of a joint's element, by default 0."""
+    numbers = []
+    for key in keys:
+        text = element.get(key, "0")
+        try:
+            number = float(text)
+            if math.isnan(number):
+                raise ValueError
+        except ValueError:
+            raise UserError(
+                f"Joint {joint!r} of {path}: {key} is {text!r}, which is no number. Correct the "
+                "file."
+            ) from None
+        numbers.append(number)
+    return numbers
+
+
+def _repair_inertias(spec: MjSpec) -> tuple[list[str], list[str]]:
+    """Make the inertias of a URDF possible.
+
+    Return the links that move and have none, and those whose inertia was not possible.
+    """
+    missing = []
+    repaired = []
+    for body in spec.bodies[1:]:
+        moves = bool(list(body.joints))
+        if not body.explicitinertial:
+            if moves:
+                missing.append(body.name)
+            if all(geom.group == VISUAL_GROUP for geom in body.geoms):
+                body.explicitinertial = True
+                body.ipos = np.zeros(3)
+                body.mass = LEAST_KG
+                body.inertia = np.full(3, LEAST_INERTIA)
+        elif _repair_inertia(body) and moves:
+            repaired.append(body.name)
+    return missing, repaired
+
+
+def _repair_inertia(body: MjsBody) -> bool:
+    """Make an inertia possible; return whether it was not."""
+    full = np.nan_to_num(body.fullinertia)  # MuJoCo reads no zeros
+    matrix = np.diag(full[:3])
+    matrix[BELOW] = full[3:]
+    values, axes = np.linalg.eigh(matrix)
+    too_small = body.mass < LEAST_KG or values[0] <= 0
+    too_long = values[:2].sum() < values[2] * (1 - ROUNDING)
+    if too_small or too_long:
+        values = np.maximum(values, LEAST_INERTIA)
+        if values[:2].sum() < values[2]:
+            values[:] = values.mean()  # as MuJoCo's balanceinertia does
+    values[2] = min(values[2], values[:2].sum() * (1 - ROUNDING))
+    matrix = axes @ np.diag(values) @ axes.T
+    body.fullinertia = [*matrix.diagonal(), *matrix[BELOW]]
+    body.mass = max(body.mass, LEAST_KG)
+    return bool(too_small or too_long)
+
+
+BELOW = np.tril_indices(3, -1)
+"""Rows and columns of a matrix below its diagonal."""
+
+
+def _convert_meshes(root: Element, folder: Path, ros: _Packages) -> list[str]:
+    """Copy or convert the meshes of a URDF into a folder; a visual per colour refers to them.
+
+    Return the names of textures and textured meshes.
+    """
+    folder.mkdir()
+    textured: list[str] = []
+    known: dict[tuple[Path, str], dict[Path, str | None]] = {}
+    for link in root.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            shape.attrib.pop("name", None)  # MuJoCo takes no name twice
+            for material in shape.findall("material"):
+                textured += [t.get("filename", "") for t in material.iter("texture")]
+                _remove(material, "texture")
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            source = ros.mesh(mesh.get("filename", ""))
+            key = (source, shape.tag)
+            if key not in known:
+                stem = re.sub("[^A-Za-z0-9]+", "_", source.stem)
+                target = folder / f"{shape.tag}_{len(known)}_{stem}"
+                is_visual = shape.tag == "visual"
+                known[key] = _convert_mesh(source, target, is_visual, textured)
+            link.remove(shape)
+            for file, rgba in known[key].items():
+                mesh.set("filename", f"{MESHES}/{file.name}")
+                part = deepcopy(shape)
+                if rgba is not None:
+                    _remove(part, "material")
+                    material = SubElement(part, "material", name=file.stem)
+                    SubElement(material, "color", rgba=rgba)
+                link.append(part)
+    return list(dict.fromkeys(textured))
+
+
+def _convert_mesh(
+    source: Path, target: Path, is_visual: bool, textured: list[str]
+) -> dict[Path, str | None]:
+    """Copy a binary STL file; split another mesh by its colours, which collisions do without.
+
+    Return the files, each with its colour; None for none. Add a name to those ``textured``.
+    """
+    refuse_pointer(source)
+    if _is_binary_stl(source):
+        return {Path(shutil.copyfile(source, target.with_suffix(".stl"))): None}
+    with packages_of("urdf", f"The mesh {source}"):
+        import trimesh
+
+        import_module("collada")  # with which trimesh reads COLLADA
+    files: dict[Path, str | None] = {}
+    remedy = "Give a mesh that trimesh reads, such as STL, OBJ or COLLADA."
+    with reading(source, remedy):
+        groups: dict[str | None, list[Any]] = {}
+        for mesh in trimesh.load_scene(source).dump():
+            if isinstance(mesh, trimesh.Trimesh):
+                if "*" in (mesh.units or ""):  # COLLADA's, such as 0.01 * meters
+                    mesh.convert_units("meters")
+                rgba = None
+                if is_visual:
+                    rgba = _rgba(mesh)
+                    if _image(mesh) is not None:
+                        textured.append(source.name)
+                groups.setdefault(rgba, []).append(mesh)
+        if not groups:
+            raise ValueError("it has no faces")
+        for i, (rgba, meshes) in enumerate(groups.items()):
+            whole: Any = trimesh.util.concatenate(meshes)
+            suffix = ".stl" if len(whole.faces) <= MOST_STL_FACES else ".obj"
+            file = target.with_name(f"{target.name}_{i}{suffix}")
+            whole.export(file)
+            files[file] = rgba
+    return files
+
+
+def _is_binary_stl(path: Path) -> bool:
+    """Return whether MuJoCo reads a file as it is."""
+    data = read_bytes(path)
+    faces = int.from_bytes(data[80:84], "little")
+    has_size = len(data) == 84 + 50 * faces
+    return path.suffix.lower() == ".stl" and has_size and 0 < faces <= MOST_STL_FACES
+
+
+def _image(mesh: Any) -> Any:
+    """Return the texture of a mesh, or None."""
+    material = getattr(mesh.visual, "material", None)
+    image = getattr(material, "image", None)
+    return image or getattr(material, "baseColorTexture", None)
+
+
+def _rgba(mesh: Any) -> str | None:
+    """Return the mean colour of a mesh in URDF's notation, or None if it has none."""
+    if not mesh.visual.defined:
+        return None
+    material = getattr(mesh.visual, "material", None) or mesh.visual
+    image = _image(mesh)
+    if image is not None:
+        colour = np.asarray(image.convert("RGBA"), float).reshape(-1, 4).mean(axis=0)
+    else:
+        colour = np.asarray(material.main_color)
+    return " ".join(f"{value:.3g}" for value in colour / 255)

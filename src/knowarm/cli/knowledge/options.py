@@ -134,11 +134,11 @@ class SceneOptions(TableCommand):
     def _run(self) -> ExperimentConfig | None:
         """Return the settings of the run, if the agent is a run folder."""
         folder = Path(self.agent or "")
-        if not (folder / "config.json").exists():
+        if not (folder / "config.json").exists() and folder.parent != Path("zoo"):
             return None
-        from knowarm.experiment.run_folder import RunFolder
+        from knowarm.experiment.zoo import open_run
 
-        return RunFolder.open(folder).experiment()
+        return open_run(folder).experiment()
 
     def _config(self, run: ExperimentConfig | None) -> KnowledgeConfig:
         """Return the settings of the agent, or the given ones."""
