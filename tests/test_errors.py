@@ -1,6 +1,9 @@
+import re
+
 import pytest
 
-from knowarm.errors import UserError, packages_of, unknown_name
+from knowarm.errors import UserError, packages_of, shell_command, unknown_name
+from tests.source_tree import SOURCE
 
 
 def test_nearest_names_come_first():
@@ -30,3 +33,18 @@ def test_a_package_that_is_missing_is_named_with_its_extra():
         packages_of("hub", "The Hub"),
     ):
         import absent_package  # noqa: F401
+
+
+def unquoted(text):
+    """Return what a text puts into a command without `shell_command`; constants have no spaces."""
+    values = re.findall(r"knowarm [a-z]+ [^\"\n]*?\{(.*?)\}", text)
+    return [value for value in values if not value.isupper() and value != "kind"]
+
+
+def test_every_printed_command_is_quoted():
+    assert unquoted('print(f"Try: knowarm report {out} --out {page}")') == ["out"]
+    assert shell_command("report", "My Arm/runs") == "knowarm report 'My Arm/runs'"
+    found = {
+        path.name: unquoted(path.read_text("utf-8")) for path in SOURCE.rglob("*.py")
+    }
+    assert {name: values for name, values in found.items() if values} == {}

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from knowarm.escapes import ESCAPES, csv_cell, markdown
+from knowarm.escapes import ESCAPES, csv_cell, latex, markdown
 from knowarm.report import write_report
 from tests.source_tree import ROOT
 
@@ -69,6 +69,16 @@ def test_markdown_has_no_markup_of_the_text(text):
     escaped = markdown(text)
     assert "\n" not in escaped
     assert not set(re.sub(r"&#\d+;", "", escaped)) & set("\\`*_[]<>!|&~$\"'\x1b")
+
+
+@pytest.mark.parametrize(
+    "text", [*TEXTS, r"\input{/etc/passwd} %x & #1 ^_~"], ids=ascii
+)
+def test_latex_has_no_command_cell_or_comment_of_the_text(text):
+    escaped = latex(text)
+    assert "\n" not in escaped
+    allowed = r"\\text(backslash|asciitilde|asciicircum)\{\}|\\[{}$&#_%]|\$-\$"
+    assert not set(re.sub(allowed, "", escaped)) & set("\\{}$&#^_%~")
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=ascii)

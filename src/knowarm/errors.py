@@ -1,5 +1,6 @@
 """User errors: mistakes in arguments, configs and files that a user can fix."""
 
+import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -61,6 +62,11 @@ def printable(text: str) -> str:
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
     )
+
+
+def shell_command(*words: object) -> str:
+    """Return a command of KnowArm as a shell reads it: words with spaces are quoted."""
+    return shlex.join(["knowarm", *map(str, words)])
 
 
 def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:

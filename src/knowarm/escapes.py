@@ -27,10 +27,29 @@ def markdown(text: str) -> str:
     return _MARKDOWN.sub(lambda match: f"&#{ord(match[0])};", line)
 
 
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "\u2212": "$-$",
+        "\u2013": "--",
+        "\u00b0": r"$^\circ$",
+        **{mark: f"\\{mark}" for mark in "{}$&#_%"},
+    }
+)
+
+
+def latex(text: str) -> str:
+    """Return text in one line as LaTeX prints it in text mode: no command, cell or comment."""
+    return " ".join(printable(text).split()).translate(_LATEX)
+
+
 ESCAPES: Mapping[str, Callable[[str], str]] = {
     "terminal": printable,
     "markup": escape,
     "csv": csv_cell,
     "markdown": markdown,
+    "latex": latex,
 }
 """Escape by format: HTML, SVG and XML are markup; JSON, Parquet and ONNX escape by themselves."""

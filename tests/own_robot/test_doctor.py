@@ -101,7 +101,9 @@ def test_the_printed_commands_parse_and_read_the_thresholds_of_the_description(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    text = write_robot(tmp_path, **STATED).read_text()
+    folder = tmp_path / "My Arm"
+    folder.mkdir()
+    text = write_robot(folder, **STATED).read_text()
     draft = SimpleNamespace(how={}, toml=lambda file: text)
     here = "knowarm.own_robot.command."
     checked = []
@@ -112,7 +114,7 @@ def test_the_printed_commands_parse_and_read_the_thresholds_of_the_description(
         here + "check_robot",
         lambda *args, **options: checked.append(options) or [],
     )
-    file = tmp_path / "arm.toml"
+    file = folder / "arm.toml"
     Doctor(robot="arm.xml", write=file).run()
     assert checked == [{"angle_deg": None, "ignore_roll": False, "distance_m": None}]
     printed = [

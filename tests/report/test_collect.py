@@ -1,6 +1,7 @@
 """Whatever is wrong with run folders is named, and nothing crashes."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,6 +23,7 @@ from knowarm.report import write_report
 from knowarm.report.collect import collect
 from knowarm.report.model import Evaluation
 from knowarm.report.pages.paper import published_result
+from knowarm.world.description import trust
 from tests.report.synthetic_study import (
     LABEL,
     Size,
@@ -33,6 +35,7 @@ from tests.report.synthetic_study import (
     write_run,
     write_study,
 )
+from tests.source_tree import SOURCE
 
 LIGHT = Size(points=8, tables=False)
 DAMAGED = '{"format": 1, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
@@ -394,6 +397,29 @@ def test_an_unwritable_place_is_refused(tmp_path):
         write_report(paths, tmp_path / "file" / "report.html")
     with pytest.raises(UserError, match=r"\.html"):
         write_report(paths, tmp_path / "report.pdf")
+
+
+def test_a_robot_of_ones_own_is_named_by_its_file(tmp_path):
+    """A run folder's copy of it lies in a folder of a hashed name."""
+    runs = []
+    for folder, mpi_rad in (("one", 0.03), ("other", 0.04)):
+        robot = tmp_path / folder / "My Arm" / "mira.toml"
+        robot.parent.mkdir(parents=True)
+        text = (SOURCE / "world/robots/irb120/irb120.toml").read_text()
+        text = text.replace('mjcf = "', f'mjcf = "{SOURCE}/world/robots/irb120/')
+        robot.write_text(re.sub(r"mpi_rad = .*", f"mpi_rad = {mpi_rad}", text))
+        trust(str(robot))
+        for agent in ("bm", "full"):
+            path = tmp_path / "runs" / folder / agent / "0"
+            runs.append(write_run(path, agent, 0, 0.5, size=LIGHT))
+            edit(path / "config.json", env=env_of(str(robot)))
+    (alone,) = collect(runs[:2]).tasks
+    assert alone.title == "mira · fixed colours · ppo"
+    assert alone.name == "mira-fixed-colours-ppo"
+    both = collect(runs).tasks
+    assert len(both) == len({task.title for task in both}) == 2
+    for task in both:
+        assert task.title.startswith("mira · fixed colours · ppo · robot mira.toml (")
 
 
 def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):

@@ -1,7 +1,6 @@
 """``knowarm ask`` and ``answer``: questions to a trained agent, and to a graph alone."""
 
 import re
-import shlex
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from knowarm.asking.page import make_server, serve_page, write_page
 from knowarm.cli.arguments import read_names
 from knowarm.cli.knowledge.options import ObjectOptions
 from knowarm.cli.tables import FilePath, TableCommand, print_meeting, print_table
-from knowarm.errors import UserError, printable
+from knowarm.errors import UserError, printable, shell_command
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import meeting
 from knowarm.experiment.zoo import PACKAGED
@@ -52,7 +51,9 @@ class Ask(TableCommand):
     """Changes of the graph, such as "- mug usedFor drinking" "+ lamp usedFor drinking". The scene
     is then one with another answer than without them, unless --scene is given."""
     scene: int | None = None
-    """Number of the scene; default: the first in which exactly one object answers."""
+    """Number of the scene; default: of the first 60 in which exactly one object answers the first
+    whose objects stand apart, whose answer the network sees, and which the arm reaches; if there is
+    none, the first."""
     seed: int = 0
     """Seed of the scenes."""
     unclear: Unclear = "seen"
@@ -77,12 +78,8 @@ class Ask(TableCommand):
             question = run
             run = PACKAGED
         if not question and not self.browser:
-            of_run = ""
-            if self.agent:
-                of_run = f"{shlex.quote(run)} "
-            raise UserError(
-                f'Give a question: knowarm ask {of_run}"something to drink from".'
-            )
+            words = filter(None, (self.agent, "something to drink from"))
+            raise UserError(f"Give a question: {shell_command('ask', *words)}")
         if self.browser and self.page is not None:
             raise UserError(
                 "--browser serves a page and writes none: leave out --page."
@@ -156,7 +153,7 @@ def _print(asked: Asked) -> None:
     print(printable(f"I read this as: {asked.answers.as_read}"))
     print_table("Answers in the graph", columns, lines[:SHOWN])
     if len(lines) > SHOWN:
-        print(f"and {len(lines) - SHOWN} more objects.")
+        print(f"and {len(lines) - SHOWN} more.")
     _print_facets(asked, "stand", asked.shown)
     named = sorted(asked.named, key=[*asked.shown, *asked.named].index)
     _print_facets(asked, "the network names", named)

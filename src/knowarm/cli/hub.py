@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from knowarm.cli.tables import FolderPath
+from knowarm.errors import shell_command
 from knowarm.experiment.hub import pull_from_hub, push_to_hub
 
 RepoId = Annotated[Positional[str], arg(metavar="OWNER/NAME")]
@@ -45,7 +46,7 @@ class Pull:
         path = pull_from_hub(self.repo_id, revision=self.revision, to=self.to)
         print(f"Downloaded {self.repo_id} to {path}")
         if (path / "config.json").exists():
-            print(f"Evaluate it with: knowarm evaluate {path}")
+            print(f"Evaluate it with: {shell_command('evaluate', path)}")
 
 
 HUB = {"push": Push, "pull": Pull}

@@ -25,10 +25,11 @@ from knowarm.cli.tables import (
     make_console,
     print_table,
 )
-from knowarm.errors import printable
+from knowarm.errors import printable, shell_command
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json, read_text
-from knowarm.report import write_report
+from knowarm.report import write_figure, write_report
+from knowarm.report.figure import Kind
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
 from knowarm.study.driver import OnStatus, open_study, request_stop, retry, run_study
 from knowarm.study.executor import RunKey
@@ -235,7 +236,8 @@ class StudyRun:
             return
         if "failed" in states:
             print(
-                f"Let failed runs resume with: knowarm study retry {out}, then the same command."
+                "To let failed runs resume, run the same command after: "
+                f"{shell_command('study', 'retry', out)}"
             )
         if "damaged" in states:
             print("Repair or remove what is damaged, then run the same command again.")
@@ -289,7 +291,7 @@ class Retry(FolderCommand):
         for name in names:
             print(f"{name} will resume.")
         if names:
-            print(f"Continue with: knowarm study run {self.folder}")
+            print(f"Continue with: {shell_command('study', 'run', self.folder)}")
         else:
             print("No run has failed.")
 
@@ -344,7 +346,7 @@ class Unpack:
     def run(self) -> None:
         """Write the folder."""
         out = self.out or self.file.with_name(self.file.name.removesuffix(SUFFIX))
-        report = f"knowarm report {out} --out {out / 'report.html'}"
+        report = shell_command("report", out, "--out", out / "report.html")
         print(f"Unpacked: {unpack_study(self.file, out)}. Report: {report}")
 
 
@@ -370,6 +372,33 @@ class Report(TableCommand):
             print(f"Note: {where}, {problem['what']}, {problem['done']}")
         print(f"Wrote {path}: open it in a browser.")
         return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """Write a figure or table of runs for a paper, with the verdict of their report as caption."""
+
+    runs: Annotated[
+        tuple[Path, ...],
+        Positional,
+        arg(metavar="RUN...", help_behavior_hint="(required)"),
+    ]
+    """Run folders, or folders that contain them at any depth."""
+    out: Path = Path("runs/figure.pdf")
+    """A drawing (.pdf, .svg or .png), or a table (.tex or .md)."""
+    kind: Kind | None = None
+    """What is drawn: success over the steps, success after training with intervals, or film
+    strips. Default: curves."""
+    caption: bool = True
+    """Write the caption below the drawing."""
+
+    def run(self) -> None:
+        """Write the file and print its caption."""
+        sentence = write_figure(
+            self.runs, self.out, kind=self.kind, caption=self.caption
+        )
+        print(printable(f"Caption: {sentence}"))
+        print(f"Wrote {self.out}")
 
 
 COMMANDS: dict[str, type] = {

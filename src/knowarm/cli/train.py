@@ -21,7 +21,7 @@ from knowarm.cli.arguments import (
 )
 from knowarm.cli.tables import FilePath
 from knowarm.config import flatten, override, to_dict
-from knowarm.errors import UserError
+from knowarm.errors import UserError, shell_command
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
 from knowarm.experiment.names import (
@@ -132,9 +132,9 @@ class Train:
         for flag, (variable, _) in OWN.items():
             import_paths = named_by(variable)
             if import_paths:
-                own += f" {flag} {import_paths[-1]}"
+                own += f" {flag} {shlex.quote(import_paths[-1])}"
         others, _ = take_option(arguments, "--until-step", "N")
-        again = shlex.join(["knowarm", "train", *others])
+        again = shell_command("train", *others)
         if not command.resume:
             again += " --resume"
         return replace(command, again=again + own, own=own)
@@ -172,10 +172,8 @@ class Train:
             )
             if result.best_step == 0:
                 print("That is the untrained network: none after it was better.")
-        print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(path))}{self.own}")
-        print(
-            f"Compare runs with: knowarm report {shlex.quote(str(self.runs))}{self.own}"
-        )
+        print(f"Evaluate it with: {shell_command('evaluate', path)}{self.own}")
+        print(f"Compare runs with: {shell_command('report', self.runs)}{self.own}")
         return 0
 
 

@@ -16,6 +16,7 @@ from knowarm.config import at_least, file_name
 from knowarm.deploy.contract import Deployment, deployment, export, tcp_position
 from knowarm.deploy.driver import Driver, Safety, Topics
 from knowarm.deploy.record import record
+from knowarm.errors import shell_command
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
@@ -61,7 +62,7 @@ class Export(OfRun):
         print(f"knowledge.npy: vectors of {', '.join(rows[:3])}{more}.")
         if not contract["success"]:
             print(
-                f"Not evaluated: `knowarm evaluate {self.run_folder}` adds its success."
+                f"Not evaluated: `{shell_command('evaluate', self.run_folder)}` adds its success."
             )
 
 

@@ -121,9 +121,10 @@ def _card(repo_id: str, text: str) -> str:
 def _run_text(folder: RunFolder) -> str:
     """Describe a run, with success and controls of every stored evaluation."""
     config = folder.experiment()
+    robot = Path(config.env.robot).stem
     lines = [
         f"Policy {markdown(config.name)}, training seed {config.seed}: robot "
-        f"{markdown(config.env.robot)}, task {markdown(config.env.task.name)}, algorithm "
+        f"{markdown(robot)}, task {markdown(config.env.task.name)}, algorithm "
         f"{markdown(config.learner)}, {folder.steps_trained:,} steps. "
         "One training seed: no claim about the agent.",
         "",

@@ -10,7 +10,7 @@ import tyro
 
 from knowarm.check import Check
 from knowarm.cli.tables import FilePath, TableCommand, print_table
-from knowarm.errors import UserError, printable
+from knowarm.errors import UserError, printable, shell_command
 from knowarm.own_robot.calibration import (
     Unit,
     joint_map_toml,
@@ -244,7 +244,8 @@ class Doctor(TableCommand):
         self._refuse_existing()
         with replacing(self.write) as temporary:
             temporary.write_text(text, "utf-8")
-        print(f"Wrote {self.write}; use it: knowarm serve RUN --joint-map {self.write}")
+        use = shell_command("serve", "RUN", "--joint-map", self.write)
+        print(f"Wrote {self.write}; use it: {use}")
 
     def _refuse_existing(self) -> None:
         """Refuse to write to another file than a new TOML file."""
@@ -283,14 +284,14 @@ class Doctor(TableCommand):
         print(text)
         agent = "full-fast"
         print("Next:")
-        for command in (
-            f"doctor --robot {file}",
-            f"view {file}",
-            f"evaluate oracle --env.robot {file}",
-            f"train {agent} --env.robot {file}",
-            f"evaluate runs/{file.stem}-{agent}/0",
+        for words in (
+            ("doctor", "--robot", file),
+            ("view", file),
+            ("evaluate", "oracle", "--env.robot", file),
+            ("train", agent, "--env.robot", file),
+            ("evaluate", f"runs/{file.stem}-{agent}/0"),
         ):
-            print(f"  knowarm {command}")
+            print(f"  {shell_command(*words)}")
         print()
 
     def _refuse(self, needed: str, *options: str) -> None:

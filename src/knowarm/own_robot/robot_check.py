@@ -1,5 +1,6 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach, visibility."""
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -286,7 +287,7 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     if (way.steps > way.most_steps).any():
         remedy += f", enlarge mpi_rad, which is {scene.robot.mpi_rad:g}"
     if others:
-        remedy += f", or leave it out: --targets {' '.join(others)}"
+        remedy += f", or leave it out: --targets {shlex.join(others)}"
     return check_reach(way, 0, episodes.position, f"{remedy}.")
 
 

@@ -188,10 +188,10 @@ def _titles(tasks: list[Runs]) -> list[tuple[str, str]]:
 def _title(run: RunData) -> tuple[str, ...]:
     """Return what the titles of a run's task consist of: the robot, its title, and the rest."""
     env = run.config.env
-    robot_title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
+    name = Path(env.robot).stem  # of a description of one's own
     title = (
-        env.robot,
-        robot_title,
+        name,
+        ROBOTS[name].title if env.robot in ROBOTS else name,
         env.task.title,
         f"{env.colours} colours",
         run.config.learner,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.config import to_dict
-from knowarm.errors import UserError
+from knowarm.errors import UserError, shell_command
 from knowarm.experiment.csv_log import number_in, read_csv
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.run_folder import RunFolder
@@ -148,7 +148,8 @@ def _run_folders(paths: Sequence[Path], problems: Problems) -> list[Path]:
         if not configs:
             what = "does not exist"
             if path.is_file():
-                what = "is no folder; unpack a packed study first: knowarm study unpack"
+                unpack = shell_command("study", "unpack", path)
+                what = f"is no folder; unpack a packed study first: {unpack}"
             elif path.exists():
                 what = "holds no run folder"
             problems.append(FolderProblem(path, what, "left out"))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, shell_command, unknown_name
 from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
@@ -83,7 +83,8 @@ def run_study(
     executor = make_executor(study.where, out)
     try:
         with lock_folder(
-            out, remedy="Wait until it ends, or stop it: knowarm study stop."
+            out,
+            remedy=f"Wait until it ends, or stop it: {shell_command('study', 'stop', out)}",
         ):
             write_study(study, out)
             # Runs that start from now on can be resumed.

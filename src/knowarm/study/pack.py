@@ -11,7 +11,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, shell_command, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
@@ -86,7 +86,9 @@ def pack_study(
     for part, part_files in PART_FILES.items():
         if part not in leave_out:
             patterns += part_files
-    with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
+    with lock_folder(
+        out, remedy=f"Stop it before packing: {shell_command('study', 'stop', out)}"
+    ):
         paths = [out / STUDY_FILE]
         for config in study.runs():
             folder = RunFolder(run_path(out, config))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from knowarm.config import from_dict
-from knowarm.errors import UserError
+from knowarm.errors import UserError, shell_command
 from knowarm.fence import fenced
 from knowarm.reading import (
     digest,
@@ -63,8 +63,8 @@ def check_trusted(values: Any, where: Path) -> None:
         if reason:
             raise UserError(
                 f"{where} names the description {name!r}, which is trusted like code, and "
-                f"{reason}. If you trust it, name it in a command, such as knowarm doctor "
-                f"--robot {name}, and repeat."
+                f"{reason}. If you trust it, name it in a command, and repeat: "
+                f"{shell_command('doctor', '--robot', name)}"
             )
 
 

@@ -74,7 +74,7 @@ def summary_blocks(
         reasons.append(TaskPart(name=task.name, title=task.title, blocks=blocks))
     shown: list[Block] = [answer(findings, len(study.tasks)), *doubts]
     if any(task.label for task in study.tasks):
-        shown.append(_results(study))
+        shown.append(results_figure(study))
     if study.problems:
         remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
         sentence = f"Before these numbers are used, read the {remarks}."
@@ -85,7 +85,8 @@ def summary_blocks(
     return [*shown, Folded(title="Reasons, task by task", blocks=reasons)]
 
 
-def _results(study: StudyData) -> Figure:
+def results_figure(study: StudyData) -> Figure:
+    """Draw the success of all agents, above the numbers of `MEASURES`."""
     scores: list[float] = []
     rows: list[Row] = []
     agents: list[Evaluated] = []

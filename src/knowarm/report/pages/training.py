@@ -1,6 +1,6 @@
 """Page "Training": learning curves, steps to fixed levels of success, time and speed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -59,6 +59,14 @@ def curve_figure(
     task: TaskData, measures: Mapping[str, Axis], name: str, title: str
 ) -> Figure:
     """Draw columns of ``evaluations.csv``, names of measures by axis, over the steps."""
+    lines = curve_lines(task, measures)
+    rows = line_rows(lines, "step")
+    table = table_of(task, name, rows, like="curves", more=measures, title=title)
+    return line_figure(table, lines, STEPS_AXIS, measures)
+
+
+def curve_lines(task: TaskData, measures: Iterable[str]) -> dict[str, list[Series]]:
+    """Return the line of each agent by measure, a column of ``evaluations.csv``."""
     lines: dict[str, list[Series]] = {}
     for key in measures:
         for group in task.groups:
@@ -66,9 +74,7 @@ def curve_figure(
             if curves:
                 line = group_series(group, curves, key)
                 lines.setdefault(key, []).append(line)
-    rows = line_rows(lines, "step")
-    table = table_of(task, name, rows, like="curves", more=measures, title=title)
-    return line_figure(table, lines, STEPS_AXIS, measures)
+    return lines
 
 
 def line_rows(lines: Mapping[str, Sequence[Series]], x: str) -> list[Row]:

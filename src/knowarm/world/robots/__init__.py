@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, shell_command, unknown_name
 from knowarm.world.description import SUFFIX, read_description
 from knowarm.world.robots.robot import Robot
 
@@ -44,7 +44,7 @@ def unknown_robot(name: str) -> UserError:
     if name.lower().endswith((".xml", ".mjcf", ".urdf", ".xacro")):
         return UserError(
             f"{name!r} is a model file. Draft a description of it, and name that instead: "
-            f"knowarm doctor --robot {name} --write ROBOT{SUFFIX}."
+            f"{shell_command('doctor', '--robot', name, '--write', f'ROBOT{SUFFIX}')}"
         )
     return UserError(
         f"{name!r} is no description of a robot, which is a {SUFFIX} file. Other models than URDF, "

@@ -1,6 +1,7 @@
 """MJCF files of robots and objects: read, checked, and reduced to what a scene simulates."""
 
 import re
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 
 from knowarm.arrays import Floats
-from knowarm.errors import UserError
+from knowarm.errors import UserError, shell_command
 from knowarm.fence import fenced
 from knowarm.reading import one_line, reading, refuse_pointer
 from knowarm.world.description import HOW_TO_GET, menagerie_folder
@@ -22,7 +23,7 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
     if path.suffix in (".urdf", ".xacro"):
         raise UserError(
             f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
-            f"knowarm doctor --robot {path} --write ROBOT.toml."
+            f"{shell_command('doctor', '--robot', path, '--write', 'ROBOT.toml')}"
         )
     with reading(path, "Give the path of an MJCF file."):
         is_file = path.is_file()
@@ -40,7 +41,7 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         _refuse_pointers(path)
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
-            f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
+            f"`python -m mujoco.viewer --mjcf={shlex.quote(str(path))}` shows the same error."
         ) from None
 
 
