@@ -12,6 +12,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
+from scipy.spatial.distance import pdist
 
 from knowarm.asking.answers import Answers, Words, answer, words
 from knowarm.asking.judgements import Judgement, Place
@@ -38,6 +39,10 @@ IN_WORDS = "something to drink from that is not blue"
 """The first of them, where a graph answers it."""
 SCENES = 4_000
 """Scenes among which one is chosen that shows an answer."""
+LOOKED_AT = 60
+"""Of those that show an answer: how many are looked at for a clear one."""
+APART = 0.1
+"""Smallest distance of objects in the image of a clear scene, as a share of its side."""
 SCENES_WITH_PLACES = 400
 """Those of them that are tried for a question on where things stand."""
 
@@ -71,7 +76,8 @@ class Asked:
     angle: float
     """Angle from it [deg]."""
     within: bool
-    """Whether both are within the task's thresholds."""
+    """Whether both are within the task's thresholds; where there is a ``result``, whether the task
+    is solved."""
     film: tuple[Frame, ...]
     """The episode."""
     result: str = ""
@@ -133,11 +139,12 @@ class Asked:
 
     @property
     def table(self) -> list[list[str]]:
-        """Answers by object: its name, the colours in which it answers, why the first one does."""
-        return [
-            [name, colours, "; ".join(judgement.evidence)]
-            for name, colours, judgement in self.rows
-        ]
+        """Answers: objects, the colours in which they answer, why the first one does."""
+        alike: dict[tuple[str, str], list[str]] = {}
+        for name, colours, judgement in self.rows:
+            why = colours, "; ".join(judgement.evidence)
+            alike.setdefault(why, []).append(name)
+        return [[", ".join(names), *why] for why, names in alike.items()]
 
 
 class AnswerRow(NamedTuple):
@@ -212,10 +219,15 @@ class Asker:
                 before = self.answers(question)
                 if (before.satisfies != answers[0].satisfies).any():
                     answers.insert(0, before)
-        if scene is None:
-            scene = self.scene(answers)
+        scenes = self.scenes(answers) if scene is None else [scene]
         with self._playing:
-            return self.play(answers[-1], scene, unclear)
+            if scene is None:
+                for number in scenes[:LOOKED_AT]:
+                    if self._is_clear(answers[-1], number):
+                        asked = self.play(answers[-1], number, unclear)
+                        if asked.right and asked.within:
+                            return asked
+            return self.play(answers[-1], scenes[0], unclear)
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
@@ -270,9 +282,13 @@ class Asker:
             return self._env.render()[0], self._named(self._shown[scene])
 
     def scene(self, answers: Sequence[Answers]) -> int:
-        """Return the first scene in which one object answers, another one for each of several.
+        """Return the first of `scenes`."""
+        return self.scenes(answers)[0]
 
-        If no scene shows other ones, the first in which one object gives the last answer, and the
+    def scenes(self, answers: Sequence[Answers]) -> list[int]:
+        """Return the scenes in which one object answers, another one for each of several.
+
+        If no scene shows other ones, those in which one object gives the last answer, and the
         answers differ.
 
         Raises:
@@ -284,7 +300,7 @@ class Asker:
         if not fits.any():
             fits = has_one[-1] & (satisfies != satisfies[-1]).any((0, 2))
         if fits.any():
-            return int(fits.argmax())
+            return fits.nonzero()[0].tolist()
         question = answers[-1].question
         names = sorted({name for name, _ in answers[-1].judgements})
         if not set(names) & set(self.seen):
@@ -300,6 +316,27 @@ class Asker:
             f"In none of {tried:,} scenes does exactly one object answer {question!r}{other}. "
             "Ask a question with other answers, or give the number of a scene."
         )
+
+    def _is_clear(self, answers: Answers, scene: int) -> bool:
+        """Return whether objects stand apart, and the network sees the one that answers alone."""
+        size = self._spec.image_size
+        pixels = pixels_of(self._env.scene, self._scenes.positions[scene], size)
+        if pdist(pixels).min() < APART * size:
+            return False
+        shown = self._named(self._shown[scene])
+        right = self._truth(answers, scene).evidence
+        images, _ = self._env.reset(
+            options={"episodes": self._scenes[scene : scene + 1]}
+        )
+        image = torch.from_numpy(images)
+        _, wanted = self._decide(answers, image)
+        seen = self._see(image, wanted)
+        is_near = bool(is_success(distance, angle, *end.limits)[0])
+        result = task.skill.result(end, task.asked, 0)
+        named = self._named(seen.named[0].numpy())
+        may_answer = seen.candidates(self.thresholds)[0].tolist()
+        candidates = set(compress(named, may_answer))
+        return set(named) == set(shown) and candidates == right.keys() & set(shown)
 
     def _satisfied(self, answers: Answers) -> np.ndarray:
         """Return whether what stands in each scene answers, (N, m) bool.
@@ -390,6 +427,8 @@ class Asker:
         is_reached = infos["objects"] == infos["reached_object"][:, None]
         nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
+        is_near = bool(is_success(distance, angle, *end.limits)[0])
+        result = task.skill.result(end, task.asked, 0)
         named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.thresholds)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
@@ -406,9 +445,9 @@ class Asker:
             reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),
-            within=bool(is_success(distance, angle, *end.limits)[0]),
+            within=bool(end.success[0]) if result else is_near,
             film=tuple(film),
-            result=task.skill.result(end, task.asked, 0),
+            result=result,
             told=task.skill.instruct(end, task.asked, 0),
         )
 
@@ -434,7 +473,9 @@ def ask(
         graph: another graph than the run's: a file, or the name of a shipped one.
         edit: a change of the graph, such as "- mug usedFor drinking", or several. The scene is
             then one with another answer than without them, unless ``scene`` is given.
-        scene: number of the scene; None takes the first in which exactly one object answers.
+        scene: number of the scene; None takes, of the first 60 in which exactly one object
+            answers, the first that is clear: objects stand apart, the network sees the answer
+            alone, and the arm reaches it. If none is, the first.
         seed: seed of the scenes.
         names: the graph's names for objects, such as ``{"mug": "CoffeeMug"}``.
         unclear: if the network sees no answer, or several: go to the most likely place ("guess"),
