@@ -12,7 +12,7 @@ from knowarm.cli.arguments import parse_options, take_option
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.config import above_zero, at_least
-from knowarm.errors import UserError
+from knowarm.errors import UserError, shell_command
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
@@ -21,6 +21,7 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.tasks import find_task
 from knowarm.world.tasks.task import Task
+from knowarm.world.viewing.dataset import is_dataset, write_dataset_page
 from knowarm.world.viewing.record import (
     check_page,
     check_video,
@@ -38,10 +39,11 @@ installed as snaps cannot read the folder of temporary files."""
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Show films of an agent in the browser, or write them to files."""
+    """Show films of an agent, or a recorded dataset, in the browser, or write them to files."""
 
     robot: Annotated[str | None, Positional, arg(metavar="[ROBOT]")] = None
-    """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
+    """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own. Or the
+    folder of a recorded dataset."""
     agent: Annotated[str, arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
@@ -91,6 +93,9 @@ class View:
             page = PAGE
         if page is not None:
             check_page(page)
+        if self.robot is not None and is_dataset(self.robot):
+            self._show_dataset(Path(self.robot), page)
+            return
         if self.strip is not None:
             check_suffix(self.strip, "A film strip")
         if self.video is not None:
@@ -133,9 +138,29 @@ class View:
             print(f"Wrote {self.rrd}")
         if page is not None:
             write_page(page, f"KnowArm: {scene.robot.name}, {self.agent}", films)
-            print(f"Wrote {page}")
-            if self.browser:
-                webbrowser.open(page.resolve().as_uri())
+            self._show(page)
+
+    def _show(self, page: Path) -> None:
+        print(f"Wrote {page}")
+        if self.browser:
+            webbrowser.open(page.resolve().as_uri())
+
+    def _show_dataset(self, folder: Path, page: Path | None) -> None:
+        """Show the first episodes of a recorded dataset."""
+        shown = View(
+            robot=self.robot,
+            episodes=self.episodes,
+            page=self.page,
+            browser=self.browser,
+        )
+        if page is None or self != shown:
+            raise UserError(
+                "A dataset is shown as a page as it was recorded: give --page, --episodes and "
+                "--browser alone."
+            )
+        count = write_dataset_page(folder, page, self.episodes)
+        print(f"{count} episodes of {folder}.")
+        self._show(page)
 
     def _knowledge(self, agent: AgentProtocol, image: Any) -> dict[str, Any]:
         """Return what the agent knows in the episode that it has played."""
@@ -150,7 +175,9 @@ class View:
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
             if (Path(robot) / "config.json").exists():
-                raise UserError(f"{robot} is a run: knowarm view --agent {robot}")
+                raise UserError(
+                    f"{robot} is a run: {shell_command('view', '--agent', robot)}"
+                )
             config = EnvConfig(robot=robot, task=self.task)
             return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
         # Imports torch, which takes seconds.

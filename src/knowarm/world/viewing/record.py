@@ -182,16 +182,21 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
 
 def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> None:
     """Write a self-contained HTML page with a film per episode, which a browser repeats."""
-    check_page(path)
     films = ""
     for number, frames in enumerate(episodes, start=1):
         films += _film(f"Episode {number}", frames)
+    write_html(path, title, films)
+
+
+def write_html(path: Path, title: str, body: str) -> None:
+    """Write a self-contained HTML page; its body is markup."""
+    check_page(path)
     heading = escape(title)
     page = (
         '<!doctype html>\n<html lang="en">'
         f'<head><meta charset="utf-8"/><title>{heading}</title>'
         f"<style>{style_sheet()}</style></head>"
-        f"<body><main><h2>{heading}</h2>{films}</main></body></html>\n"
+        f"<body><main><h2>{heading}</h2>{body}</main></body></html>\n"
     )
     with replacing(path, "Name another file.") as temporary:
         temporary.write_text(page, encoding="utf-8")
