@@ -5,10 +5,19 @@ there is not exactly one candidate. Prints a row per test and level: means in pe
 intervals over training seeds, and the values of the seeds.
 
     python -m benchmarks.unclear runs/irb120-choose-answers-distil/*
+
+With --by-object it names all visible objects of new images instead, without an arm, and prints how
+often the right name is a candidate: over all objects, for the object with the least, and the
+standard deviation over objects, by one quantile for all objects and by one of each.
+
+    python -m benchmarks.unclear zoo/irb120-choose-answers-fast --by-object --levels .9
 """
 
 import argparse
+from itertools import product
 from pathlib import Path
+
+import numpy as np
 
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import (
@@ -18,6 +27,12 @@ from knowarm.experiment.evaluation import (
     SplitTest,
 )
 from knowarm.experiment.load import load_agent
+from knowarm.perception.calibration import (
+    name_likelihoods,
+    quantile,
+    thresholds_of,
+)
+from knowarm.questions import number_objects
 from knowarm.statistics import mean_of_runs
 
 TESTS: dict[str, AnyCondition] = {
@@ -26,6 +41,34 @@ TESTS: dict[str, AnyCondition] = {
     "S1, 30 % wrong": DamageTest(damage="wrong", share=0.3),
 }
 NUMBERS = ("coverage", "questions", "choice")
+IMAGE_SEEDS = range(1, 7)
+"""Added to the training seed: the images of a thousand each, which no calibration draws."""
+
+
+def by_object(run: Path, level: float) -> None:
+    """Print how often the right name of a visible object is a candidate, by two quantiles."""
+    trained = load_agent(run)
+    network, env, seed = trained.network, trained.config.env, trained.config.seed
+    if network is None:
+        raise SystemExit("Give a run with a grounding network.")
+    objects = number_objects(network.spec.facets)
+    scores, facets = name_likelihoods(network, env, seed).values()
+    of_all = np.full(len(objects), quantile(scores, level), np.float32)
+    of_each = thresholds_of(scores, facets, objects, level)
+    new = [name_likelihoods(network, env, seed + number) for number in IMAGE_SEEDS]
+    found = np.concatenate([each["likelihoods"] for each in new])
+    named = np.concatenate([each["facets"] for each in new])
+    for name, thresholds in (("one for all", of_all), ("per object", of_each)):
+        is_candidate = found >= thresholds[named]
+        shares = [
+            is_candidate[objects[named] == number].mean()
+            for number in np.unique(objects[named])
+        ]
+        print(
+            f"{run}, level {level:g}, {name}: {is_candidate.mean():.3f}, least of {len(shares)} "
+            f"objects {min(shares):.2f}, standard deviation {np.std(shares):.3f}, "
+            f"{len(found):,} objects in images"
+        )
 
 
 def main() -> None:
@@ -34,7 +77,12 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("--levels", type=float, nargs="+", default=[0.8, 0.9])
     parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--by-object", action="store_true")
     arguments = parser.parse_args()
+    if arguments.by_object:
+        for run, level in product(arguments.runs, arguments.levels):
+            by_object(run, level)
+        return
     agents = [load_agent(run) for run in arguments.runs]
     for (name, test), level in (
         (t, v) for t in TESTS.items() for v in arguments.levels

@@ -7,15 +7,7 @@ import numpy as np
 
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
-from scripts.answer_cells import (
-    Cell,
-    agents_table,
-    comparisons,
-    table,
-    tasks_of,
-    title_of,
-    verdict,
-)
+from scripts.answer_cells import agents_table, cells_of, table, title_of, verdict
 
 EVERY = 10_000_000
 """Steps between two columns of the table."""
@@ -39,9 +31,7 @@ as above, of interim evaluations every {every:,} steps."""
 
 def tuned_section(study: Path, progress: str) -> list[str]:
     """Return the blocks on A3C with settings that learn from an unpacked study."""
-    cells = [
-        Cell(task, agents, comparisons(agents)) for task, agents in tasks_of([study])
-    ]
+    cells = cells_of([collect([study])])
     every = [agent for cell in cells for agent in cell.agents.values()]
     (total,) = {run.config.total_steps for cell in cells for run in cell.task.runs}
     (between,) = {
@@ -54,7 +44,10 @@ def tuned_section(study: Path, progress: str) -> list[str]:
         progress=progress,
         every=between,
     )
-    blocks = ["## A3C with settings that learn", text]
+    figure = (
+        "![Interim success of `a3c-tuned`, fixed colours](../images/a3c-curve.svg)"
+    )
+    blocks = ["## A3C with settings that learn", text, figure]
     for cell in cells:
         blocks += [f"### {title_of(cell.task)}", agents_table(cell)]
     groups = [group for cell in cells for group in cell.task.groups]

@@ -1,7 +1,7 @@
 """Agents of a cell, their outcomes over training seeds, and comparisons, as Markdown tables."""
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +9,7 @@ import numpy as np
 from scipy.stats import CensoredData, logrank
 
 from knowarm.experiment.csv_log import training_seconds
-from knowarm.report.collect import collect
-from knowarm.report.model import Group, TaskData
+from knowarm.report.model import Group, StudyData, TaskData
 from knowarm.statistics import Interval, bootstrap, holm, welch
 from knowarm.statistics.survival import area_under_curve, first_crossing
 
@@ -72,17 +71,6 @@ def agent(group: Group) -> Agent:
         / 3600,
         tuple(str(run.provenance.machine["processor"]) for run in runs),
     )
-
-
-def tasks_of(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agent]]]:
-    """Yield tasks with their agents; a task of an earlier folder hides the same of a later one."""
-    seen = set()
-    for folder in folders:
-        for task in collect([folder]).tasks:
-            if task.key not in seen:
-                seen.add(task.key)
-                agents = {group.name: agent(group) for group in task.groups}
-                yield task, {name: each for name, each in agents.items() if each.seeds}
 
 
 def percent(values: np.ndarray) -> str:
@@ -215,6 +203,30 @@ class Cell:
         return next(
             ((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None
         )
+
+
+def cells_of(studies: Sequence[StudyData]) -> list[Cell]:
+    """Return the cells of studies; of a cell that two studies have, the first counts.
+
+    An agent that only a later study has joins the cell, compared with the baseline of its study.
+    """
+    cells: dict[tuple[str, str], Cell] = {}
+    for study in studies:
+        for task in study.tasks:
+            agents = {group.name: agent(group) for group in task.groups}
+            agents = {name: each for name, each in agents.items() if each.seeds}
+            compared = comparisons(agents)
+            known = cells.get(task.key)
+            if known is None:
+                cells[task.key] = Cell(task, agents, compared)
+                continue
+            new = [name for name in agents if name not in known.agents]
+            cells[task.key] = Cell(
+                known.task,
+                {**known.agents, **{name: agents[name] for name in new}},
+                [*known.compared, *(each for each in compared if each.first in new)],
+            )
+    return list(cells.values())
 
 
 def verdict(cell: Cell) -> str:

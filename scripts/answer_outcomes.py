@@ -4,52 +4,69 @@ Decisions are those of the report (`knowarm.report.verdicts`), so page and repor
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
 
 from knowarm.report.format import p_value
-from knowarm.report.model import CONTROLS, Group, RunData, StudyData, TaskData
-from knowarm.report.pages.paper import published_comparison
+from knowarm.report.model import Group, RunData, StudyData, TaskData
+from knowarm.report.pages.paper import published_comparison, published_result
 from knowarm.report.verdicts.claims import KINDS, OUTCOMES, Claim, Finding, claims
 from knowarm.report.verdicts.knowledge import findings
 from knowarm.statistics import first_crossing, one_way_anova, welch
-from scripts.answer_cells import LEVEL, SIGNIFICANT, signed, table, title_of
+from scripts.answer_cells import (
+    CONTROLS,
+    LEVEL,
+    SIGNIFICANT,
+    signed,
+    table,
+    title_of,
+)
 
 BATCHES = 10
 """Evaluation seeds that the analysis of variance makes of the 1,000 episodes of a run."""
 
-OUTCOMES_TEXT = """Differences against `bm` with Welch intervals; p: Holm's correction over this
-table. Controls count only where `full` passes this test ([decisions](../decisions.md#evidence)).
-The primary outcome, steps to 80 %, follows by cell."""
+OUTCOMES_TEXT = """Differences against `bm` with Welch intervals; p: Holm's correction over the
+outcomes of the cell's study, as in the study's report. Controls count only where `full` passes this
+test ([decisions](../decisions.md#evidence)). The primary outcome, steps to 80 %, follows by
+cell."""
+
+AREAS_TEXT = """Mean success during training of all agents, points above `bm`, described and not
+tested but for `full`:"""
 
 ANOVA_TEXT = """The paper compares two networks, one training seed each, by an analysis of variance
-over evaluation seeds, and reads F values of 16 to 247 as an effect of the knowledge. Here F
-compares the ten times 100 episodes of two runs."""
+over evaluation seeds, and reads the F values as an effect of the knowledge. Here F
+compares the ten times 100 episodes of two runs; the paper's has 30 times 100, at 60 to 90 % in
+place of nearly 100, so the values themselves are not alike."""
 
 COST_TEXT = """The paper expects no increase of training time. Runs on the processor that most runs
 of a cell share; median steps per second, mean seconds to 80 % (of the whole training where never
 reached). TIAGo with fixed colours: seeds 0, 1 and 5 trained beside other programs."""
 
 
-def decided(
-    tasks: Sequence[TaskData],
-) -> tuple[list[Claim], dict[tuple[str, str, str], Finding]]:
-    """Return the report's claims, and its findings by cell, agent and outcome."""
-    known = claims(StudyData(tuple(tasks)))
-    found = [
-        finding
-        for task in tasks
-        for outcome in OUTCOMES
-        for finding in findings(task, known, outcome)
-    ]
-    keys = {
-        (title_of(each.task), each.subject.name, each.outcome): each
-        for each in found
-        if each.subject
-    }
-    return known, keys
+@dataclass(frozen=True)
+class Decided:
+    """What the reports of the studies decide on the cells of the page."""
+
+    claims: Sequence[Claim]
+    findings: Mapping[tuple[str, str, str], Finding]
+    """By cell, agent and outcome."""
+
+    @classmethod
+    def of(cls, studies: Sequence[StudyData], tasks: Sequence[TaskData]) -> "Decided":
+        """Decide on each study by itself, as its report does; keep what is said of ``tasks``."""
+        kept: list[Claim] = []
+        keys = {}
+        for study in studies:
+            known = claims(study)
+            kept += [claim for claim in known if claim.task in tasks]
+            for task, outcome in product(study.tasks, OUTCOMES):
+                for finding in findings(task, known, outcome):
+                    if task in tasks and finding.subject:
+                        keys[title_of(task), finding.subject.name, outcome] = finding
+        return cls(kept, keys)
 
 
 def gate_of(finding: Finding) -> Claim:
@@ -62,12 +79,11 @@ def points(claim: Claim) -> str:
     return signed(claim.comparison.difference, 100, 1) if claim.comparison else ""
 
 
-def mean_success_row(tasks: Sequence[TaskData]) -> list[str]:
+def mean_success_row(known: Decided) -> list[str]:
     """Return the row of the claims' table on mean success during training."""
-    _, found = decided(tasks)
     full = [
         each
-        for (_, name, outcome), each in found.items()
+        for (_, name, outcome), each in known.findings.items()
         if (name, outcome) == FULL_SPEED
     ]
     gates = [gate_of(each) for each in full]
@@ -78,38 +94,30 @@ def mean_success_row(tasks: Sequence[TaskData]) -> list[str]:
     verdict = f"found in {len(better)} of {len(full)} cells" if better else "not found"
     if any(each.kind == "size may explain it" for each in better):
         verdict += ", not beyond networks as large"
-    spread = f"{min(gains):+.1f} to {max(gains):+.1f} points"
-    return [
-        "Full knowledge raises the mean success during training",
-        "none",
-        spread,
-        verdict,
-    ]
+    spread = f"{min(gains):+.1f} to {max(gains):+.1f} points of mean success"
+    return ["Its transitory regime is faster (6)", "no figure", spread, verdict]
 
 
 FULL_SPEED = ("full", "speed")
 """Agent and outcome of `mean_success_row`."""
 
 
-def larger(known: Sequence[Claim], title: str, outcome: str) -> dict[str, Claim]:
-    """Return the comparisons of a cell's controls with the baseline, by control."""
+def above_baseline(known: Decided, title: str, outcome: str) -> dict[str, Claim]:
+    """Return the comparisons of a cell's agents with its baseline, by agent."""
     return {
         claim.first.name: claim
-        for claim in known
+        for claim in known.claims
         if title_of(claim.task) == title
         and claim.outcome == outcome
-        and claim.first.role in CONTROLS
         and claim.second is claim.task.baseline
     }
 
 
-def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
-    """Return the section with all outcomes that the report tests."""
-    known, found = decided(tasks)
+def outcomes_section(known: Decided, tasks: Sequence[TaskData]) -> list[str]:
+    """Return the section with all outcomes that the reports test, and all agents' areas."""
     rows = []
-    for (title, name, outcome), finding in found.items():
+    for (title, name, outcome), finding in known.findings.items():
         gate = gate_of(finding)
-        verdict = KINDS[finding.kind]["words"]
         rows.append(
             [
                 title,
@@ -117,28 +125,31 @@ def outcomes_section(tasks: Sequence[TaskData]) -> list[str]:
                 OUTCOMES[outcome],
                 points(gate),
                 p_value(gate.adjusted_p),
-                verdict,
+                KINDS[finding.kind]["words"],
             ]
         )
     columns = ["cell", "agent", "outcome", "against `bm` [points]", "p", "finding"]
-    parts = ["## All outcomes", OUTCOMES_TEXT, table(columns, rows)]
-    for (title, _, outcome), finding in found.items():
-        others = larger(known, title, outcome)
-        if gate_of(finding).verdict == "better" and others:
-            words = ", ".join(
-                f"`{each}` {points(claim)}" for each, claim in others.items()
-            )
-            parts.append(
-                f"{title}, {OUTCOMES[outcome]}: points of the controls above `bm`, not corrected: "
-                f"{words}."
-            )
-    return parts
+    agents = ["full", "partial", *CONTROLS]
+    areas = []
+    for title in map(title_of, tasks):
+        against = above_baseline(known, title, "speed")
+        areas.append(
+            [title, *(points(against[n]) if n in against else "" for n in agents)]
+        )
+    return [
+        "## All outcomes",
+        OUTCOMES_TEXT,
+        table(columns, rows),
+        AREAS_TEXT,
+        table(["cell", *(f"`{name}`" for name in agents)], areas),
+    ]
 
 
-def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
-    """Return the answer of the page; ``faster`` cells of ``cells`` need fewer steps to 80 %."""
-    known, found = decided(tasks)
-    full = {key: each for key, each in found.items() if key[1] == "full"}
+def answer(
+    known: Decided, tasks: Sequence[TaskData], faster: int, cells: Sequence[str]
+) -> str:
+    """Return the answer of the page; ``faster`` of the cells need fewer steps to 80 %."""
+    full = {key: each for key, each in known.findings.items() if key[1] == "full"}
     better = {
         key: each for key, each in full.items() if gate_of(each).verdict == "better"
     }
@@ -146,33 +157,35 @@ def answer(tasks: Sequence[TaskData], faster: int, cells: int) -> str:
     assert not after
     assert not faster, "write the answer for what is found"
     text = (
-        "**No effect of full knowledge on the success after training, nor on the steps to 80 %, is "
-        f"found in any of {cells} cells.**"
+        "**No effect of full knowledge on the steps to 80 % success, nor on the success after "
+        f"training, is found in any of {len(cells)} cells.**"
     )
     for (title, name, outcome), finding in better.items():
         assert finding.kind == "size may explain it", (
             "write the answer for what is found"
         )
+        others = above_baseline(known, title, outcome)
         gains = [
-            each.comparison.difference.estimate
-            for each in larger(known, title, outcome).values()
-            if each.comparison
+            100 * others[control].comparison.difference.estimate
+            for control in CONTROLS
+            if control in others
         ]
-        spread = " to ".join(
-            f"{100 * value:+.1f}" for value in (min(gains), max(gains))
-        )
         text += (
             f" In {OUTCOMES[outcome]}, `{name}` is better than the paper's baseline on "
             f"{title} ({points(gate_of(finding))} points, adjusted p "
             f"{p_value(gate_of(finding).adjusted_p)}), but not than networks as large without "
-            f"this knowledge, which gain {spread} points: the [size of the "
-            "network](#is-it-the-size-of-the-network) is a possible cause."
+            f"this knowledge, which gain {min(gains):+.1f} to {max(gains):+.1f} points: the [size "
+            "of the network](#is-it-the-size-of-the-network) is a possible cause."
         )
-    return f"{text} {costs_time(tasks)}"
+    low, high = slower(tasks)
+    return (
+        f"{text} `full` trains at {low} to {high} % of the baseline's steps per second "
+        "([cost](#cost-of-training))."
+    )
 
 
-def costs_time(tasks: Sequence[TaskData]) -> str:
-    """Say by how much the larger networks of the agents with knowledge slow training down."""
+def slower(tasks: Sequence[TaskData]) -> tuple[str, str]:
+    """Return the least and the largest speed of `full` in percent of the baseline's."""
     shares = []
     for task in tasks:
         groups = {group.name: group for group in task.groups}
@@ -181,10 +194,7 @@ def costs_time(tasks: Sequence[TaskData]) -> str:
         )
         shares.append(float(np.median(one[:, 0]) / np.median(base[:, 0])))
     assert max(shares) < 1
-    return (
-        f"`full` trains at {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the baseline's "
-        "steps per second ([cost](#cost-of-training))."
-    )
+    return f"{100 * min(shares):.0f}", f"{100 * max(shares):.0f}"
 
 
 def processor_of(task: TaskData) -> str:
@@ -206,7 +216,7 @@ def rates(run: RunData, label: str) -> np.ndarray:
 
 def anova_section(tasks: Sequence[TaskData]) -> list[str]:
     """Return the section with F values between agents, and between seeds of one agent."""
-    rows, own, published = [], list[tuple[float, float]](), list[float]()
+    rows, own = [], list[tuple[float, float]]()
     for task in tasks:
         by_agent = {
             group.name: [rates(run, group.label) for run in group.runs]
@@ -230,7 +240,6 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
         ]
         groups = {group.name: group for group in task.groups}
         paper = published_comparison(task, groups["full"], groups["bm"])["anova_f"]
-        published.append(paper)
         rows.append(
             [
                 title_of(task),
@@ -251,12 +260,11 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
         ),
     ]
     largest = max(f for f, _ in own if np.isfinite(f))
-    assert largest > max(published), "write the text for what is found"
     text = (
-        f"**Two training seeds of one and the same agent give F values up to {largest:.0f}, more "
-        f"than the paper's largest of {max(published):.0f}.** Of all {len(own)} pairs of training "
-        f"seeds of one agent {share(own)} differ "
-        f"with p < .05 (median F {spread(own)[0]}, 95 % of them below {spread(own)[1]})."
+        f"**Two training seeds of one and the same agent differ by up to {seeds_apart(tasks):.1f} "
+        f"points of success, the paper's agents by {effects(tasks)}.** Of all {len(own)} pairs of "
+        f"training seeds of one agent {share(own)} differ with p < .05 (median F "
+        f"{spread(own)[0]}, 95 % of them below {spread(own)[1]}, the largest {largest:.0f})."
     )
     return [
         "## The paper's analysis of variance",
@@ -264,6 +272,32 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
         table(columns, rows),
         text,
     ]
+
+
+def seeds_apart(tasks: Sequence[TaskData]) -> float:
+    """Return the largest difference of success of two training seeds of one agent [points]."""
+    groups = [group for task in tasks for group in task.groups]
+    return max(100 * float(np.ptp(group.scores("success"))) for group in groups)
+
+
+def effects(tasks: Sequence[TaskData]) -> str:
+    """Return the range of the paper's differences of `full` and `bm` in accuracy."""
+    gains = []
+    for task in tasks:
+        full, base = (published_result(task, name) for name in ("full", "bm"))
+        if full and base:
+            gains.append(100 * (full["accuracy"] - base["accuracy"]))
+    return f"{min(gains):.0f} to {max(gains):.0f}"
+
+
+def published_f(tasks: Sequence[TaskData]) -> str:
+    """Return the range of the paper's F values."""
+    values = []
+    for task in tasks:
+        groups = {group.name: group for group in task.groups}
+        paper = published_comparison(task, groups["full"], groups["bm"])
+        values.append(paper["anova_f"])
+    return f"{min(values):.0f} to {max(values):.0f}"
 
 
 def spread(found: Sequence[tuple[float, float]]) -> list[str]:

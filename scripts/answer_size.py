@@ -1,21 +1,26 @@
 """Section of `docs/results/answer.md` on the size of the network, without knowledge."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import linregress, t
 
+from knowarm.report.collect import collect
 from knowarm.report.format import p_value
 from knowarm.statistics import Interval, holm, welch
 from scripts.answer_cells import (
+    CONTROLS,
     SIGNIFICANT,
     Agent,
+    Cell,
+    cells_of,
     percent,
     signed,
     table,
-    tasks_of,
     thousands,
+    title_of,
 )
 
 TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
@@ -43,9 +48,39 @@ def slope(sizes: np.ndarray, values: np.ndarray) -> tuple[Interval, float]:
     )
 
 
-def size_section(study: Path, speed: Path, progress: str) -> list[str]:
-    """Return the blocks of the section from an unpacked study and a CSV file of speeds."""
-    ((task, agents),) = tasks_of([study])
+LARGER_TEXT = """**Not settled by it.** The four controls of this page are as large as `full` and
+know nothing of the scene. All of their runs together against `bm`, mean success during training
+[points]: {differences} (Welch, not declared, p not corrected). New seeds have to confirm it."""
+
+
+def larger_networks(cells: Sequence[Cell]) -> str:
+    """Compare all runs of a cell's controls with its baseline, where all four ran."""
+    parts = []
+    for cell in cells:
+        if not cell.agents.keys() >= CONTROLS.keys():
+            continue
+        areas = np.concatenate([cell.agents[name].area for name in CONTROLS])
+        compared = welch(areas, cell.agents["bm"].area)
+        parts.append(
+            f"{signed(compared.difference, 100, 1)} with {len(areas)} runs against "
+            f"{len(cell.agents['bm'].area)}, p {p_value(compared.p_value)} ({title_of(cell.task)})"
+        )
+    return LARGER_TEXT.format(differences="; ".join(parts))
+
+
+def size_section(
+    study: Path, speed: Path, progress: str, cells: Sequence[Cell]
+) -> list[str]:
+    """Return the blocks of the section.
+
+    Args:
+        study: unpacked study of sizes.
+        speed: CSV file of the speeds of its agents.
+        progress: how much of the study is done.
+        cells: cells with controls of the size of `full`.
+    """
+    (cell,) = cells_of([collect([study])])
+    task, agents = cell.task, cell.agents
     rates, processor = speeds(speed)
     parts = {group.name: group.runs[0] for group in task.groups}
     chosen = {name: run.config.policy for name, run in parts.items()}
@@ -123,6 +158,7 @@ def size_section(study: Path, speed: Path, progress: str) -> list[str]:
     return [
         "## Is it the size of the network?",
         lead,
+        larger_networks(cells),
         text,
         table(columns, rows),
         trend,

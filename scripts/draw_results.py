@@ -298,7 +298,7 @@ def cosines() -> str:
 FIGURES: dict[str, tuple[Sequence[str], Callable[..., str]]] = {
     "choose-curves.svg": (["choose.tar.xz"], choose_curves),
     "first-agent-curve.svg": (
-        ["paper.tar.xz"],
+        ["answer-tiago.tar.xz"],
         partial(learned, title="PAL TIAGo · fixed colours · fast"),
     ),
     "a3c-curve.svg": (

@@ -1,5 +1,6 @@
 """The page on the paper's claim follows from the packs, and README's answer from the page."""
 
+import html
 import re
 import subprocess
 import sys
@@ -7,13 +8,20 @@ from pathlib import Path
 
 import pytest
 
+from knowarm.report import write_report
+from knowarm.study.pack import unpack_study
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "answer.md"
 TABLES = [
     PAGE.with_name(f"{name}.csv")
     for name in ("answer-runs", "answer-comparisons", "a3c-changes")
 ]
-COLOURS = ("fixed", "randomized")
+CELLS = [
+    f"{robot}, {colours} colours"
+    for robot in ("IRB120", "TIAGo")
+    for colours in ("fixed", "randomized")
+]
 NUMBERS = ("four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -35,24 +43,18 @@ def agents_of(cell):
 
 def test_readme_has_the_answer_of_the_page():
     readme = (ROOT / "README.md").read_text("utf-8")
-    cells = [
-        f"{robot}, {colours} colours"
-        for robot in ("IRB120", "TIAGo")
-        for colours in COLOURS
-    ]
     fewest = min(
-        agents_of(cell)[agent][0] for cell in cells for agent in ("bm", "full")
+        agents_of(cell)[agent][0] for cell in CELLS for agent in ("bm", "full")
     )
     assert f"with {NUMBERS[fewest - 4]} seeds or more, no effect" in readme
-    claims = re.findall(
-        r"^\| .+ \| .+ \| .+ \| (.+) \|$", PAGE.read_text("utf-8"), re.M
-    )[1:7]
+    paper = PAGE.with_name("paper.md").read_text("utf-8").split("\n## ")[0]
+    claims = re.findall(r"^\| .+ \| .+ \| .+ \| (.+) \|$", paper, re.M)[1:7]
     assert all(verdict.startswith("not found") for verdict in claims), claims
     top = " ".join(PAGE.read_text("utf-8").split("\n## ")[0].split())
     bounds = [
         int(each) for each in re.findall(r"excludes a saving of more than (\d+) %", top)
     ]
-    assert len(bounds) == len(cells)
+    assert len(bounds) == len(CELLS)
     said = f"of the four cells exclude that it saves more than {min(bounds)} to {max(bounds)} %"
     assert said in " ".join(readme.split())
 
@@ -95,6 +97,10 @@ def test_claims_say_what_the_report_of_the_packs_finds(file):
             f"a claim without a key: {text}"
         )
         keyed += len(keys)
+        if keys and {cell for cell, *_ in keys} != {*CELLS}:
+            for robot, colours in (cell.split(", ") for cell, *_ in keys):
+                named = robot in text and colours in text
+                assert named, f"found on {robot}, {colours}, and {file} says: {text}"
         for key in keys:
             difference, finding = found[key]
             wording = SAME_SENTENCE.join(WORDING[finding]).replace("{outcome}", key[2])
@@ -107,3 +113,20 @@ def test_claims_say_what_the_report_of_the_packs_finds(file):
                     == f"{given[0]} [{', '.join(f'+{n}' for n in given[1].split(', '))}]"
                 )
     assert keyed
+
+
+@pytest.mark.slow(20)
+@pytest.mark.parametrize("pack", ["answer", "answer-tiago"])
+def test_page_and_report_of_a_pack_have_one_value_per_comparison(pack, tmp_path):
+    study = unpack_study(PAGE.with_name(f"{pack}.tar.xz"), tmp_path / pack)
+    report = write_report([study], tmp_path / "report.html")
+    text = html.unescape(re.sub(r"<[^>]+>", "", report.read_text("utf-8")))
+    section = PAGE.read_text("utf-8").split("\n## All outcomes\n")[1].split("\n## ")[0]
+    robot = "TIAGo" if "tiago" in pack else "IRB120"
+    rows = re.findall(
+        rf"^\| {robot}, (?:fixed|randomized) .+? \| (\S+) \| \w", section, re.M
+    )
+    found = re.findall(
+        r"full against bm: .+?, adjusted p (?:= )?(<? ?\.?[\d.]+)\)", text
+    )
+    assert {*rows[: 4 if pack == "answer" else 2]} == {each.strip() for each in found}

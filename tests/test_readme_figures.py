@@ -11,7 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.test_answer_page import agents_of
+from knowarm.report.collect import collect
+from knowarm.study.pack import unpack_study
+from scripts.build_paper import PACK, state
+from tests.test_answer_page import CELLS, agents_of
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -60,13 +63,45 @@ def lifted():
     return span([100 * float(row["lifted"]) for row in rows])
 
 
-def reached():
-    """Return success with and without knowledge of each robot, fixed colours."""
-    for cell in ("IRB120, fixed colours", "TIAGo, fixed colours"):
-        agents = agents_of(cell)
-        for name in ("full", "bm"):
-            assert agents[name][0] >= 5
-            yield agents[name][1].split()[0]
+def table_of(file):
+    return list(csv.DictReader((RESULTS / file).read_text("utf-8").splitlines()))
+
+
+def reached(agent):
+    """Return the range of the success of an agent over the four cells."""
+    values = []
+    for cell in CELLS:
+        seeds, success = agents_of(cell)[agent]
+        assert seeds >= 5
+        values.append(float(success.split()[0]))
+    return f"{min(values)} to {max(values)} %"
+
+
+def saved():
+    """Return the steps to 80 % that `full` saves of those of `bm`, and the widest interval."""
+    rows = [
+        row
+        for row in table_of("answer-comparisons.csv")
+        if (row["first"], row["second"]) == ("full", "bm")
+    ]
+    assert len(rows) == 4
+    mean, low, high = (
+        [-float(row[f"steps_percent{end}"]) for row in rows]
+        for end in ("", "_low", "_high")
+    )
+    return (
+        f"{min(mean):.0f} to {max(mean):.0f} % of the steps to 80 % success saved (intervals "
+        f"from {min(high):.0f} to {max(low):.0f} %)"
+    )
+
+
+def colour_alone():
+    """Return what the query's colour alone gives among new objects, of each robot."""
+    page = " ".join((RESULTS / "answers.md").read_text("utf-8").split())
+    (found,) = re.findall(
+        r"\(right in \d+ and \d+ %, by colour in (\d+) and (\d+)\)", page
+    )
+    return " to ".join(found)
 
 
 def grasps():
@@ -93,19 +128,18 @@ def test_the_answers_are_those_of_the_packs(file):
     reach, words, objects, grasp, pick = (
         re.sub(r"\[(.+?)\]\(.+?\)", r"\1", row) for row in rows
     )
-    with_it, without, tiago_with, tiago_without = reached()
     assert reach == (
-        f"Not found: success {with_it} % with it, {without} % without (IRB120); "
-        f"{tiago_with} % and {tiago_without} % (TIAGo)"
+        f"Not found in four cells: {saved()}; success {reached('full')} with it, "
+        f"{reached('bm')} without"
     )
     assert words == (
         f"Yes: {of_seeds('subgraph')} % right by the graph's vector, {of_seeds('query-onehot')} % "
         f"by codes, 25 % by chance; {span(means('answers', 'fast', 's4', 'choice'))} % if the "
-        "graph itself answers"
+        "graph itself answers, by a policy or by seeing, then solving"
     )
     new, kinds = (("answers", "fast", "s3"), ("families", "distil", "s3b"))
     assert objects == (
-        f"Hardly: {span(means(*new, 'choice'))} % right, {span(means(*new, 'success'))} % succeed; "
+        f"No: {span(means(*new, 'choice'))} % right, the query's colour alone {colour_alone()} %; "
         f"of kinds never trained {span(means(*kinds, 'choice'))} % right, "
         f"{span(means(*kinds, 'success'))} % succeed"
     )
@@ -171,3 +205,80 @@ def test_the_page_shows_what_was_picked_and_placed_as_it_is_in_the_table():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         column = columns.index((row["task"].removeprefix("choose-"), row["robot"]))
         assert cells[1 + column] == shown
+
+
+BEGUN = (
+    "README.md",
+    "docs/faq.md",
+    "docs/decisions.md",
+    "docs/reference/paper.md",
+    "docs/results/README.md",
+    "docs/results/paper.md",
+)
+"""Files that say how far the paper's algorithm has come."""
+
+
+def test_all_files_say_the_same_of_the_papers_algorithm(tmp_path):
+    said = state(collect([unpack_study(PACK, tmp_path / "study")]).tasks)
+    assert re.search(
+        r"of its twelve cells .* million steps|all twelve .* complete", said
+    )
+    for file in BEGUN:
+        text = " ".join((ROOT / file).read_text("utf-8").split())
+        assert text.count(said) == text.count("of its twelve cells") == 1, file
+
+
+def test_learning_has_the_medians_of_all_runs():
+    runs = defaultdict(list)
+    for row in table_of("answer-runs.csv"):
+        name = f"{row['robot']}-{row['agent']}" + "-dr" * (row["colours"] != "fixed")
+        runs[name].append((float(row["million_steps"]), float(row["success_percent"])))
+    page = (RESULTS / "learning.md").read_text("utf-8")
+    rows = re.findall(
+        r"^\| `((?:irb120|tiago)-\w+(?:-dr)?)` \| (.+?) M \| (.+?) % ", page, re.M
+    )
+    assert len(rows) == 8
+    for name, steps, success in rows:
+        steps_of_all, success_of_all = zip(*runs[name], strict=True)
+        assert len(steps_of_all) >= 5
+        assert steps == f"{np.median(steps_of_all):.2f}".removeprefix("0"), name
+        assert success == f"{np.mean(success_of_all):.1f}", name
+    medians = [row[1] for row in rows]
+    ends = " to ".join([min(medians, key=float), max(medians, key=float)])
+    assert f"`fast` {ends} million in the median" in (RESULTS / "README.md").read_text()
+
+
+def test_every_file_of_results_is_listed():
+    listed = (RESULTS / "README.md").read_text("utf-8").split("## Data")[1]
+    for file in RESULTS.iterdir():
+        if file.suffix not in (".md", ".html") and file.name != "benchmark":
+            assert f"`{file.name}`" in listed, file.name
+    assert "`benchmark/rows`" in listed
+
+
+def test_learners_are_compared_at_equal_precision():
+    (ratio,) = re.findall(
+        r"in float32, recurrent PPO trains ([\d.]+) \(.+?\) to ([\d.]+) times",
+        " ".join((RESULTS / "speed.md").read_text("utf-8").split()),
+    )
+    for file in ("README.md", "docs/results/README.md"):
+        text = " ".join((ROOT / file).read_text("utf-8").split())
+        claims = re.findall(
+            r"PPO(?: trains)? ([\d.]+) to ([\d.]+) times[^|.]+float32", text
+        )
+        assert claims == [ratio], file
+        assert "as fast as sb3-contrib's" in text
+
+
+def test_the_paper_is_quoted_on_itself_in_one_place():
+    for quoted in (
+        "narrows",
+        "does not change throughout",
+        "learning rate decay mechanism",
+    ):
+        files = [
+            path
+            for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+            if quoted in path.read_text("utf-8")
+        ]
+        assert files in ([], [ROOT / "docs" / "reference" / "paper.md"]), quoted

@@ -365,6 +365,44 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     assert "| – | zero &#60;b&#62; |" in markdown.read_text()
 
 
+def test_a_policy_below_what_is_reached_blind_has_no_rank(stored, small):
+    lists = {name: entrant(name).make for name in ("zero", "open-loop", "oracle")}
+    rows = [
+        run_suite(small, [Entrant(spec=name, make=make)], name=name)
+        for name, make in lists.items()
+    ]
+    for row in rows:  # blind, a fixed list solves every second episode
+        for summary in row["summary"].values():
+            summary["controls"]["open-loop"] = 0.5
+    for table in tables(rows):
+        ranked = {line["name"]: line["is_ranked"] for line in table["lines"]}
+        assert ranked == {"oracle": True, "zero": False, "open-loop": False}
+        assert table["lines"][0]["name"] == "oracle"
+        assert all(line["sees"] for line in table["lines"])
+
+
+def test_what_a_network_sees_is_solved_as_a_reference(stored, small):
+    run = "zoo/irb120-choose-answers-fast"
+    seen, policy = entrant(f"seen:{run}"), entrant(run)
+    assert is_safe(seen.spec)
+    assert not is_safe("seen:ws://h")
+    assert {*seen.inputs} - {*policy.inputs} == {"simulator"}
+    asked = replace(small, cells={"irb120-S1": small.cells["irb120-S1"]})
+    row = run_suite(asked, [seen], name="seen")
+    verify(row, [seen])
+    with pytest.raises(UserError, match=r"policy\.(inputs|training)"):
+        verify(row, [policy])
+    (cell,) = row["cells"].values()
+    assert cell["success"]["mean"] > 0.6
+    assert cell["controls"]["black"] < 0.2
+    (table,) = tables([row])
+    assert not table["lines"][0]["is_ranked"], "it knows the joint angles"
+    reach = small.cells["irb120-fixed"]
+    env = ArmVectorEnv(reach.env, 1)
+    with pytest.raises(UserError, match="no grounding network"):
+        entrant("seen:zoo/irb120-full-fast").make(reach, env)
+
+
 class Noting:
     """A policy that notes what it receives."""
 

@@ -331,8 +331,6 @@ class Asker:
         image = torch.from_numpy(images)
         _, wanted = self._decide(answers, image)
         seen = self._see(image, wanted)
-        is_near = bool(is_success(distance, angle, *end.limits)[0])
-        result = task.skill.result(end, task.asked, 0)
         named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.thresholds)[0].tolist()
         candidates = set(compress(named, may_answer))

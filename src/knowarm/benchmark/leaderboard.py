@@ -39,7 +39,8 @@ def tables(rows: Sequence[Row]) -> list[Line]:
     """Return one table per suite, robot and choice of colours; policies ranked by their intervals.
 
     A policy's rank is one more than the number of policies whose interval lies wholly above its
-    own. Rows that see nothing, or the simulator's state, are references: without rank, at the end.
+    own. Without rank, at the end: rows that see nothing or the simulator's state, and policies
+    whose interval lies wholly below what they, or a fixed list of actions, reach blind.
     """
     result = []
     for suite_name in dict.fromkeys(map(itemgetter("suite"), rows)):
@@ -89,6 +90,8 @@ def _line(suite: Suite, row: Row, summary: Line) -> Line:
     inputs = policy["inputs"]
     controls = summary["controls"]
     cells = summary["cells"]
+    blind = max(controls[name] for name in BLIND if name in controls)
+    sees = bool(inputs) and "simulator" not in inputs
     count = len(policy["specs"])
     seeds = str(count)
     if policy["training"] not in ("scripted", "none") and count < suite.training_seeds:
@@ -97,10 +100,11 @@ def _line(suite: Suite, row: Row, summary: Line) -> Line:
         **policy,
         **summary["success"],
         "name": row["name"],
-        "is_ranked": bool(inputs) and "simulator" not in inputs,
+        "is_ranked": sees and summary["success"]["high"] >= blind,
+        "sees": sees,
         "seeds": seeds,
         "controls": controls,
-        "blind": max(controls[name] for name in BLIND if name in controls),
+        "blind": blind,
         "query_gain": _points(query_gain(suite, row, cells)),
         "cells": [row["cells"][name]["success"]["mean"] for name in cells],
     }

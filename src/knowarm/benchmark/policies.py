@@ -18,6 +18,7 @@ from knowarm.experiment.other_graphs import check_graph
 from knowarm.experiment.zoo import POLICIES, shipped_name
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
+from knowarm.perception.solving import SolvingAgent
 from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
@@ -26,6 +27,8 @@ from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 MakeAgent = Callable[[Cell, ArmVectorEnv], AgentProtocol]
+SEEN = "seen:"
+"""Before a run folder: no policy, inverse kinematics to the frame that its network sees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,8 @@ def entrant(spec: str) -> Entrant:
         return _exported(spec, path)
     if path.is_dir() or shipped_name(spec):
         return _run(spec)
+    if spec.startswith(SEEN):
+        return _run(spec.removeprefix(SEEN), solves=True)
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
     if spec.startswith(("ws://", "wss://")):
@@ -72,8 +77,8 @@ def entrant(spec: str) -> Entrant:
     if ":" in spec:
         return _entrant(spec, _user_policy(spec))
     raise UserError(
-        f"There is no policy {spec!r}. Give a run folder, a folder of `knowarm export`, an ONNX "
-        "file, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or one of "
+        f"There is no policy {spec!r}. Give a run folder, {SEEN}RUN, a folder of `knowarm export`, "
+        "an ONNX file, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or one of "
         f"{', '.join(SCRIPTED_AGENTS)}."
     )
 
@@ -82,8 +87,10 @@ def is_safe(spec: str) -> bool:
     """Return whether what plays is a scripted agent or a run folder, which strangers may give."""
     if spec in SCRIPTED_AGENTS:
         return True
-    is_remote = ":" in spec or spec.startswith(("//", "\\\\"))
-    is_run = (Path(spec) / "config.json").is_file() or shipped_name(spec) in POLICIES
+    folder = spec.removeprefix(SEEN)
+    is_remote = ":" in folder or folder.startswith(("//", "\\\\"))
+    is_shipped = shipped_name(folder) in POLICIES
+    is_run = is_shipped or (Path(folder) / "config.json").is_file()
     return not is_remote and is_run
 
 
@@ -98,10 +105,12 @@ def _scripted(name: str) -> Entrant:
     return Entrant(spec=name, make=make, inputs=agent.kind.inputs, training="scripted")
 
 
-def _run(spec: str) -> Entrant:
+def _run(spec: str, *, solves: bool = False) -> Entrant:
+    """Return a run's agent; with ``solves`` what its network sees is solved, without its policy."""
     trained = load_agent(spec)
     config = trained.config
     folder = trained.folder
+    solves = solves or config.solves
 
     def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
         learned = config.env
@@ -116,23 +125,29 @@ def _run(spec: str) -> Entrant:
         if graph is not None:
             check_graph(config, played)
         subject = Subject(env=played, config=config, graph=graph, reasoning=reasoning)
-        return known_in_test(trained, subject)
+        informed = known_in_test(trained, subject)
+        if not solves:
+            return informed
+        known = graph or played.task.asked.answering_graph(facets_of(played))
+        return SolvingAgent(informed, played, known)
 
     uses = {
         "image": True,
         "words": questions_of(config.env) is not None and trained.network is not None,
         "graph": not isinstance(config.knows, NoKnowledge),
-        "simulator": config.role == "privileged",
+        "simulator": solves or config.role == "privileged",
     }
     training = f"{config.name}, {folder.steps_trained:,} steps"
     privileged = privileged_uses(to_dict(config.algorithm))
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
+    if solves:
+        training = f"network of {training}; joint angles and kinematic model are known"
     controls: dict[str, MakeAgent] = {}
     if answers_by_graph(config.knows):
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     return Entrant(
-        spec=spec,
+        spec=f"{SEEN}{spec}" if solves else spec,
         make=make,
         inputs=tuple(filter(uses.get, INPUTS)),
         training=training,
