@@ -44,9 +44,7 @@ def tuned_section(study: Path, progress: str) -> list[str]:
         progress=progress,
         every=between,
     )
-    figure = (
-        "![Interim success of `a3c-tuned`, fixed colours](../images/a3c-curve.svg)"
-    )
+    figure = "![Interim success of `a3c-tuned`, fixed colours](../images/a3c-curve.svg)"
     blocks = ["## A3C with settings that learn", text, figure]
     for cell in cells:
         blocks += [f"### {title_of(cell.task)}", agents_table(cell)]

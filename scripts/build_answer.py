@@ -28,7 +28,7 @@ from scripts.answer_cells import (
     write_comparisons,
     write_runs,
 )
-from scripts.answer_changes import changes_section, write_changes
+from scripts.answer_changes import write_changes
 from scripts.answer_fusions import fusions_section
 from scripts.answer_outcomes import (
     Decided,
@@ -133,9 +133,8 @@ BOTTOM = """## What this cannot say
 - Interim evaluations are 50,000 steps apart: smaller differences are not seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps and the area can differ.
 
-Repeat: `knowarm study run` with the studies named above, and `python -m benchmarks.a3c_changes`
-with `add --steps 2000000`, `leave-out --steps 5000000 --seeds 0` and `set`; pack them, then `python
--m scripts.build_answer`. Seeds 0 are `zoo/irb120-full-fast` and `zoo/tiago-full-fast`."""
+Repeat: `knowarm study run` with the studies named above; pack them, then `python -m
+scripts.build_answer`. Seeds 0 are `zoo/irb120-full-fast` and `zoo/tiago-full-fast`."""
 
 
 def wrapped(text: str) -> str:
@@ -182,11 +181,10 @@ def main() -> None:
         progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        changes = changes_section(CHANGES)
         size = size_section(
             folder["size"], RESULTS / "size-speed.csv", done(folder["size"]), cells
         )
-        text = page(cells, known, progress, size, [*a3c, *tuned, *changes, *fusions])
+        text = page(cells, known, progress, size, [*a3c, *tuned, *fusions])
         given.out.write_text(text, encoding="utf-8")
         write_runs(cells, given.out.with_name("answer-runs.csv"))
         write_comparisons(cells, given.out.with_name("answer-comparisons.csv"))

@@ -144,12 +144,12 @@ def share(value: float) -> str:
 
 
 def blind(group: Group) -> Row:
-    """Return the mean success of a fixed list of actions, and on the first image alone."""
-    rows = [
-        [e.summary.interval("success", "blind", name).estimate for name in BLIND]
-        for e in group.evaluations
-    ]
-    return list(map(share, np.mean(rows, axis=0)))
+    """Return the mean success of a fixed list of actions, and on the first image alone.
+
+    Both are empty where they were not played.
+    """
+    levels = [group.level("success", "blind", name) for name in BLIND]
+    return [share(level.estimate) if level else "" for level in levels]
 
 
 def state(tasks: Sequence[TaskData]) -> str:

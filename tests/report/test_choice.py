@@ -9,12 +9,14 @@ import pytest
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import FilmsProbe, SplitTest
+from knowarm.reading import read_json, write_json
 from knowarm.report import write_report
 from knowarm.report.blocks import DataTable, flat
 from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
+from knowarm.report.pages.results import result_blocks
 from knowarm.report.verdicts.claims import Finding
 from knowarm.report.verdicts.knowledge import answer
 from knowarm.report.verdicts.query import query_findings
@@ -258,3 +260,33 @@ def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
     )
     written = write_report([run], tmp_path / "report.html").read_text()
     assert "Was the query understood?" in written
+
+
+@pytest.mark.parametrize("has_policy", [True, False])
+def test_what_is_seen_and_solved_stands_beside_the_policy_and_is_no_choice_of_it(
+    tmp_path, has_policy
+):
+    study_of(tmp_path, on("S1", EVERY))
+    for folder in tmp_path.glob("*subgraph-fast/*/evaluation/post-training-greedy-s1"):
+        solved = shutil.copytree(folder, folder.with_name(f"{folder.name}-seen"))
+        summary = read_json(solved / "summary.json")
+        summary["config"]["test"].append({"kind": "seen"})
+        summary["config"]["label"] = solved.name
+        for name in ("success", "choice"):
+            summary["numbers"][name] = {"estimate": 0.1, "low": 0.05, "high": 0.15}
+        write_json(solved / "summary.json", summary)
+        if not has_policy:
+            shutil.rmtree(folder)
+    study = collect([tmp_path])
+    (task,) = study.tasks
+    (table,) = [b for b in result_blocks(task) if b.name.startswith("solved")]
+    (row,) = table.rows
+    assert (row["agent"], row["split"], row["seeds"]) == ("subgraph", "S1", 3)
+    assert row["solved"].estimate == pytest.approx(0.1)
+    assert bool(row["success"]) == has_policy
+    played = {agent.name for agent in task.splits["S1"]}
+    assert ("subgraph" in played) == has_policy
+    if has_policy:
+        assert row["success"].estimate > 0.6
+        assert only(study).kind == "understood"
+    assert "seen" not in task.label

@@ -53,9 +53,9 @@ class RunSuite:
     suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
     """Name of a suite: see `knowarm benchmark show`."""
     policy: Policies
-    """Run folders of the training seeds of one agent, a folder of `knowarm export`, ONNX files,
-    ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent. All but run
-    folders and scripted agents must come from people whose code you would run."""
+    """Run folders of the training seeds of one agent, seen:RUN, a folder of `knowarm export`, ONNX
+    files, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent. All
+    but run folders and scripted agents must come from people whose code you would run."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("row.json")
     """File of the row."""
     name: str | None = None

@@ -138,7 +138,9 @@ def _label(runs: Runs) -> str:
     """Return the most common evaluation of the best model; of equally common ones the greedy."""
     counts: Counter[str] = Counter()
     for run in runs:
-        counts.update(run.evaluations.keys())
+        for label, evaluation in run.evaluations.items():
+            counts[label] += not evaluation.is_solved
+    counts = +counts
     others = (UNTRAINED, LATEST, HELD_OUT)
     best = [label for label in sorted(counts) if not label.endswith(others)]
     return max(

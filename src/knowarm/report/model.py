@@ -4,7 +4,7 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.evaluation import EvaluationConfig, SeenTest
 from knowarm.experiment.provenance import Provenance
 from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, Summary, read_table
 from knowarm.knowledge.queries.splits import SPLITS
@@ -38,10 +39,24 @@ class Evaluation:
     @cached_property
     def rules(self) -> str:
         """What evaluations by the same rules share: episodes, thresholds, actions."""
-        config = to_dict(self.summary.config)
+        return self._rules(self.summary.config)
+
+    @cached_property
+    def policy_rules(self) -> str:
+        """The rules of the same evaluation with the policy, where it `is_solved` without."""
+        test = [each for each in self.summary.config.test if each != SeenTest()]
+        return self._rules(replace(self.summary.config, test=tuple(test)))
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether inverse kinematics acted in place of the policy, to what its network sees."""
+        return SeenTest() in self.summary.config.test
+
+    def _rules(self, config: EvaluationConfig) -> str:
+        rules = to_dict(config)
         for name in NOT_A_RULE:
-            del config[name]
-        return json.dumps([self.summary["episodes"], config], sort_keys=True)
+            del rules[name]
+        return json.dumps([self.summary["episodes"], rules], sort_keys=True)
 
     def episodes(self, *further: str) -> dict[str, np.ndarray]:
         """Read the columns of ``episodes.parquet``: `EPISODE_COLUMNS` and those given."""
@@ -318,7 +333,8 @@ class TaskData:
         for group in self.groups:
             for run in group.runs:
                 for label, evaluation in run.evaluations.items():
-                    if not label.endswith((UNTRAINED, LATEST)):
+                    is_other = label.endswith((UNTRAINED, LATEST))
+                    if not is_other and not evaluation.is_solved:
                         agents = sets[label, evaluation.rules]
                         agent = TestedGroup(
                             name=group.name,

@@ -13,7 +13,14 @@ from knowarm.report.blocks import (
 from knowarm.report.charts import SUCCESS_AXIS
 from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import facet, integer
-from knowarm.report.model import HELD_OUT, Evaluated, Evaluation, TaskData
+from knowarm.report.model import (
+    HELD_OUT,
+    Evaluated,
+    Evaluation,
+    Group,
+    TaskData,
+    TestedGroup,
+)
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks import report_tables
 from knowarm.world.tasks.probe import ReportTable
@@ -40,6 +47,7 @@ def result_blocks(task: TaskData) -> list[Block]:
     blocks = [
         _table(task),
         _vision(task),
+        _solved(task),
         *(_brought(task, table) for table in report_tables()),
         _parts(task, "target", "target"),
         _parts(task, "facet", "target and colour"),
@@ -81,6 +89,30 @@ def _vision(task: TaskData) -> DataTable | None:
     columns += differences
     words = {"count": integer(most), "agents": "; ".join(abouts)}
     return table_of(task, "vision", rows, more=columns, **words)
+
+
+def _solved(task: TaskData) -> DataTable | None:
+    """Show what is solved for what a network sees, beside its policy on the same episodes."""
+    policies: dict[tuple[str, Group], TestedGroup] = {}
+    for (_, rules), agents in task.evaluation_sets.items():
+        for group, agent in agents.items():
+            policies[rules, group] = agent
+    rows = []
+    for group in task.groups:
+        solved: dict[str, list[Evaluation]] = {}
+        for run in group.runs:
+            for evaluation in run.evaluations.values():
+                if evaluation.is_solved:
+                    solved.setdefault(evaluation.policy_rules, []).append(evaluation)
+        for rules, evaluations in solved.items():
+            seen = Evaluated(group.name, group.colour, evaluations)
+            row = row_of(seen) | {"rules": conditions(evaluations[0])}
+            row["split"] = evaluations[0].summary.config.split or ""
+            row["solved"] = seen.level("success")
+            policy = policies.get((rules, group))
+            row["success"] = policy.level("success") if policy else None
+            rows.append(row)
+    return table_of(task, "solved", rows) if rows else None
 
 
 def _brought(task: TaskData, table: ReportTable) -> DataTable | None:
