@@ -475,6 +475,39 @@ def test_an_individual_has_its_own_facts_and_those_of_its_class(question, expect
     assert {facet: evidence[facet][0] for facet in evidence} == expected
 
 
+SUPERLATIVES = graph_of(
+    [
+        ("Mug", "hasPart", "handle"),
+        ("Mug", "hasPart", "lid"),
+        ("mug_1", RDF_TYPE, "Mug"),
+        ("mug_1", "hasPart", "rim"),
+        ("Bowl", "hasPart", "neck"),
+        ("Bowl", "hasPart", "base"),
+        ("Mug", "price", '"1234567"'),
+        ("Bowl", "price", '"3"'),
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("question", "read_as", "expected"),
+    [
+        ("the object with the most parts", "count hasPart = 3", {"mug"}),
+        ("the one with the fewest parts", "count hasPart = 2", {"bowl"}),
+        ("the mug with the fewest parts", "is mug and count hasPart = 3", {"mug"}),
+        ("the most expensive object", "price = 1234567", {"mug"}),
+        ("the cheapest mug", "is mug and price = 1234567", {"mug"}),
+        ("the cheapest object", "price = 3", {"bowl"}),
+    ],
+)
+def test_superlatives_count_what_an_individual_and_its_class_have_together(
+    question, read_as, expected
+):
+    found = answer(SUPERLATIVES, FACETS, question)
+    assert found.question == read_as
+    assert {name for name, _ in found.evidence} == expected
+
+
 def test_given_names_are_classes_or_individuals():
     graph = graph_of(
         [
@@ -514,3 +547,21 @@ def test_an_evaluation_shows_what_the_question_means(tmp_path):
     queries = set(map(str, asked(changed.env).queries))
     assert "subClassOf Tool" in queries
     assert "needs water" not in queries
+
+
+def test_an_evaluation_with_given_names_keeps_confidence(tmp_path):
+    lines = ["head,relation,tail,confidence", "Cup,on,table,0.3", "Cup,on,shelf,0.8"]
+    lines += [
+        f"{name},on,table,1" for name in ("bowl", "book", "pot", "teapot", "lamp")
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines))
+    config = RunFolder.open(ROOT / "zoo" / "irb120-choose-answers-fast").experiment()
+    with pytest.warns(DataWarning, match="confidence of 2 triples is annotated"):
+        changed = with_graph(config, str(path), {"mug": "Cup"})
+    graph = read_graph(changed.env.task.asked.graph)
+    assert graph.confidence == {
+        ("Cup", "on", "table"): 0.3,
+        ("Cup", "on", "shelf"): 0.8,
+    }
+    assert "mug" in changed.env.targets

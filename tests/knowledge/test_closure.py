@@ -12,9 +12,11 @@ from knowarm.knowledge.graph import closure
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.closure import closed
 from knowarm.knowledge.graph.edits import edited
+from knowarm.knowledge.graph.terms import RDF, RDF_TYPE
 from tests.knowledge.ontologies import DISHES, KITCHEN, derived, local, read, some
 
 SUBCLASS = "http://www.w3.org/2000/01/rdf-schema#subClassOf"
+OWL = "http://www.w3.org/2002/07/owl#"
 
 
 @pytest.mark.parametrize(
@@ -305,6 +307,37 @@ def test_what_rests_on_doubtful_triples_is_as_doubtful(tmp_path):
     assert graph.confidence["cup", SUBCLASS, "thing"] == pytest.approx(0.5)
     assert ("jar", SUBCLASS, "thing") not in graph.confidence
     assert graph.grounds(("mug", SUBCLASS, "thing"))[0] == ("mug", SUBCLASS, "jar")
+
+
+@pytest.mark.parametrize(
+    ("axiom", "facts", "follows"),
+    [
+        (("Mug", OWL + "disjointWith", "Food"), [("m", RDF_TYPE, "Mug")], ("m", "isNotA", "Food")),
+        (("on", RDF_TYPE, OWL + "TransitiveProperty"), [("a", "on", "b"), ("b", "on", "c")],
+         ("a", "on", "c")),
+        (("on", OWL + "inverseOf", "under"), [("a", "on", "b")], ("b", "under", "a")),
+        (("Tool", OWL + "unionOf", "_:l"),
+         [("_:l", RDF + "first", "Mug"), ("_:l", RDF + "rest", RDF + "nil"),
+          ("m", RDF_TYPE, "Mug")], ("m", RDF_TYPE, "Tool")),
+    ],
+)  # fmt: skip
+def test_what_follows_from_a_doubtful_axiom_is_as_doubtful(axiom, facts, follows):
+    doubtful = graph_of([axiom, *facts], confidence={axiom: 0.3})
+    assert closed(doubtful).graph.confidence[follows] == pytest.approx(0.3)
+    assert follows not in closed(graph_of([axiom, *facts])).graph.confidence
+
+
+def test_the_surest_of_axioms_that_say_the_same_counts():
+    first = ("Mug", OWL + "disjointWith", "Food")
+    second = ("Food", OWL + "disjointWith", "Mug")
+    member = ("m", RDF_TYPE, "Mug")
+    graph = graph_of([first, second, member], confidence={first: 0.8, second: 0.3})
+    both = closed(graph).graph.confidence
+    assert both["m", "isNotA", "Food"] == pytest.approx(0.8)
+    graph = graph_of([first, second, member], confidence={first: 0.3, second: 0.8})
+    assert closed(graph).graph.confidence == pytest.approx(
+        both | {first: 0.3, second: 0.8}
+    )
 
 
 def test_contradictions_are_said_and_nothing_is_dropped(tmp_path):

@@ -30,6 +30,7 @@ from knowarm.knowledge.graph.terms import (
     local_name,
     parse_literal,
 )
+from knowarm.knowledge.queries.sparql import SparqlQuery
 
 MUG, BOTTLE = ("mug", "usedFor", "drinking"), ("bottle", "usedFor", "drinking")
 CUP = ("mug", "isA", "cup")
@@ -373,7 +374,11 @@ def test_confidence_of_facts_is_read_kept_and_written(tmp_path, name):
     assert read_graph(tmp_path / "b.tsv") == graph
     assert read_graph(tmp_path / "b.tsv") != graph_of(graph)
     with pytest.warns(DataWarning, match="confidence of 1 triples is left out"):
-        write_graph(graph, tmp_path / "b.ttl")
+        write_graph(graph, tmp_path / "b.rdf")
+    for name in ("b.ttl", "b.nt"):
+        with pytest.warns(DataWarning, match="readers of RDF 1.1 refuse"):
+            write_graph(graph, tmp_path / name)
+        assert read_graph(tmp_path / name) == graph
 
 
 @pytest.mark.parametrize(
@@ -548,6 +553,26 @@ def test_references_that_are_malformed_cost_no_ontology(tmp_path):
     broken = ADMINISTRATION.replace("is_a: H:0002", "is_a H:0002")
     with pytest.raises(UserError, match="line 17: not well-formed OBO"):
         read_graph(write(tmp_path / "a.obo", broken))
+
+
+def test_what_has_administrative_annotations_alone_is_kept_and_prefixes_too(tmp_path):
+    text = """
+    @prefix o: <http://www.geneontology.org/formats/oboInOwl#> . @prefix h: <http://h.org/> .
+    @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+    h:mug h:on h:table . h:lone o:id "L:1" ; rdfs:label "lonely" . o:id h:of h:nobody .
+    """
+    with pytest.warns(DataWarning, match="2 administrative annotations"):
+        graph = read_graph(write(tmp_path / "a.ttl", text))
+    assert list(graph) == [
+        ("http://h.org/mug", "http://h.org/on", "http://h.org/table")
+    ]
+    assert (
+        graph.find_entity("lonely")
+        == graph.find_entity("http://h.org/lone")
+        is not None
+    )
+    assert set(map(local_name, graph.entities)) == {"mug", "table", "lone"}
+    assert SparqlQuery(graph, "SELECT ?x { ?x h:on h:table }").answer().rows
 
 
 def test_dates_of_other_graphs_are_kept(tmp_path):

@@ -230,14 +230,28 @@ def test_rdf_json(tmp_path):
     about = {
         E + "usedFor": [{"type": "uri", "value": E + "drinking"}],
         E + "price": [{"type": "literal", "value": "5", "datatype": "http://a.org/x"}],
+        E + "on": [{"type": "bnode", "value": "_:x"}],
         RDFS + "label": [{"type": "literal", "value": "Becher", "lang": "de"}],
     }
-    graph = read_graph(write(tmp_path / "a.rj", json.dumps({E + "mug": about})))
+    below = {E + "in": [{"type": "uri", "value": E + "hall"}]}
+    document = {E + "mug": about, "_:x": below}
+    graph = read_graph(write(tmp_path / "a.rj", json.dumps(document)))
     assert set(graph) == {
+        (E + "mug", E + "on", "_:x"),
+        ("_:x", E + "in", E + "hall"),
         (E + "mug", E + "usedFor", E + "drinking"),
         (E + "mug", E + "price", literal("5", datatype="http://a.org/x")),
     }
     assert graph.labels == {E + "mug": "Becher"}
+
+
+def test_values_of_nodes_are_left_out_with_a_line(tmp_path):
+    node = {"id": "mug", "label": "mug", "size": 3, "type": "Dish"}
+    links = [{"head": "mug", "relation": "on", "tail": "table"}]
+    document = json.dumps({"nodes": [node], "links": links})
+    with pytest.warns(DataWarning, match="not read: size, type"):
+        graph = read_graph(write(tmp_path / "a.json", document))
+    assert list(graph) == [("mug", "on", "table")]
 
 
 def test_graphs_of_other_programs(tmp_path):
@@ -285,6 +299,14 @@ def test_gml(tmp_path, version):
 
 
 REFUSED = {
+    "lists of four": (
+        json.dumps([["mug", "on", "table", 0.3], ["mug", "in", "hall", 1]]),
+        "is no link with the names of a head, a relation and a tail",
+    ),
+    "a list of four behind one of three": (
+        json.dumps([["mug", "on", "table"], ["mug", "in", "hall", "no"]]),
+        "write lists of three",
+    ),
     "a cut answer": (
         json.dumps({"head": {"vars": ["s", "p", "o"]}, "results": {}}),
         "'bindings'",

@@ -413,15 +413,15 @@ def _sparql(
     }
 
     is_coloured = query.may_read(COLOUR_RELATION)
-    by_object: dict[str, list[dict[str, str]]] = {}
+    by_object = defaultdict[str, list[dict[str, str]]](list)
     if not is_coloured:
         for row in _rows(query.run()):
-            by_object.setdefault(row["object"], [row])
+            by_object[row["object"]].append(row)
 
     def rows(name: str, colour: str | None) -> list[dict[str, str]]:
         """Return the rows that select an entity, as if it had a colour alone."""
         if not is_coloured:
-            return by_object.get(name, [])
+            return by_object[name]
         shown = []
         if colour is not None:
             plain = [colour, name_of_iri(own + colour)]

@@ -99,18 +99,38 @@ def _with_extreme(
         raise reader.refused(
             "it may hold one superlative, which 'and' joins, and then no place in the image"
         )
-    relation = superlative.relation
-    among = set(reader.vocabulary.heads)
-    if rest:
-        among &= holders(joined(rest))
-    if superlative.text.startswith("count "):
-        values = [float(relation.counts[head]) for head in among]
-    else:
-        numbers = relation.numbers
-        values = [numbers[head] for head in among if head in numbers]
-    if not values:
+    extreme = _extreme(superlative, rest, holders)
+    if extreme is None:
         raise reader.refused(
-            f"no object that it is about has a number of {relation.name}"
+            f"no object that it is about has a number of {superlative.relation.name}"
         )
-    extreme = max(values) if superlative.best == ">" else min(values)
-    return joined([*rest, ReadCondition(f"{superlative.text} = {extreme:g}")])
+    return joined([*rest, extreme])
+
+
+def _extreme(
+    superlative: ReadCondition, rest: Sequence[ReadCondition], holders: Holders
+) -> ReadCondition | None:
+    """Return the comparison with the largest or smallest number that an object has, if any has.
+
+    An individual has the numbers of its class, so that answers are asked, and not the graph.
+    """
+
+    def compared(sign: str, number: float) -> ReadCondition:
+        return ReadCondition(f"{superlative.text} {sign} {number:.15g}")
+
+    def is_true(sign: str, number: float) -> bool:
+        return bool(holders(joined([*rest, compared(sign, number)])))
+
+    is_largest = superlative.best == ">"
+    if superlative.text.startswith("count "):
+        if not is_true(">=", 0):
+            return None
+        number = 0
+        while is_true(">", number) and (is_largest or not is_true("<=", number)):
+            number += 1
+        return compared("=", number)
+    numbers = set(superlative.relation.numbers.values())
+    for quantity in sorted(numbers, reverse=is_largest):
+        if is_true("=", quantity):
+            return compared("=", quantity)
+    return None

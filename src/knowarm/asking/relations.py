@@ -1,7 +1,6 @@
 """Relations of a graph as English speaks of them, and those of kinds and colours."""
 
 import re
-from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -42,8 +41,6 @@ class Relation:
     """Whether a broader relation of the graph says the same: locatedIn of storedIn."""
     numbers: dict[int, float] = field(default_factory=dict)
     """The numbers that it states, by entity."""
-    counts: Counter[int] = field(default_factory=Counter)
-    """The number of values that it states, by entity."""
 
     @cached_property
     def family(self) -> Family:

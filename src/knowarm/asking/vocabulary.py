@@ -102,7 +102,6 @@ class Vocabulary:
                     self._learn(relation, end, inner)
         for head, index, tail in self._facts(heads):
             relation = self._relation(index)
-            relation.counts[head] += 1
             text = local_name(graph.names[tail])
             if re.fullmatch(r"\d+(\.\d+)?", text):
                 relation.numbers[head] = float(text)

@@ -79,13 +79,15 @@ def _with_names(path: str, names: Mapping[str, str]) -> str:
         graph.triples,
         nodes=graph.nodes,
         labels=labels,
+        confidence=graph.own_confidence(),
     )
     return _cached(labelled)
 
 
 def _cached(graph: KnowledgeGraph) -> str:
     """Write a graph to a file of the cache; return its path."""
-    follows = (list(graph), dict(graph.labels), graph.own_confidence())
+    confidence = sorted(graph.own_confidence().items())
+    follows = (list(graph), dict(graph.labels), *confidence)
     file = cache_file("graphs", *follows).with_suffix(".ttl")
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -30,17 +30,28 @@ def without_administration(graph: KnowledgeGraph, path: Path) -> KnowledgeGraph:
     left_out = set(filter(_is_administrative, graph.relation_names))
     if not left_out:
         return graph
-    kept = [
-        triple
-        for triple in graph
-        if triple[1] not in left_out and not _is_administrative(triple[0])
-    ]
+    kept = []
+    entities = set(graph.entities)
+    for triple in graph:
+        head, relation, tail = triple
+        if _is_administrative(head):
+            entities -= {head, tail}
+        elif relation in left_out:
+            entities.discard(tail)
+        else:
+            kept.append(triple)
     names = sorted(set(map(local_name, left_out)))
     warn(
         f"{path}: {len(graph) - len(kept)} administrative annotations of OBO are left out: "
         f"{listed(names)}."
     )
-    rest = graph_of(kept, labels=graph.labels, confidence=graph.confidence)
+    rest = graph_of(
+        kept,
+        nodes=entities,
+        labels=graph.labels,
+        confidence=graph.own_confidence(),
+        prefixes=graph.prefixes,
+    )
     return rest.lacking(graph.missing)
 
 

@@ -193,7 +193,7 @@ def _term(term: Any) -> str:
     if term["type"] == "uri":
         return text
     if term["type"] == "bnode":
-        return f"_:{text}"
+        return f"_:{text.removeprefix('_:')}"
     language = term.get("xml:lang", term.get("lang", ""))
     return _literal(text, language, term.get("datatype", ""))
 

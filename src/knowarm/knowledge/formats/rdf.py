@@ -81,6 +81,7 @@ CONFIDENCES = frozenset(
 """Relations that state the probability of a triple, from 0 to 1, in any spelling, "has" before it
 or not."""
 _REIFIES = RDF + "reifies"
+_DECIMAL = NamedNode("http://www.w3.org/2001/XMLSchema#decimal")
 Names = tuple[str, str, str]
 """Head, relation and tail as a file names them."""
 
@@ -379,19 +380,35 @@ def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
                 f"{path}: RDF/XML cannot hold the relation {relation!r}, whose IRI does not end in "
                 f"an XML name. Write Turtle or N-Triples."
             )
-    doubtful = graph.own_confidence()
-    if doubtful:
-        warn(
-            f"{path}: the confidence of {len(doubtful)} triples is left out; tables have a column."
-        )
+    statements = rdf_triples(graph)
+    count = len(graph.own_confidence())
+    holds_confidence = syntax in (*TERSE, *LINES)
+    if holds_confidence:
+        statements = chain(statements, _annotations(graph))
+    if count:
+        what = "is left out; Turtle, N-Triples and tables hold it"
+        if holds_confidence:
+            what = "is annotated as in RDF 1.2, which readers of RDF 1.1 refuse"
+        warn(f"{path}: the confidence of {count} triples {what}.")
     prefixes = PREFIXES if syntax == RdfFormat.TURTLE else None
-    serialize(rdf_triples(graph), path, syntax, prefixes=prefixes)
+    serialize(statements, path, syntax, prefixes=prefixes)
 
 
 def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
     """Yield triples and labels as RDF, sorted by head."""
     for statement in heapq.merge(graph, graph.label_statements()):
         yield triple_of_names(*statement)
+
+
+def _annotations(graph: KnowledgeGraph) -> Iterator[Triple]:
+    """Yield the confidence of triples as annotations of RDF 1.2."""
+    free = blank_names(set(graph.entities))
+    confidence = graph.own_confidence()
+    for triple, name in zip(sorted(confidence), free, strict=False):
+        reifier = BlankNode(name.removeprefix("_:"))
+        share = Literal(f"{confidence[triple]:.9g}", datatype=_DECIMAL)
+        yield Triple(reifier, NamedNode(_REIFIES), triple_of_names(*triple))
+        yield Triple(reifier, NamedNode(NAMESPACE + "confidence"), share)
 
 
 def _refuse_binary(path: Path) -> None:

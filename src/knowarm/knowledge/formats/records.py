@@ -73,7 +73,7 @@ class Records(Statements):
     """Nodes and links with named values."""
 
     silent: ClassVar = {"id", "key"}
-    """Keys of links that hold nothing to be read."""
+    """Keys of nodes and links that hold nothing to be read."""
 
     def __init__(self, path: Path, form: str = "") -> None:
         super().__init__(path, form)
@@ -90,14 +90,15 @@ class Records(Statements):
         self.names[key] = name
         self.builder.add_node(name)
         label = values.get("label", values.get("name"))
+        self.unread.update(values.keys() - self.silent - {"label", "name"})
         if isinstance(label, str) and label != name:
             self.add_label(name, label)
             self.labeled[label].add(name)
 
     def add_link(self, values: Any) -> None:
         """Add a triple: a list of three, or values whose keys name them as columns of a table."""
-        if isinstance(values, list):
-            values = dict(zip(ROLES, values, strict=False))
+        if isinstance(values, list) and len(values) == len(ROLES):
+            values = dict(zip(ROLES, values, strict=True))
         columns = None
         if isinstance(values, dict):
             columns = columns_of(tuple(values), self.where)

@@ -1,7 +1,7 @@
 """Axioms of a graph, encoded as triples for rules: restrictions, lists, chains, negations."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import permutations
 
@@ -103,6 +103,7 @@ class Axioms:
         self.encoded = dict[Triple, tuple[int, ...]]()
         self.unused = Counter[str]()
         self.of = cache(self._find)
+        self._probabilities = graph.probabilities(np.arange(len(graph)))
         self.properties = self._properties()
         self._chains()
         self._classes()
@@ -156,7 +157,15 @@ class Axioms:
         return rows
 
     def _add(self, head: str, word: str, tail: str, *rows: int) -> None:
-        self.encoded.setdefault((head, WORDS.get(word, word), tail), rows)
+        """Encode a triple with the surest rows that state it."""
+        triple = (head, WORDS.get(word, word), tail)
+        known = self.encoded.setdefault(triple, rows)
+        if self.sure(rows) > self.sure(known):
+            self.encoded[triple] = rows
+
+    def sure(self, rows: Sequence[int]) -> float:
+        """Return the probability that all of some rows hold."""
+        return float(self._probabilities[list(rows)].prod())
 
     def _properties(self) -> set[str]:
         properties = set[str]()

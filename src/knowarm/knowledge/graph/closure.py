@@ -143,7 +143,9 @@ class _Closure:
         batch = self.reasoner.add(stated)
         numbers = np.searchsorted(batch.steps["key"], stated["key"])
         encoded = self.axioms.encoded
-        steps = steps_of(self._numbers(chain(*encoded)).reshape(-1, 3))
+        triples = self._numbers(chain(*encoded)).reshape(-1, 3)
+        sure = np.array(list(map(self.axioms.sure, encoded.values())))
+        steps = steps_of(triples, sure)
         for premises, rows in zip(steps["premises"], encoded.values(), strict=True):
             premises[: len(rows)] = numbers[list(rows)]
         self.reasoner.add(steps)
