@@ -190,9 +190,53 @@ def test_no_other_is_named_where_there_is_none(triples):
 def test_what_is_done_is_no_object(triples):
     name = triples[0][0]
     graph = graph_of([*triples, (name, "needs", "water"), ("bowl", "needs", "water")])
-    with pytest.warns(DataWarning, match=f"'brush' is {name}.*an action or an event"):
+    with pytest.warns(
+        DataWarning, match=f"'brush' is {name}.*of the kind '\\w+' and no object"
+    ):
         assert names(graph, "needs water") == {"bowl"}
     assert names(graph, "needs water", {"brush": name}) == {"brush", "bowl"}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "kind"),
+    [
+        (["Depressed Landform", "Material Entity"], "landform"),
+        (["RockBand", "Group"], "band"),
+        (["Newspaper", "Work"], "newspaper"),
+        (["Person", "Thing"], "person"),
+        (["RareDisease", "Condition"], "disease"),
+        (["SoftwareCompany"], "company"),
+    ],
+)
+def test_what_nobody_handles_is_no_object_whatever_else_it_is(kinds, kind):
+    triples = [("brush", "isA", name) for name in kinds]
+    graph = graph_of([*triples, ("brush", "in", "hall"), ("bowl", "in", "hall")])
+    with pytest.warns(
+        DataWarning, match=f"brush in the graph, of the kind '{kind}' and no"
+    ):
+        assert names(graph, "in hall") == {"bowl"}
+    assert names(graph, "in hall", {"brush": "brush"}) == {"bowl", "brush"}
+    # Another one of the name is meant
+    tool = graph_of([*graph, ("Brush", "isA", "Tool"), ("Brush", "in", "hall")])
+    with pytest.warns(
+        DataWarning, match="'brush' is taken for Brush, and not for brush"
+    ):
+        assert find_object(tool, "brush") == tool.names.find("Brush")
+
+
+def test_homonyms_of_many_names_are_one_line(tmp_path, capsys):
+    lines = []
+    for name in OBJECTS:
+        lines += [f"{name.title()},subClassOf,Tool", f"{name},on,table"]
+    lines.append("Mug,in,hall")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines))
+    code, said = run(capsys, path, "in hall")
+    assert code == 0
+    assert said.err.count("\n") == 1
+    assert "Likewise 5 more names: book, brush, pot, teapot, wine_glass." in said.err
+    main(["knowledge", "queries", "--graph", str(path), "--objects", *OBJECTS])
+    assert capsys.readouterr().err.count("Likewise 5 more names") == 1
 
 
 def test_a_tool_for_an_action_is_an_object():

@@ -7,12 +7,16 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import gamma, graph_of, household, read_graph
+from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.formats import SHIPPED, write_graph
 from knowarm.knowledge.graph import closure
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.closure import closed
+from knowarm.knowledge.graph.denials import without_derived
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.terms import RDF, RDF_TYPE
+from knowarm.knowledge.slots import scene_sentences
 from tests.knowledge.ontologies import DISHES, KITCHEN, derived, local, read, some
 
 SUBCLASS = "http://www.w3.org/2000/01/rdf-schema#subClassOf"
@@ -325,6 +329,25 @@ def test_what_follows_from_a_doubtful_axiom_is_as_doubtful(axiom, facts, follows
     doubtful = graph_of([axiom, *facts], confidence={axiom: 0.3})
     assert closed(doubtful).graph.confidence[follows] == pytest.approx(0.3)
     assert follows not in closed(graph_of([axiom, *facts])).graph.confidence
+
+
+def test_vectors_and_drawings_leave_out_what_is_denied_by_axioms(tmp_path):
+    axioms = ":Dish owl:disjointWith :Food, :Animal . :Mug rdfs:subClassOf :Dish ; :on :table ."
+    graph, _ = read(tmp_path, axioms + " :Mug :notUsedFor :eating .")
+    assert "Mug notSubClassOf Food" in derived(graph)
+    drawn = draw_svg(graph, ["Mug"]).replace(" ", "").lower()
+    assert "table" in drawn
+    assert "eating" in drawn
+    assert "subclassof" in drawn
+    assert "notsubclassof" not in drawn
+    config = KnowledgeConfig(detail="partial", graph=str(tmp_path / "home.ttl"))
+    (words,) = scene_sentences(config, [("Mug", "")]).values()
+    assert "table" in words
+    assert "Food" not in words
+    plain = graph.stated()
+    assert set(without_derived(graph)) == set(plain) | {
+        triple for triple in graph if triple not in plain and "not" not in triple[1]
+    }
 
 
 def test_the_surest_of_axioms_that_say_the_same_counts():

@@ -20,7 +20,7 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import meeting
 from knowarm.experiment.zoo import PACKAGED
 from knowarm.knowledge.formats import read_graph
-from knowarm.knowledge.graph.homonyms import object_id
+from knowarm.knowledge.graph.homonyms import object_ids
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import ObjectColour
 
@@ -187,7 +187,8 @@ class AnswerCommand(ObjectOptions, TableCommand):
         names = {}
         if not self.objects:  # they are of the graph, whatever they are
             shown = dict.fromkeys(name for name, _ in facets)
-            names = {name: graph.names[object_id(graph, name)] for name in shown}
+            entities = object_ids(graph, shown)
+            names = dict(zip(shown, graph.names.at(entities), strict=True))
         answers = answer(graph, facets, self.question, names)
         objects = [*answers.evidence]
         print_table(f"Answers to: {answers.as_read}", ["object", "colour"], objects)

@@ -22,7 +22,7 @@ from knowarm.knowledge import (
 )
 from knowarm.knowledge.config import Scope
 from knowarm.knowledge.graph.builder import shuffle_tails
-from knowarm.knowledge.graph.homonyms import find_object
+from knowarm.knowledge.graph.homonyms import find_objects
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.config import FRAME, GroundingConfig
 from knowarm.questions import ObjectColour, Query, QuestionTable
@@ -320,7 +320,5 @@ def asked(env: EnvConfig) -> QuestionTable:
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
     """Return which names a graph describes."""
-    is_described = {
-        name: find_object(graph, name) is not None for name in dict.fromkeys(names)
-    }
-    return [is_described[name] for name in names]
+    entities = find_objects(graph, dict.fromkeys(names))
+    return [entities[name] is not None for name in names]

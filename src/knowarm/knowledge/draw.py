@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.knowledge.graph.denials import without_derived
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.svg import curve, document, element, hover, label, text_width
@@ -72,6 +73,7 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
     Within a column, entities are grouped under the relation that reaches them. Edges have the
     colour of the root they come from.
     """
+    graph = without_derived(graph)
     if not len(graph.nodes):
         raise UserError(
             "The graph is empty, so there is nothing to draw. Give other objects."

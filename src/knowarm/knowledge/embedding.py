@@ -13,6 +13,7 @@ import numpy as np
 from knowarm.errors import Argument, UserError
 from knowarm.knowledge.config import EmbeddingFacts, KnowledgeConfig, Scope
 from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.denials import without_derived
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.slots import (
     Described,
@@ -275,7 +276,7 @@ def _embed(
     if source.described:
         if graph is None:
             graph = read_graph(config.graph)
-        described = describe(slots, graph, config, seed)
+        described = describe(slots, without_derived(graph), config, seed)
         matrix = _vectors(config, described, coverage)
         if not source.content_free:
             sentences = [words_of(labels.sentence) for labels in described.slots]

@@ -8,8 +8,9 @@ import numpy as np
 from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
 from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.denials import without_derived
 from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
-from knowarm.knowledge.graph.homonyms import object_id
+from knowarm.knowledge.graph.homonyms import object_ids
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.vectors.source import Facet, SentencePart
 from knowarm.questions import Condition, ObjectColour
@@ -164,8 +165,8 @@ def graph_facets(
     names = graph.relation_names
     relations = names.find_all([colour_relation]) or names.find_local(colour_relation)
     pairs = list[tuple[str, str]]()
-    for name in objects:
-        rows = graph.out_rows(object_id(graph, name))
+    for name, entity in zip(objects, object_ids(graph, objects), strict=True):
+        rows = graph.out_rows(entity)
         tails = graph.tails[rows][np.isin(graph.relations[rows], relations)]
         for tail in np.sort(tails):
             pairs.append((name, local_name(graph.names[tail])))
@@ -306,7 +307,7 @@ def _subgraphs(
 ) -> tuple[KnowledgeGraph, dict[str, KnowledgeGraph]]:
     """Return the graph that slots are described by, and the subgraph of each by its name."""
     slots = slots_of(config, facets)
-    graph = read_graph(config.graph)
+    graph = without_derived(read_graph(config.graph))
     if not slots:
         return graph, {}
     seed = config.source.draw_seed(config.seed, run_seed)

@@ -9,6 +9,7 @@ from tyro.conf import OmitArgPrefixes
 
 from knowarm.cli.knowledge.options import GraphOptions
 from knowarm.cli.tables import TableCommand, Values, check_out, is_terminal
+from knowarm.knowledge.graph.denials import without_derived
 from knowarm.knowledge.kge import KgeConfig
 
 SILENT_S = 10.0
@@ -33,7 +34,7 @@ class Fit(GraphOptions, TableCommand):
 
         check_out(self.out, "models", (".safetensors",))
         config = self.training
-        graph = self.read()
+        graph = without_derived(self.read())
         triples, valid = hold_out(graph, self.valid, config.seed)
         end = "\r" if is_terminal() else "\n"
         started = time.monotonic()

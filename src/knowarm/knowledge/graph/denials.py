@@ -10,6 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
     RDF,
@@ -81,6 +83,23 @@ def opposed(graph: KnowledgeGraph, relation: str) -> list[int]:
         if subject == wanted.subject and denies != wanted.denies:
             ids.append(index)
     return ids
+
+
+def without_derived(graph: KnowledgeGraph) -> KnowledgeGraph:
+    """Return a graph without the denials that were derived: all that a mug is not.
+
+    They answer questions. In vectors and drawings they would outweigh what is stated.
+    """
+    if graph.derivations is None:
+        return graph
+    denying = []
+    for index, name in enumerate(graph.relation_names):
+        if stance(name, graph.labels.get(name, "")).denies:
+            denying.append(index)
+    is_denial = np.isin(graph.relations, denying)
+    is_denial &= graph.derivations.is_derived(graph.triples)
+    nodes = np.setdiff1d(graph.nodes, graph.tails[is_denial])
+    return graph.rows(np.flatnonzero(~is_denial), nodes)
 
 
 @lru_cache(maxsize=100_000)

@@ -4,9 +4,11 @@ Equal letters are no reason: of `Mug` and `mug`, or of `http://a.org/mug` and `h
 the class is meant, or else the one about which more is stated. A `DataWarning` names the others.
 """
 
+from collections.abc import Iterable, Mapping
+
 import numpy as np
 
-from knowarm.errors import warn
+from knowarm.errors import UserError, warn
 from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph
 from knowarm.knowledge.graph.names import AmbiguousNameError, Counts, several
 from knowarm.knowledge.graph.terms import (
@@ -28,6 +30,48 @@ _DEEDS = {
     "perdurant",
 }
 """Last words of classes of what is done or happens."""
+_UNHANDLED = {
+    "landform",
+    "biome",
+    "ecosystem",
+    "habitat",
+    "organism",
+    "animal",
+    "bacterium",
+    "virus",
+    "person",
+    "human",
+    "organization",
+    "organisation",
+    "company",
+    "band",
+    "team",
+    "disease",
+    "disorder",
+    "syndrome",
+    "city",
+    "town",
+    "village",
+    "country",
+    "settlement",
+    "mountain",
+    "river",
+    "lake",
+    "planet",
+    "language",
+    "profession",
+    "gene",
+    "protein",
+    "film",
+    "album",
+    "song",
+    "newspaper",
+    "software",
+}
+"""Last words of classes whose members are no objects, whatever else they are: ENVO's kettle is a
+landform and a "material entity"."""
+_TOLD = 2
+"""Most names that are explained in one warning."""
 _ANYTHING = {"thing", "entity", "resource", "concept", "class", "individual"}
 """Last words of classes of anything."""
 _OPEN = {"NamedIndividual", "Thing", "Resource"}
@@ -35,35 +79,73 @@ _OPEN = {"NamedIndividual", "Thing", "Resource"}
 
 
 def find_object(graph: KnowledgeGraph, name: str) -> int | None:
-    """Return the id of an object of a task, by its full IRI or its name; None without.
+    """Return the id of an object as `find_objects`."""
+    return find_objects(graph, [name])[name]
+
+
+def find_objects(graph: KnowledgeGraph, names: Iterable[str]) -> dict[str, int | None]:
+    """Return the ids of objects of a task, by their full IRIs or their names; None without.
 
     Warns:
-        DataWarning: others have the name, too; several are described alike, or it is the name of
-            an action or an event: then the object counts as not described.
+        DataWarning: others have one of the names, too; several are described alike, or it is the
+            name of an action or a landform: then the object counts as not described.
     """
-    try:
-        entity = _object(graph, name)
-    except AmbiguousNameError as error:
-        warn(f"{error} Until then it counts as not described.")
-        return None
-    if entity is None or not is_deed(graph, entity):
-        return entity
-    warn(
-        f"{name!r} is {graph.names[entity]} in the graph, an action or an event and no object, "
-        "so it counts as not described. Give the full name to mean it."
-    )
-    return None
+    entities: dict[str, int | None] = {}
+    notes = {}
+    for name in names:
+        try:
+            entity, notes[name] = _object(graph, name)
+        except AmbiguousNameError as error:
+            entity = None
+            notes[name] = f"{error} Until then it counts as not described."
+        kind = "" if entity is None else unhandled(graph, entity)
+        if entity is not None and kind:
+            notes[name] = (
+                f"{name!r} is {graph.names[entity]} in the graph, of the kind {kind!r} and no "
+                "object, so it counts as not described. Give the full name to mean it."
+            )
+            entity = None
+        entities[name] = entity
+    _tell(notes)
+    return entities
 
 
-def object_id(graph: KnowledgeGraph, name: str) -> int:
-    """Return the id of an object as `find_object`, which may be an action.
+def object_ids(graph: KnowledgeGraph, names: Iterable[str]) -> list[int]:
+    """Return the ids of objects as `find_objects`, which may be actions.
 
     Raises:
         AmbiguousNameError: several are described alike.
         UserError: there is none.
     """
-    entity = _object(graph, name)
-    return graph.entity_id(name) if entity is None else entity
+    entities = []
+    notes = {}
+    for name in names:
+        entity, notes[name] = _object(graph, name)
+        entities.append(_described(graph, name) if entity is None else entity)
+    _tell(notes)
+    return entities
+
+
+def _described(graph: KnowledgeGraph, name: str) -> int:
+    try:
+        return graph.entity_id(name)
+    except UserError as error:
+        raise UserError(
+            f"The graph says nothing about the object {name!r}. {error} Add triples about it, or "
+            "leave the object out of the task."
+        ) from error
+
+
+def _tell(notes: Mapping[str, str]) -> None:
+    """Warn of the first notes on names, and of how many more there are."""
+    noted = [name for name in notes if notes[name]]
+    if not noted:
+        return
+    text = " ".join(notes[name] for name in noted[:_TOLD])
+    others = noted[_TOLD:]
+    if others:
+        text += f" Likewise {len(others)} more names: {', '.join(others)}."
+    warn(text)
 
 
 def value_id(graph: KnowledgeGraph, name: str, counts: Counts) -> int | None:
@@ -81,7 +163,7 @@ def value_id(graph: KnowledgeGraph, name: str, counts: Counts) -> int | None:
     entity = graph.entity_spellings.find(name, "entities", best.__contains__)
     if entity is not None:
         others = [*others, *(other for other in best if other != entity)]
-        _warn_of(graph, name, entity, others)
+        _tell({name: _note(graph, name, entity, others)})
     return entity
 
 
@@ -112,15 +194,21 @@ def is_class(graph: KnowledgeGraph, entity: int) -> bool:
     return "Class" in map(local_name, types)
 
 
-def is_deed(graph: KnowledgeGraph, entity: int) -> bool:
-    """Return whether all classes of an entity, or above it, that tell are of actions or events."""
+def unhandled(graph: KnowledgeGraph, entity: int) -> str:
+    """Return which kind of an entity says that it is no object, "" if none does.
+
+    All kinds that tell are of actions or events, or one is of landforms or the like.
+    """
     relations = graph.type_relations + graph.is_a_relations + graph.subclass_relations
     last_words = set()
     for name in graph.names.at(_tails(graph, entity, relations)):
         if not name.startswith("_:"):
             last_words.add(label_of(name, graph.labels).split(" ")[-1])
     telling = last_words - _ANYTHING
-    return bool(telling) and telling <= _DEEDS
+    kinds = telling & _UNHANDLED
+    if telling <= _DEEDS:
+        kinds = telling
+    return min(kinds, default="")
 
 
 def types_of(graph: KnowledgeGraph, entity: int) -> list[int]:
@@ -137,25 +225,27 @@ def _tails(graph: KnowledgeGraph, entity: int, relations: list[int]) -> Ids:
     return graph.tails[graph.linking(graph.out_rows(entity), relations)]
 
 
-def _object(graph: KnowledgeGraph, name: str) -> int | None:
+def _object(graph: KnowledgeGraph, name: str) -> tuple[int | None, str]:
+    """Return the id of an object, None without, and what is to be said of it."""
     exact = graph.names.find(name)
     if exact is not None and is_iri(name) and graph.has_node(exact):
-        return exact
+        return exact, ""
     best, others = _best(graph, name, _counts(graph, name))
     if len(best) > 1:
         raise several(name, "entities", graph.names.at(best))
     for entity in best:
-        _warn_of(graph, name, entity, others)
-        return entity
-    return None
+        return entity, _note(graph, name, entity, others)
+    return None, ""
 
 
-def _warn_of(graph: KnowledgeGraph, name: str, entity: int, others: list[int]) -> None:
-    if others:
-        warn(
-            f"{name!r} is taken for {graph.names[entity]}, and not for "
-            f"{', '.join(graph.names.at(others[:5]))}. Give the full name to mean another one."
-        )
+def _note(graph: KnowledgeGraph, name: str, entity: int, others: list[int]) -> str:
+    """Return what is to be said of a name that others have, too."""
+    if not others:
+        return ""
+    return (
+        f"{name!r} is taken for {graph.names[entity]}, and not for "
+        f"{', '.join(graph.names.at(others[:5]))}. Give the full name to mean another one."
+    )
 
 
 def _best(
@@ -168,7 +258,8 @@ def _best(
     merits = {}
     for entity in same:
         facts = len(graph.out_rows(entity))
-        merits[entity] = (not is_deed(graph, entity), is_class(graph, entity), facts)
+        is_object = not unhandled(graph, entity)
+        merits[entity] = (is_object, is_class(graph, entity), facts)
     most = max(merits.values())
     best = []
     others = []

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import (
     best_described,
-    find_object,
+    find_objects,
     is_class,
     types_of,
     value_id,
@@ -50,11 +50,13 @@ def meant(
     """
     entities: dict[str, int | None] = {}
     individuals: dict[str, set[int]] = {}
+    objects = list(objects)
+    found = find_objects(graph, [name for name in objects if name not in names])
     for name in objects:
         if name in names:
             entities[name] = graph.find_entity(names[name])
         else:
-            entities[name] = find_object(graph, name)
+            entities[name] = found[name]
     for name, entity in entities.items():
         word = local_name(names.get(name, name))
         individuals[name] = set(individuals_of(graph, word, entity))

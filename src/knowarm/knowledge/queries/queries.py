@@ -12,7 +12,7 @@ from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.homonyms import object_id
+from knowarm.knowledge.graph.homonyms import object_ids
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import (
@@ -65,7 +65,7 @@ class QueryGraph:
             raise UserError(
                 "There are no facets to ask about: give at least one object."
             )
-        self._ids = np.array(list(map(self._object, self.objects)))
+        self._ids = np.array(object_ids(graph, self.objects))
         self.owner = number_objects(self.facets)
         names, colours = zip(*self.facets, strict=True)
         self._wholes = np.array(list(map(object_of, names)))
@@ -163,15 +163,6 @@ class QueryGraph:
                     f"the task can show it in {colours} only. State one of these, or none."
                 )
         return np.array(allowed)
-
-    def _object(self, name: str) -> int:
-        try:
-            return object_id(self.graph, name)
-        except UserError as error:
-            raise UserError(
-                f"The graph says nothing about the object {name!r}. {error} Add triples about "
-                "it, or leave the object out of the task."
-            ) from error
 
     def _find_holders(self, condition: Condition) -> Degrees:
         """Return the probability that each facet satisfies a condition, (F,)."""
