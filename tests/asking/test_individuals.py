@@ -593,7 +593,18 @@ def test_an_evaluation_shows_what_the_question_means(tmp_path):
     assert "needs water" not in queries
 
 
-def test_an_evaluation_with_given_names_keeps_confidence(tmp_path):
+def test_an_evaluation_says_that_it_asks_of_classes_alone(tmp_path):
+    lines = [f"{name},on,table" for name in ("bowl", "book", "pot", "teapot", "lamp")]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*lines, "mug_0,on,table", "bowl_1,on,shelf"]))
+    config = RunFolder.open(ROOT / "zoo" / "irb120-choose-answers-fast").experiment()
+    with pytest.warns(DataWarning, match="individuals of mug, bowl. Evaluations ask"):
+        changed = with_graph(config, str(path))
+    assert "mug" not in changed.env.targets
+
+
+def test_an_evaluation_with_given_names_keeps_confidence(tmp_path, monkeypatch):
+    monkeypatch.setenv("KNOWARM_CACHE", str(tmp_path))
     lines = ["head,relation,tail,confidence", "Cup,on,table,0.3", "Cup,on,shelf,0.8"]
     lines += [
         f"{name},on,table,1" for name in ("bowl", "book", "pot", "teapot", "lamp")
@@ -601,8 +612,7 @@ def test_an_evaluation_with_given_names_keeps_confidence(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("\n".join(lines))
     config = RunFolder.open(ROOT / "zoo" / "irb120-choose-answers-fast").experiment()
-    with pytest.warns(DataWarning, match="confidence of 2 triples is annotated"):
-        changed = with_graph(config, str(path), {"mug": "Cup"})
+    changed = with_graph(config, str(path), {"mug": "Cup"})
     graph = read_graph(changed.env.task.asked.graph)
     assert graph.confidence == {
         ("Cup", "on", "table"): 0.3,

@@ -1,5 +1,6 @@
 """Other graphs of the questions than that of training."""
 
+import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import compress
@@ -8,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.config import override
-from knowarm.errors import UserError
+from knowarm.errors import DataWarning, UserError, warn
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge, asked, described
 from knowarm.knowledge import KnowledgeGraph
@@ -48,7 +49,9 @@ def with_graph(
     path = _cached(graph) if isinstance(graph, KnowledgeGraph) else str(graph)
     path = _with_names(path, names) if names else path
     task = config.env.task.asking(graph=path, hold_out=())
-    is_described = described(read_graph(path), target_names(config.env))
+    graph = read_graph(path)
+    _warn_of_individuals(graph, path, target_names(config.env))
+    is_described = described(graph, target_names(config.env))
     targets = tuple(compress(config.env.targets, is_described))
     if len(targets) < config.env.task.asked.visible:
         raise UserError(
@@ -58,6 +61,21 @@ def with_graph(
         )
     env = replace(config.env, task=task, targets=targets)
     return override(config, {"env": env, "knows": {"graph": path}})
+
+
+def _warn_of_individuals(
+    graph: KnowledgeGraph, path: str, objects: Collection[str]
+) -> None:
+    """Say which objects have individuals in a graph, of which an evaluation asks nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # homonyms are told later
+        described_as = meant(graph, objects, {})
+    names = [name for name in described_as if described_as[name].individuals]
+    if names:
+        warn(
+            f"{path}: holds individuals of {', '.join(names)}. Evaluations ask what is stated of "
+            "classes, not what is stated of individuals; `knowarm ask` asks both."
+        )
 
 
 def _with_names(path: str, names: Mapping[str, str]) -> str:
@@ -91,7 +109,9 @@ def _cached(graph: KnowledgeGraph) -> str:
     file = cache_file("graphs", *follows).with_suffix(".ttl")
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_graph(graph, file)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataWarning)  # it is for KnowArm alone
+            write_graph(graph, file)
     return str(file)
 
 
