@@ -250,8 +250,9 @@ def _expand(ros: _Packages, arguments: dict[str, str]) -> Element:
         try:
             document = xacro.process_file(str(path.absolute()), mappings=arguments)
         except Exception as error:  # of the file or one that it includes
-            if isinstance(getattr(error, "exc", None), UserError):
-                raise error.exc from None
+            cause = getattr(error, "exc", None)
+            if isinstance(cause, UserError):
+                raise cause from None
             included = Path(xacro.filestack[-1])
             refuse_pointer(included)
             if included == path.absolute():
