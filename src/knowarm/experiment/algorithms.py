@@ -164,6 +164,7 @@ ALGORITHMS: dict[str, Algorithm] = {
         config=SeenConfig(),
         make_trainer=_make_untrained,
         total_steps=1,
+        policy={"features": 1, "hidden": 1},  # It plays no part.
         needs_grounding=True,
     ),
 }

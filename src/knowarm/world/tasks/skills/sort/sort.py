@@ -65,6 +65,15 @@ class Sort(Place):
     relation: str = "isLocatedIn"
     """Relation of the graph whose values are the places where objects belong."""
 
+    def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
+        """Refuse all algorithms that train a policy, which would not know the right tray."""
+        if algorithm != "seen":
+            raise UserError(
+                "Policies are not told which tray is which place, so they cannot learn to sort. "
+                f"Take the algorithm 'seen' in place of {algorithm!r}."
+            )
+        return {}
+
     @property
     def draws(self) -> int:
         """Number of draws per episode: for places, order of the trays, and colours."""

@@ -1,0 +1,32 @@
+"""A skill of one file outside the package plays with and without a question of the graph."""
+
+from pathlib import Path
+
+import pytest
+
+import knowarm
+from knowarm.cli.main import main
+from knowarm.world.agents.scripted import OracleAgent
+from tests.world.tasks.push_over_a_line import Push
+
+ZOO = Path(__file__).parents[3] / "zoo"
+SKILL = "tests.world.tasks.push_over_a_line:Push"
+
+
+def test_the_oracle_pushes_the_object_over_the_line():
+    env = knowarm.make("irb120", num_envs=12, task=Push(), image_size=8)
+    episodes = knowarm.evaluation_episodes(env.config, 12, 0)
+    result = knowarm.play(OracleAgent(env), env, episodes)
+    assert result.success.mean() >= 0.7
+
+
+@pytest.mark.slow
+def test_it_is_asked_for_by_one_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    network = ZOO / "irb120-choose-answers-fast" / "perception.safetensors"
+    train = ["train", "irb120-choose-answers-seen", "--env.task", SKILL]
+    main([*train, "--perception", str(network)])
+    (run,) = Path("runs").glob("*/0")
+    result = knowarm.evaluate(run, episodes=12, probes=(), write=False)
+    assert result.summary["choice"] > 0.5
+    assert result.summary["success"] > 0.2
