@@ -15,12 +15,11 @@ from knowarm.own_robot.calibration import TICKS
 from knowarm.own_robot.plausible import ranges_of
 from knowarm.own_robot.poses import robot_file
 from knowarm.reading import read_text, reading
-from knowarm.world.config import EnvConfig
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import FINGERS_JOINT, RealJoint, Robot
 from knowarm.world.scene.mjcf import check_names
-from knowarm.world.tasks.skills.lift.model import build_lift_scene
+from knowarm.world.tasks.skills import SKILLS
 
 MOST_ERROR = 0.04
 """Largest share by which a joint moves more or less than it was told to: .2 of five degrees."""
@@ -69,15 +68,22 @@ def check_moved_joints(robot: str, path: Path) -> Iterator[Check]:
     )
     ranges = ranges_of(part.compile(), description.joint_ranges)
     if FINGERS_JOINT in moved:
-        scene = build_lift_scene(description, find_targets(EnvConfig().targets))
-        assert scene.fingers is not None
-        ranges[FINGERS_JOINT] = np.array([0.0, scene.fingers.closed_m])
+        ranges[FINGERS_JOINT] = np.array([0.0, _closed_m(description)])
     for name, ratios in moved.items():
         real = description.joint_map.get(name, RealJoint())
         ratio = sum(ratios) / len(ratios)
         if name != FINGERS_JOINT:  # whose way is measured, and counted as in the model
             ratio *= real.sign
         yield _check_ratio(name, real, ratio, ranges[name])
+
+
+def _closed_m(robot: Robot) -> float:
+    """Return how far each finger closes in a skill that moves them [m]."""
+    skills = [kind() for kind in SKILLS.types()]
+    skill = next(skill for skill in skills if skill.moves_fingers)
+    scene = skill.build_scene(robot, find_targets(skill.targets), 0)
+    assert scene.fingers is not None
+    return scene.fingers.closed_m
 
 
 def _kind(
