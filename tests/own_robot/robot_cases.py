@@ -144,6 +144,12 @@ CASES = {
             '<option timestep=".002" impratio="10" cone="elliptic"/><default>',
         )
     ),
+    "sizes": change(
+        (
+            "<default>",
+            '<size njmax="500" nconmax="2000" nuserdata="3"/><default>',
+        )
+    ),
     "fingers drawn closed": change(
         ("0 .03 .06", "0 .005 .06"), ("0 -.03 .06", "0 -.005 .06")
     ),

@@ -60,6 +60,7 @@ def _refuse_pointers(path: Path) -> None:
         refuse_pointer(Path(name))
 
 
+_SIZES = "njmax nconmax memory nuserdata"
 _DEMO_ELEMENTS = (
     "keys actuators sensors equalities tendons pairs excludes lights cameras"
 )
@@ -67,7 +68,10 @@ _DEMO_ELEMENTS = (
 
 def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
     """Delete what a file contains for its own demo and not for the scene it is attached to."""
-    part.option = scene.option  # those that differ would be left out with a warning
+    # Of options and sizes, those that differ would be left out with a warning.
+    part.option = scene.option
+    for size in _SIZES.split():
+        setattr(part, size, getattr(scene, size))
     for kind in _DEMO_ELEMENTS.split():
         for element in list(getattr(part, kind)):
             part.delete(element)
