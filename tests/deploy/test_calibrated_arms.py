@@ -234,12 +234,21 @@ def test_arms_of_one_unit_are_sent_no_target_beyond_their_soft_limits(
     ("values", "words"),
     [
         (
-            {"shoulder": {"range_min": 1, "range_max": 9}},
+            {"shoulder": {"range_min": 1, "range_max": 900}},
             "motors shoulder, which are no",
         ),
         ({"shoulder_pan": {"range_min": 9, "range_max": 1}}, "the lower one first"),
         ({"shoulder_pan": {"range_min": 9, "range_max": 9}}, "the lower one first"),
         ({"shoulder_pan": {"range_min": -1, "range_max": 9}}, "must lie in 0 to 4095"),
+        ({}, "has no motors. Give the JSON file that LeRobot"),
+        (
+            {"shoulder_pan": {"range_min": 2047, "range_max": 2049}},
+            "shoulder_pan was moved by 0.2 degrees when its range was recorded",
+        ),
+        (
+            {"shoulder_pan": {"range_min": 7, "range_max": 2049, "drive_mode": 2}},
+            "drive_mode must be 0 or 1, got 2",
+        ),
         (
             {"shoulder_pan": {"range_min": 1, "range_max": 5000}},
             "must lie in 0 to 4095",

@@ -20,6 +20,7 @@ POSITION = ".pos"  # Ends LeRobot's names of joint positions
 GRIPPER_WORDS = re.compile("gripper|jaw", re.IGNORECASE)
 """Motors with these words in their names open from 0 to 100, in either of LeRobot's units."""
 
+LEAST_SPAN_RAD = math.radians(10)  # Of a joint that was moved from end to end
 MOST_MISSING_RAD = math.radians(0.5)  # At each end of a recorded range
 REMEDY = "Give the JSON file that LeRobot wrote when the arm was calibrated."
 
@@ -43,6 +44,8 @@ class Motor:
     """Highest place of the joint [ticks]."""
 
     def __post_init__(self) -> None:
+        if self.drive_mode not in (0, 1):
+            raise UserError(f"drive_mode must be 0 or 1, got {self.drive_mode}.")
         if not 0 <= self.range_min < self.range_max < TICKS:
             raise UserError(
                 f"range_min {self.range_min} and range_max {self.range_max} must lie in 0 to "
@@ -70,7 +73,15 @@ def read_calibration(path: Path) -> dict[str, Motor]:
                 f"{path}: {name!r} has no range_min. Files of LeRobot before 0.3 lack it: "
                 "calibrate the arm again with a newer one."
             )
-        motors[name] = from_dict(Motor, fields, where=f"{path}: {name}")
+        motor = from_dict(Motor, fields, where=f"{path}: {name}")
+        if motor.span_rad < LEAST_SPAN_RAD:
+            raise UserError(
+                f"{path}: {name} was moved by {math.degrees(motor.span_rad):.1f} degrees when its "
+                "range was recorded. Calibrate again, and move each joint from end to end."
+            )
+        motors[name] = motor
+    if not motors:
+        raise UserError(f"{path} has no motors. {REMEDY}")
     return motors
 
 
