@@ -20,6 +20,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--experiment", default="irb120-full-ppo")
     parser.add_argument("--steps", type=int, default=200_000)
+    parser.add_argument("--runs", default="runs")
     parser.add_argument("--envs", type=int, default=64)
     parser.add_argument(
         "--single", action="store_true", help="step environments one by one"
@@ -46,7 +47,8 @@ def main() -> None:
         ent_coef=0.01,
         verbose=1,
     )
-    model.learn(arguments.steps)
+    # A run folder in runs/, which `knowarm report` shows beside KnowArm's own
+    model.learn(arguments.steps, callback=knowarm.SB3Run(chosen, arguments.runs))
     model.save("sb3-irb120")
 
 

@@ -389,7 +389,7 @@ def test_queries():
     assert isinstance(table, knowarm.QuestionTable)
 
 
-@example("SB3VecEnv", "NumpyToTorch")
+@example("SB3VecEnv", "SB3Run", "NumpyToTorch")
 def test_adapters():
     shown = {"observe": ("image", "joints", "knowledge"), "knowledge": np.ones((3, 2))}
     single = knowarm.make("irb120", image_size=8, **shown)
@@ -398,6 +398,7 @@ def test_adapters():
     assert knowarm.SB3VecEnv(vector, seed=0).reset()["knowledge"].shape == (2, 2)
     with pytest.raises(knowarm.UserError, match="needs a vector environment"):
         knowarm.SB3VecEnv(single)
+    assert knowarm.SB3Run(knowarm.experiment_config("irb120-bm-ppo")).verbose == 0
     adapted = knowarm.NumpyToTorch(knowarm.make("irb120", 2, image_size=8))
     assert adapted.reset(seed=0)[0].shape == (2, 8, 8, 3)
 

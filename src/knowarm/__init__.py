@@ -85,6 +85,7 @@ Policy and learning
     PolicyAgent         plays episodes with a policy
     PPOConfig, DistilConfig, A3CConfig    hyperparameters of the algorithms
     NumpyToTorch        adapter of any NumPy vector environment for the trainers
+    SB3Run              callback of Stable-Baselines3 that writes a run folder (extra "sb3")
     SB3VecEnv           adapter of a vector environment for Stable-Baselines3 (extra "sb3")
 Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)
     AGENTS, Agent       knowledge, policy and role of each agent

@@ -22,6 +22,7 @@ from .experiment.names import experiment_config as experiment_config
 from .experiment.names import experiment_names as experiment_names
 from .experiment.run import Run as Run
 from .experiment.run import train as train
+from .experiment.sb3_run import SB3Run as SB3Run
 from .knowledge import query_embedding as query_embedding
 from .knowledge.config import KnowledgeConfig as KnowledgeConfig
 from .knowledge.embedding import SceneEmbedding as SceneEmbedding
