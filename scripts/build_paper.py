@@ -416,7 +416,9 @@ def curves(tasks: Sequence[TaskData]) -> str:
         figure = curve_figure(task, {"return_mean": RETURN_AXIS}, "return", "return")
         drawings += [panel.svg for panel in figure.panels if panel.only == "large"]
         legend |= dict(figure.legend)
-    return picture(drawings, BOXES["large"], legend, 2, list(map(title_of, tasks)))
+    columns = min(2, len(drawings))
+    titles = list(map(title_of, tasks))
+    return picture(drawings, BOXES["large"], legend, columns, titles)
 
 
 def joints(tasks: Sequence[TaskData]) -> str:
