@@ -206,6 +206,8 @@ def test_what_is_done_is_no_object(triples):
         (["Person", "Thing"], "person"),
         (["RareDisease", "Condition"], "disease"),
         (["SoftwareCompany"], "company"),
+        (["http://www.w3.org/2003/11/swrl#Variable"], "variable"),
+        (["http://www.w3.org/2002/07/owl#ObjectProperty"], "property"),
     ],
 )
 def test_what_nobody_handles_is_no_object_whatever_else_it_is(kinds, kind):

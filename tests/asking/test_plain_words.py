@@ -76,12 +76,14 @@ def test_questions_are_read_rightly_or_refused(held_out):
     assert found["wrong"] == 0
 
 
-@pytest.mark.parametrize("file", ["wordings.tsv", "further.tsv", "others.tsv"])
+@pytest.mark.parametrize(
+    "file", ["wordings.tsv", "further.tsv", "others.tsv", "strangers.tsv"]
+)
 def test_wordings_written_before_the_grammar_read_them(file):
     """Names of objects, places, several sentences, and graphs in the form of others."""
     rows = rows_of(file)
     found = Counter(map(outcome, rows))
-    assert len(rows) >= 106
+    assert len(rows) >= 101
     assert found["right"] >= 0.98 * len(rows)
     assert found["wrong"] == 0
 
@@ -527,3 +529,81 @@ def test_a_prompt_means_a_row_of_a_policy():
     for prompt in ("the mug", "the red mug", "left of the mug"):
         with pytest.raises(UserError, match="not understood"):
             row_of(prompt, rows)
+
+
+@pytest.mark.parametrize(
+    ("graph", "question", "text"),
+    [
+        # What contrasts
+        ("household", "a dish rather than a container", "isA dish and not isA container"),
+        ("household", "rather a dish than a container", "isA dish and not isA container"),
+        ("household", "a dish as opposed to a container", "isA dish and not isA container"),
+        ("household", "a dish in place of a container", "isA dish and not isA container"),
+        ("household", "dishes, unlike containers", "isA dish and not isA container"),
+        ("household", "a dish, except for containers", "isA dish and not isA container"),
+        ("household", "a dish, though no container", "isA dish and not isA container"),
+        ("household", "not a dish, but a container", "not isA dish and isA container"),
+        ("household", "not a dish but rather a container", "not isA dish and isA container"),
+        ("household", "not a dish; rather a container", "not isA dish and isA container"),
+        ("household", "not a dish, a container", "not isA dish and isA container"),
+        ("household", "not the mug, the bowl", "not is mug and is bowl"),
+        ("household", "not red, blue", "not hasColor red and not hasColor blue"),
+        ("household", "not made of glass but of steel", "not isMadeOf glass and isMadeOf steel"),
+        ("household", "for eating instead of drinking", "usedFor eating and not usedFor drinking"),
+        ("objects", "any colour but blue", "not hasColor blue"),
+        ("objects", "made of anything but metal", "not isMadeOf metal"),
+        ("household", "not a mug, a bowl or a jar", None),
+        ("household", "not the mug, the bowl, the pan", None),
+        # A kind that the graph does not know is not denied in silence
+        ("household", "not a container but food", None),
+        ("objects", "something that is no tool but has a lid", None),
+        ("objects", "not a tool", None),
+        ("objects", "not a tool for cleaning", "not usedFor cleaning"),
+        # Verbs of what an object does, and what it does it with
+        ("objects", "something that waters", "usedFor watering"),
+        ("objects", "something that waters plants", "usedFor watering"),
+        ("objects", "it waters flowers", "usedFor watering"),
+        ("objects", "something that does not water", "not usedFor watering"),
+        ("objects", "something that stores food", "usedFor storing"),
+        ("objects", "something that doesn't carry things", "not usedFor carrying"),
+        ("objects", "something that holds water", "contains water"),
+        ("affordances", "something that washes dishes", "affords wash"),
+        ("home", "something that does not burn", "count burns = 0"),
+        # Last words of kinds
+        ("kg_home", "an appliance", "subClassOf KitchenAppliance"),
+        ("kg_home", "a lamp that is a device", "is lamp and subClassOf LightingDevice"),
+        ("risks", "no utensil", "not subClassOf CookingUtensil"),
+        ("concepts", "not a vessel", "not IsA drinking_vessel"),
+        ("concepts", "something with a vessel", None),
+        ("shop", "a fragile thing for under 3", "HasProperty fragile and price < 3"),
+        ("objects", "which thing goes into the garage?", "isLocatedIn garage"),
+    ],
+)  # fmt: skip
+def test_kinds_of_wordings_that_strangers_use(graph, question, text):
+    if text is None:
+        with pytest.raises(UserError, match="not understood"):
+            reading(graph_named(graph), FACETS, question)
+        return
+    read = reading(graph_named(graph), FACETS, question)
+    assert meaning(read) == meaning(text)
+
+
+@pytest.mark.parametrize(
+    ("question", "text"),
+    [
+        ("something that can be heated", 'affords "be heated"'),
+        ("something that heats", "affords heat"),
+        ("it can not be heated", 'not affords "be heated"'),
+        ("something on the stove", "on stove"),
+        ("something in the stove", "in stove"),
+        ("what goes into the stove?", "in stove"),
+    ],
+)
+def test_words_that_change_nothing_count_within_a_value_or_a_relation(question, text):
+    facts = [
+        ("pan", "affords", "be heated"),
+        ("kettle", "affords", "heat"),
+        ("pan", "on", "stove"),
+        ("pot", "in", "stove"),
+    ]
+    assert meaning(reading(graph_of(facts), FACETS, question)) == meaning(text)

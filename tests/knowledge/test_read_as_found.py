@@ -575,6 +575,12 @@ def test_what_has_administrative_annotations_alone_is_kept_and_prefixes_too(tmp_
     assert SparqlQuery(graph, "SELECT ?x { ?x h:on h:table }").answer().rows
 
 
+def test_xml_of_another_kind_is_no_table(tmp_path):
+    text = '<?xml version="1.0"?>\n<module>\n<a>1, 2, 3</a>\n- x, y, z\n- u, v, w\n</module>'
+    with pytest.raises(UserError, match="not well-formed RDF/XML"):
+        read_graph(write(tmp_path / "a.xml", text))
+
+
 def test_dates_of_other_graphs_are_kept(tmp_path):
     text = "@prefix d: <http://purl.org/dc/terms/> . <urn:knowarm:book> d:creator <urn:knowarm:i> ."
     assert len(read_graph(write(tmp_path / "a.ttl", text))) == 1

@@ -195,14 +195,14 @@ class Reader:
     def joins(self, state: ReadingState, word: str) -> States:
         """Yield the states behind "and", "or", "but" or a comma."""
         said = state.strong or state.outer
-        if word == "but" and said:
+        is_any = not WORDS.any.isdisjoint(self.words.words[: state.position])
+        if word == "but" and said and is_any:
             # "any colour but blue", "made of anything but metal"
             yield state.then(strong=said, outer=None, negated=True, noun=None)
             if not state.noun:
                 return
         # "everything made of metal but the pan"
         negated = None
-        is_any = not WORDS.any.isdisjoint(self.words.words[: state.position])
         is_not = self.words[state.position + 1] in WORDS.negations
         if word == "but" and is_any and not is_not:
             negated = True
@@ -252,7 +252,8 @@ class Reader:
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
         for relation in state.strong or ():
-            if near(word, relation.words, INFLECTED) and not said:
+            is_own = near(word, relation.words, INFLECTED) and word not in WEAK
+            if is_own and not said:
                 yield state.then()  # "avoids contact with"
         if word == "=" and state.strong is not None:  # "material = wood"
             yield state.then()
@@ -322,8 +323,9 @@ class Reader:
             if has_name and state.is_bare:  # "a brush" is one
                 cost += OTHER_THAN_NAME
             is_verb = entry.relation.family.takes_object or entry.role == "verb"
+            is_verb &= not state.is_bare or self.words.is_verb(position)
             added = state.added(condition, longest, cost)
-            yield replace(added, takes_object=is_verb and not state.is_bare)
+            yield replace(added, takes_object=is_verb)
 
     def cost(self, state: ReadingState, match: Match) -> Cost:
         """Return what it costs to read words as a value, None if they cannot be."""
@@ -346,11 +348,14 @@ class Reader:
             word = self.words[state.position]
             is_said = state.strong is not None or not PURPOSE.isdisjoint(state.weak)
             is_said |= bool(state.join and state.done) and "ing" in state.done[-1].text
-            before = self.words[state.position - 1]
-            is_verb = word.endswith("s") and before in WORDS.doers
             if word.endswith("ed"):
                 return True
-            if not (is_said or is_verb):
+            if not (is_said or self.words.is_verb(state.position)):
+                return True
+        if state.is_bare and self.words.is_verb(state.position):
+            # "that waters" does not contain water
+            is_verb = entry.relation.family.takes_object or entry.role == "verb"
+            if not is_verb:
                 return True
         if state.takes_object and state.is_bare and not state.join:
             # "to cut wood" is not made of wood
@@ -382,7 +387,7 @@ class Reader:
         if entry.role:
             if not is_listed and not self.is_said_by_role(entry, state):
                 return None
-            if entry.role == "head":
+            if entry.role in ("head", "kind"):
                 return OTHER_THAN_NAME
             return 0.0
         cost = 0.0
@@ -400,6 +405,9 @@ class Reader:
             if prepositions and prepositions.isdisjoint(state.weak):
                 return None
             return cost
+        is_other = set(relation.words).isdisjoint(state.weak[-1:])
+        if state.weak and is_other and WEAK.issuperset(relation.words):
+            cost += INFLECTED  # "on the stove" of what is `on` or `in` it
         if is_listed or not state.is_unsaid:
             return cost
         family = relation.family
@@ -419,6 +427,8 @@ class Reader:
 
     def is_said_by_role(self, entry: Entry, state: ReadingState) -> bool:
         """Return whether words say CAN_OPEN, as "to open", or HAS_SWITCH, as "with a switch"."""
+        if entry.role == "kind":
+            return state.is_bare
         prepositions = PURPOSE
         if entry.role in ("part", "head"):
             prepositions = set(FAMILIES["part"].weak)

@@ -90,6 +90,15 @@ class Meanings:
         """Return whether a determiner stands before a word."""
         return self[position - 1] in WORDS.determiners
 
+    def is_verb(self, position: int) -> bool:
+        """Return whether a word is where verbs are: "that waters", "does not water"."""
+        before = self[position - 1]
+        if before == "not":
+            before = self[position - 2]
+        if before in WORDS.auxiliaries:
+            return True
+        return before in WORDS.doers and self[position].endswith("s")
+
     def is_name(self, position: int) -> bool:
         """Return whether a word may be the name of an object."""
         return any(
@@ -150,13 +159,15 @@ class Meanings:
     def _match(self, start: int) -> list[Match]:
         """Return the values that may be meant by the words from one on."""
         word = self[start]
-        if word in NO_VALUE:
+        if word in NO_VALUE - IGNORED:
             return []
         matches = []
         for entry in self.vocabulary.starting(word):
             match = self._matched(start, entry)
             if match is not None and self._may_be(match, start):
                 matches.append(match)
+        if word in IGNORED:  # "can be heated"
+            return [match for match in matches if match.length > 1]
         for verb in sorted(verbs_of(word)):  # "openable" of what "can open"
             for entry in self.vocabulary.starting(verb):
                 is_verb = entry.role == "verb" and len(entry.words) == 1

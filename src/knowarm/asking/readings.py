@@ -149,6 +149,8 @@ class ReadingState:
         """Return whether a condition shares the negation of the last one: "not red or blue"."""
         if self.negated is not None or self.join in ("", "but") or self.is_new:
             return False
+        if self.join == "," and condition.is_determined:
+            return False  # "not the mug, the bowl"
         before = self.done[-1] if self.done else condition
         is_or = self.join == "or"
         is_same = is_or or before.relation == condition.relation
@@ -244,7 +246,7 @@ class ReadingState:
     def closed(self) -> Iterator["ReadingState"]:
         """Yield the state before "and", "or" and the end, if nothing is left open."""
         if not self.noun or self.outer is not None:
-            if self.is_bare and not self.number:
+            if self.is_bare and not self.number and self.negated is None:
                 yield self
             return
         if self.weak:  # "part of a clock"
@@ -296,6 +298,12 @@ def is_clear(conditions: Conditions) -> bool:
 
     It is not in "the mug and the bowl" and "not the red one and the blue one".
     """
+    for before, condition, after in zip(
+        conditions, conditions[1:], conditions[2:], strict=False
+    ):
+        is_contrast = condition.join == "," and before.negated > condition.negated
+        if is_contrast and after.join == "or":
+            return False  # "not the mug, the bowl or the jar"
     names = set[str]()
     listed = _listed(conditions)
     for before, condition in pairwise([listed[0], *listed]):

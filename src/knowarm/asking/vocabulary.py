@@ -14,6 +14,7 @@ from knowarm.asking.lexicon import (
     FAMILIES,
     INFLECTED,
     SYNONYM,
+    WEAK,
     WORDS,
     forms_of,
     near,
@@ -207,6 +208,9 @@ class Vocabulary:
             yield "verb", words
         if len(words) > 1 and family is FAMILIES["part"]:
             yield "head", words[-1:]  # a "light bulb" is a bulb
+        if family is FAMILIES["type"] and WEAK.isdisjoint(words):
+            for start in range(1, len(words)):
+                yield "kind", words[start:]  # a "kitchen appliance" is an appliance
         for word in words[-1:]:
             for verb in sorted(verbs_of(word)):
                 yield "verb", (*words[:-1], verb)

@@ -239,7 +239,7 @@ def _format_of(path: Path) -> str:
     if suffix in (".csv", ".tsv"):
         # The first cell may look like any other format.
         tried = ["conceptnet", "json", "written"]
-    elif by_suffix in _TEXT_RDF:
+    elif by_suffix in _TEXT_RDF or content.startswith("<?xml"):
         tried.remove("written")
     alike = (name for name in tried if FORMATS[name].recognizes(content))
     by_content = next(alike, None)

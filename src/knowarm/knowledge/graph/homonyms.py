@@ -67,9 +67,13 @@ _UNHANDLED = {
     "song",
     "newspaper",
     "software",
+    "property",
+    "variable",
+    "datatype",
+    "ontology",
 }
 """Last words of classes whose members are no objects, whatever else they are: ENVO's kettle is a
-landform and a "material entity"."""
+landform and a "material entity". The last are of RDF, OWL and SWRL themselves."""
 _TOLD = 2
 """Most names that are explained in one warning."""
 _ANYTHING = {"thing", "entity", "resource", "concept", "class", "individual"}
