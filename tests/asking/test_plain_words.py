@@ -558,6 +558,9 @@ def test_a_prompt_means_a_row_of_a_policy():
         ("household", "not a container but food", None),
         ("objects", "something that is no tool but has a lid", None),
         ("objects", "not a tool", None),
+        # What is not to be done is no question for something else
+        ("objects", "do not bring the mug", None),
+        ("objects", "Please don't touch the red one", None),
         ("objects", "not a tool for cleaning", "not usedFor cleaning"),
         # Verbs of what an object does, and what it does it with
         ("objects", "something that waters", "usedFor watering"),

@@ -4,7 +4,9 @@ Equal letters are no reason: of `Mug` and `mug`, or of `http://a.org/mug` and `h
 the class is meant, or else the one about which more is stated. A `DataWarning` names the others.
 """
 
+import tomllib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -19,65 +21,10 @@ from knowarm.knowledge.graph.terms import (
     numbered,
 )
 
-_DEEDS = {
-    "action",
-    "activity",
-    "event",
-    "process",
-    "motion",
-    "verb",
-    "occurrent",
-    "perdurant",
-}
-"""Last words of classes of what is done or happens."""
-_UNHANDLED = {
-    "landform",
-    "biome",
-    "ecosystem",
-    "habitat",
-    "organism",
-    "animal",
-    "bacterium",
-    "virus",
-    "person",
-    "human",
-    "organization",
-    "organisation",
-    "company",
-    "band",
-    "team",
-    "disease",
-    "disorder",
-    "syndrome",
-    "city",
-    "town",
-    "village",
-    "country",
-    "settlement",
-    "mountain",
-    "river",
-    "lake",
-    "planet",
-    "language",
-    "profession",
-    "gene",
-    "protein",
-    "film",
-    "album",
-    "song",
-    "newspaper",
-    "software",
-    "property",
-    "variable",
-    "datatype",
-    "ontology",
-}
-"""Last words of classes whose members are no objects, whatever else they are: ENVO's kettle is a
-landform and a "material entity". The last are of RDF, OWL and SWRL themselves."""
+_KINDS = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text("utf-8"))
+"""Last words of classes; the file says of which."""
 _TOLD = 2
 """Most names that are explained in one warning."""
-_ANYTHING = {"thing", "entity", "resource", "concept", "class", "individual"}
-"""Last words of classes of anything."""
 _OPEN = {"NamedIndividual", "Thing", "Resource"}
 """Last parts of classes that leave open what their individuals are."""
 
@@ -208,9 +155,9 @@ def unhandled(graph: KnowledgeGraph, entity: int) -> str:
     for name in graph.names.at(_tails(graph, entity, relations)):
         if not name.startswith("_:"):
             last_words.add(label_of(name, graph.labels).split(" ")[-1])
-    telling = last_words - _ANYTHING
-    kinds = telling & _UNHANDLED
-    if telling <= _DEEDS:
+    telling = last_words.difference(_KINDS["anything"])
+    kinds = telling.intersection(_KINDS["unhandled"])
+    if telling.issubset(_KINDS["deeds"]):
         kinds = telling
     return min(kinds, default="")
 
