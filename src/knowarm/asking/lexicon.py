@@ -38,6 +38,15 @@ BESIDE: dict[str, str] = _ENGLISH["beside"]
 """Conditions of the place beside another object, by word."""
 UNANSWERED = re.compile("|".join(_ENGLISH["unanswered"]["asks"]))
 """Questions that ask for no object."""
+_PUTTING = re.compile(
+    r"^(?:please |could you |can you )*(?:"
+    r"(?:{puts}) (?:up|away|back) (?P<early>.+?)(?: (?:{put_where}))*"
+    r"|(?:{puts}) (?P<late>.+?)(?: (?:{put_where}))+)\W*$".format(
+        puts="|".join(_ENGLISH["words"]["puts"]),
+        put_where="|".join(_ENGLISH["words"]["put_where"]),
+    ),
+    re.IGNORECASE,
+)
 _ADJECTIVE = re.compile(
     r"(?:able|ible|ous|ful|less|ive|ic|al|ish|(?<![tgcrl])y|ed|ing|proof)$"
 )
@@ -79,6 +88,14 @@ def sentences(text: str) -> list[str]:
     """Return the sentences of a text."""
     ends = re.split(r"(?<!\bsth)(?<!\be\.g)[.!?;]+(?:\s+|$)", text, flags=re.IGNORECASE)
     return [sentence for sentence in ends if re.search(r"\w", sentence)] or [text]
+
+
+def what_is_put(sentence: str) -> str:
+    """Return "the mug" of "put the mug where it belongs"; other sentences as they are."""
+    putting = _PUTTING.match(sentence)
+    if putting is None:
+        return sentence
+    return putting["early"] or putting["late"]
 
 
 def synonyms_of(word: str) -> set[str]:

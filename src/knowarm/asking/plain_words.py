@@ -21,6 +21,7 @@ from knowarm.asking.lexicon import (
     WORDS,
     sentences,
     tokens,
+    what_is_put,
 )
 from knowarm.asking.readings import ReadCondition, is_clear, joined
 from knowarm.asking.relations import PLACES
@@ -53,7 +54,7 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainRead
     left_out: list[str] = []
     error = None
     for sentence in sentences(text):
-        words = tokens(sentence)
+        words = tokens(what_is_put(sentence))
         reader = Reader(text, words, vocabulary)
         if UNANSWERED.match(" ".join(words)):
             raise reader.refused("only questions for an object are answered")
