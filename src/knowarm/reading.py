@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import secrets
+import shutil
 import stat
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -121,6 +122,21 @@ def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
         finally:
             if temporary != path:
                 temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Write a folder under a random name, renamed at the end; nobody sees a part of it."""
+    folder = folder.absolute()
+    temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(8)}")
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if folder.exists():
+            folder.rmdir()  # an empty one
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def refuse_links(folder: Path) -> None:

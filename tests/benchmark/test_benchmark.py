@@ -353,6 +353,8 @@ def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
         read_rows(stored.parent), stored.parent / "page.html"
     )
     assert "zero &lt;b&gt;" in html.read_text()
+    for file in (html, markdown):  # they are not found, and the page says so
+        assert "copies of one policy that differ in an episode" in file.read_text()
     assert ">blind</th>" in html.read_text()
     # "binding" is what an evaluation measures with questions of other visible objects.
     assert ">query gain [points]</th>" in html.read_text()

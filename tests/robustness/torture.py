@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.robustness.command_kills import kill_commands, refuse_writes
 from tests.robustness.edges import clocks, forged_rows, links, permuted_doors, sockets
 from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
@@ -32,6 +33,8 @@ def mutations(tries: int, seed: int) -> Result:
 
 CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9": (20, kill_study),
+    "killed commands": (20, kill_commands),
+    "full disks, other users": (100, refuse_writes),
     "mutations of files": (20_000, mutations),
     "injected file errors": (500, inject_file_errors),
     "links": (300, links),

@@ -22,7 +22,7 @@ from knowarm.deploy.joint_map import real_joints
 from knowarm.deploy.runner import JointMap
 from knowarm.errors import UserError
 from knowarm.pictures import encode
-from knowarm.reading import write_json, writing
+from knowarm.reading import new_folder, write_json, writing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -92,14 +92,14 @@ def record(
         UserError: the folder holds something, or cannot be written to; the map does not fit.
     """
     image = CAMERAS + camera if camera else IMAGE
-    writer = _Writer(env, folder, image, joint_map)
     with writing(folder, "Give another folder."):
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        if folder.exists() and any(folder.iterdir()):
             raise UserError(
                 f"{folder} is not empty; give a new folder for the dataset."
             )
-        return writer.write(agent, episodes)
+        with new_folder(folder) as temporary:
+            writer = _Writer(env, temporary, image, joint_map)
+            return writer.write(agent, episodes)
 
 
 class _Writer:

@@ -20,6 +20,7 @@ from knowarm.errors import UserError, packages_of
 from knowarm.fence import fenced
 from knowarm.private_apis import xacro_packages
 from knowarm.reading import (
+    new_folder,
     one_line,
     read_bytes,
     read_text,
@@ -84,8 +85,8 @@ def as_mjcf(
             raise UserError(
                 f"The folder {folder} for the converted model exists; remove or rename it."
             )
-        with writing(folder):
-            shutil.copytree(temporary, folder)
+        with writing(folder), new_folder(folder) as made:
+            shutil.copytree(temporary, made, dirs_exist_ok=True)
     return folder / name, note
 
 

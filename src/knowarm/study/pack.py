@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import lzma
-import shutil
 import tarfile
 from collections.abc import Collection
 from fnmatch import fnmatch
@@ -15,7 +14,7 @@ from knowarm.errors import UserError, shell_command, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import digest, read_bytes, reading, replacing
+from knowarm.reading import digest, new_folder, read_bytes, reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, is_trained
@@ -155,19 +154,13 @@ def unpack_study(file: Path, out: Path) -> Path:
         raise UserError(
             f"{out} exists, and a pack is written to a new folder: give another one."
         )
-    temporary = out.with_name(f".{out.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        with (
-            reading(file, "Give an intact pack of a study, or another folder."),
-            lzma.open(file) as data,
-            tarfile.open(fileobj=data, mode="r|") as archive,
-        ):
-            temporary.mkdir(parents=True)
-            _extract(archive, temporary)
-        temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with (
+        reading(file, "Give an intact pack of a study, or another folder."),
+        new_folder(out) as temporary,
+        lzma.open(file) as data,
+        tarfile.open(fileobj=data, mode="r|") as archive,
+    ):
+        _extract(archive, temporary)
     return out
 
 
