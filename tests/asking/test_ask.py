@@ -378,6 +378,25 @@ def test_labels_never_cover_each_other(asker):
     ]
 
 
+def test_a_query_that_takes_long_keeps_nobody_waiting(served, monkeypatch):
+    answered = threading.Event()
+
+    def limited(*_):
+        assert answered.wait(100)
+        raise UserError("it needs more than 60 s")
+
+    monkeypatch.setattr("knowarm.asking.answers.limited", limited)
+    pages = []
+    waiting = threading.Thread(
+        target=lambda: pages.append(get(served, "/?q=SELECT+*+%7B%7D")[1])
+    )
+    waiting.start()
+    assert "Answers in the graph" in get(served, "/?q=usedFor+drinking")[1]
+    answered.set()
+    waiting.join()
+    assert "needs more than 60 s" in pages[0]
+
+
 def test_slow_headers_do_not_block_the_page(served):
     with socket.create_connection(("127.0.0.1", served)) as slow:
         slow.sendall(b"GET / HTTP/1.1\r\n")

@@ -148,7 +148,7 @@ def _refusing(kind: str, folder: Path, size: int) -> Iterator[Callable[[], objec
     elif kind == "user":
         yield lambda: os.setuid(65534)
     else:
-        blocks = 4096 + size // 1024  # [KiB]: the inputs, and what is left
+        blocks = 65536  # [KiB], all but so many bytes filled
         command = ["mount", "-t", "tmpfs", "-o", f"size={blocks}k", "tmpfs"]
         subprocess.run([*command, folder], check=True)
         try:

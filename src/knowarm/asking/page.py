@@ -1,5 +1,6 @@
 """Page of a question: answers, evidence, map of places and film; written, or served for changes."""
 
+import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -37,6 +38,8 @@ HIGH = 100 * LINE / WIDTH
 """Height of a label, in % of the image."""
 _STEPS = sorted((*range(-15, 0), *range(1, 16)), key=abs)
 """Where a label may stand, in heights from what it names, the nearest first."""
+AT_ONCE = 6
+"""Questions that are answered at a time: more than processes compute queries."""
 BASES = {
     "stated": "the graph says it.",
     "seen": "the image or the name says it.",
@@ -191,6 +194,7 @@ def make_server(
     port: int = 0,
 ) -> HTTPServer:
     """Make a server on the loopback interface, which listens: a scene is played at a time."""
+    answering = threading.BoundedSemaphore(AT_ONCE)
 
     class Handler(LocalHandler):
         timeout = 1.0  # [s]: browsers keep connections that ask nothing
@@ -208,7 +212,8 @@ def make_server(
             if url.path != "/":
                 self.send_error(404)
                 return
-            body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
+            with answering:
+                body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))
