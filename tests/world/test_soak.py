@@ -35,4 +35,5 @@ def test_random_steps_leave_no_nan_and_no_growing_memory(
             memory.append(process.memory_info().rss / 2**20)
     assert ended >= STEPS // 50 - env.num_envs
     assert memory[-1] - memory[len(memory) // 4] < MAX_GROWTH_MIB
-    assert (env.simulation.batch.warning == 0).all(), "MuJoCo warned"
+    if hasattr(env.simulation.batch, "warning"):  # from MuJoCo 3.17 on
+        assert (env.simulation.batch.warning == 0).all(), "MuJoCo warned"

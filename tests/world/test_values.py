@@ -13,6 +13,7 @@ import torch
 
 import knowarm
 from knowarm.errors import DataWarning, UserError
+from tests.mujoco_version import LIFTS
 
 SMALL = {"image_size": 16}
 MADE = {
@@ -29,9 +30,9 @@ MADE = {
     "tensors": lambda: knowarm.make("irb120", 3, "cpu", max_episode_steps=4, **SMALL),
     "drawn by OpenGL": lambda: knowarm.make("irb120", 2, renderer="opengl", **SMALL),
 }
+MARKS = {"drawn by OpenGL": pytest.mark.opengl, "lifting": LIFTS}
 CASES = [
-    pytest.param(name, marks=[pytest.mark.opengl] if "OpenGL" in name else [])
-    for name in MADE
+    pytest.param(name, marks=[MARKS[name]] if name in MARKS else []) for name in MADE
 ]
 
 
@@ -157,7 +158,7 @@ def test_an_option_has_gymnasium_s_name_and_a_wrong_one_is_told_which():
             gymnasium.make("knowarm/IRB120Reach-v0", **{name: value})
 
 
-@pytest.mark.parametrize("task", ["reach", "lift"])
+@pytest.mark.parametrize("task", ["reach", pytest.param("lift", marks=LIFTS)])
 @pytest.mark.parametrize("robot", knowarm.ROBOTS)
 def test_the_bounds_of_the_joints_are_finite_and_hold_against_the_limits(robot, task):
     env = knowarm.make(

@@ -1,15 +1,15 @@
-"""MuJoCo backend: ``mujoco.batch`` on a pool of CPU threads, in float64."""
+"""MuJoCo backend: a batch of simulations on a pool of CPU threads, in float64."""
 
 import copy
 from typing import Literal
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
 from knowarm.cores import available_cores
+from knowarm.world.batch import make_batch
 from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.scene.compose import SUBSTEPS
 from knowarm.world.scene.scene import Scene, target_places
@@ -47,7 +47,7 @@ class MujocoSimulator(Rebuilt):
             model = copy.copy(model)
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self.batch = Batch(model, num_envs, num_threads or available_cores())
+        self.batch = make_batch(model, num_envs, num_threads or available_cores())
         self._stage = _POSES
         bind = self.batch.bind
         self._qpos = bind("qpos")

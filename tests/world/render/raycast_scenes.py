@@ -1,12 +1,13 @@
 """MuJoCo models and random states to draw in the ray caster's tests."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from knowarm.world.batch import make_batch
 from knowarm.world.scene.scene import Scene, load_scene
 
 CAMERA = "eye"
@@ -112,7 +113,7 @@ class States:
     """n states of a model: its batch, and geom poses (n, G, 3) and (n, G, 9)."""
 
     model: mujoco.MjModel
-    batch: Batch
+    batch: Any
     geom_xpos: NDArray[np.float64]
     geom_xmat: NDArray[np.float64]
 
@@ -120,7 +121,7 @@ class States:
 def random_states(model: mujoco.MjModel, count: int, seed: int) -> States:
     """Draw states with joints and mocap bodies near the model's reference state."""
     rng = np.random.default_rng(seed)
-    batch = Batch(model, count, 2)
+    batch = make_batch(model, count, 2)
     positions, matrices = batch.bind("geom_xpos"), batch.bind("geom_xmat")
     qpos = batch.bind("qpos")
     qpos[:] += rng.uniform(-0.4, 0.4, qpos.shape)

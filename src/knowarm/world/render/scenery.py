@@ -113,11 +113,11 @@ def read_view(
             f"Camera {label!r} moves with a body; the ray caster needs a camera that stands still: "
             "attach it to the world with mode 'fixed'."
         )
-    perspective = mujoco.mjtProjection.mjPROJ_PERSPECTIVE
-    if (
-        model.cam_projection[camera] != perspective
-        or model.cam_sensorsize[camera].any()
-    ):
+    # 0 is perspective; before MuJoCo 3.4 the field says whether it is orthographic.
+    projection = "cam_projection"
+    if not hasattr(model, projection):
+        projection = "cam_orthographic"
+    if getattr(model, projection)[camera] or model.cam_sensorsize[camera].any():
         raise UserError(
             f"Camera {label!r} is orthographic or has a sensor size; the ray caster needs a "
             "perspective camera given by fovy."

@@ -200,14 +200,14 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
         _check_joint(robot, name, joint)
         data.qpos[joint.qposadr] = angle
     mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
+    column = np.zeros(model.nv)
     frequency = 2 * np.pi * robot.servo_frequency_hz
     for name, joint in zip(robot.joints, joints, strict=True):
         dof = joint.dofadr[0]
         least_for_friction = joint.frictionloss[0] / (STOP_RAD * frequency**2)
         least_for_damping = joint.damping[0] / (2 * SLOWER * frequency)
-        mass = float(max(inertia[dof, dof], least_for_friction, least_for_damping))
+        mujoco.mj_mulM(model, data, column, np.eye(model.nv)[dof])
+        mass = float(max(column[dof], least_for_friction, least_for_damping))
         actuator = spec.add_actuator(
             name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )

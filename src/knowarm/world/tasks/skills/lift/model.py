@@ -14,6 +14,8 @@ from mujoco import (
     MjSpec,
     mj_geomDistance,
     mj_kinematics,
+    mj_versionString,
+    mjNEQDATA,
     mjtCone,
     mjtEq,
     mjtGeom,
@@ -50,6 +52,9 @@ SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are grippe
 PAD_M = 0.03  # Length of what grips of a finger behind the tool centre point
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
 
+OLDEST_MUJOCO = (3, 16)
+"""Version from which on bodies of an attached file can be renamed and moved."""
+
 FINGERS = ("left", "right")
 """Names of the fingers' bodies, joints and sensors in the model."""
 
@@ -79,8 +84,14 @@ def build_lift_scene(
     ``furnish`` adds what else stands there.
 
     Raises:
-        UserError: the robot names no fingers, or its file lacks them.
+        UserError: the robot names no fingers, or its file lacks them; MuJoCo is too old.
     """
+    major, minor, *_ = map(int, mj_versionString().split("."))
+    if (major, minor) < OLDEST_MUJOCO:
+        raise UserError(
+            f"Fingers and solid objects need MuJoCo 3.16, and {mj_versionString()} is installed: "
+            "pip install 'mujoco>=3.16', or take a task that reaches."
+        )
     with compiling(robot, targets):
         spec = compose(robot, targets, distractors)
         furnish(spec)
@@ -215,7 +226,7 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
         type=mjtEq.mjEQ_JOINT,
         name1=FINGERS[0],
         name2=FINGERS[1],
-        data=[0, 1] + [0] * 10,
+        data=[0, 1] + [0] * (mjNEQDATA - 2),
     )
     return float(opening)
 
