@@ -49,6 +49,7 @@ WITHOUT = {
     "knowledge/embedding.py": "opens a source of vectors",
     "learn/checkpoint.py": "writes",
     "report/blocks.py": "tables of the package",
+    "report/figure.py": "images of the report, in memory",
     "report/pages/paper.py": "figures of the package",
     "report/verdicts/claims.py": "words of the package",
     "report/write.py": "an output",
@@ -58,6 +59,7 @@ WITHOUT = {
     "world/cache.py": "the cache of the user",
     "world/render/numeric.py": "the package itself",
     "world/tasks/asked/family/families.py": "a table of the package",
+    "world/viewing/dataset.py": "images of a table that it has read, in memory",
     "world/viewing/record.py": "an output",
 }
 """Modules that open files outside of `reading`, and why they may."""
