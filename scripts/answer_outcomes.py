@@ -165,11 +165,8 @@ def answer(
             "write the answer for what is found"
         )
         others = above_baseline(known, title, outcome)
-        gains = [
-            100 * others[control].comparison.difference.estimate
-            for control in CONTROLS
-            if control in others
-        ]
+        compared = [others[name].comparison for name in CONTROLS if name in others]
+        gains = [100 * each.difference.estimate for each in compared if each]
         text += (
             f" In {OUTCOMES[outcome]}, `{name}` is better than the paper's baseline on "
             f"{title} ({points(gate_of(finding))} points, adjusted p "

@@ -311,13 +311,13 @@ def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
                 fallen, _, step = course.fall
                 robot = title_of(task).partition(",")[0]
                 falls.append(f"{robot}: {fallen:.0f} at {step / 1e6:.0f} M")
-    fallen = "; ".join(falls) or "not begun"
+    listed = "; ".join(falls) or "not begun"
     angles = any(joint_figures(task) for task in tasks)
     return [
         [
             "With randomized colours `full` drops and recovers (6)",
             "at 30 M (TIAGo) and 50 M steps (IRB120)",
-            f"A3C, largest fall of the mean return so far: {fallen}",
+            f"A3C, largest fall of the mean return so far: {listed}",
             "open",
         ],
         [

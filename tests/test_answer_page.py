@@ -82,7 +82,7 @@ WORDING = {
 def findings_of_the_page() -> dict[tuple[str, ...], tuple[str, str]]:
     """Return difference and finding by cell, agent and outcome."""
     section = PAGE.read_text("utf-8").split("\n## All outcomes\n")[1].split("\n## ")[0]
-    row = r"^\| (.+?) \| `(.+?)` \| (.+?) \| (.+?) \| .+? \| (.+) \|$"
+    row = r"^\| (.+?) \| `(.+?)` \| (\w.+?) \| (.+?) \| .+? \| (.+) \|$"
     rows = re.findall(row, section, re.M)
     return {tuple(key): (difference, finding) for *key, difference, finding in rows}
 
