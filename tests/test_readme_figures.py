@@ -156,7 +156,8 @@ def test_the_answers_are_those_of_the_packs(file):
     )
     assert pick == (
         "By seeing, then solving: the right one of four is picked in "
-        f"{span(picked('choose-lift'))} %, put on a tray in {span(picked('choose-place'))} % "
+        f"{span(picked('choose-lift'))} %, put on a tray in {span(picked('choose-place'))} %, on "
+        f"that of the place where it belongs in {span(picked('choose-sort'))} % "
         "(one network per robot)"
     )
 
@@ -196,21 +197,24 @@ def test_the_page_shows_what_was_seen_and_solved_as_it_is_in_the_table():
 def test_the_page_shows_what_was_picked_and_placed_as_it_is_in_the_table():
     page = (RESULTS / "pick-and-place.md").read_text("utf-8")
     text = (RESULTS / "pick-and-place.csv").read_text("utf-8")
-    columns = [
-        (task, robot) for task in ("lift", "place") for robot in ("tiago", "irb120")
-    ]
+    first, second = page.split("## The graph says where, too")
+    robots = ("tiago", "irb120")
+    columns = [(task, robot) for task in ("lift", "place") for robot in robots]
+    columns += [("sort", robot) for robot in robots]
     for row in csv.DictReader(text.splitlines()):
         start = {"oracle": "| `oracle` |"}.get(row["agent"])
         start = start or f"| `{row['agent']}`, {row['split']} |"
-        (line,) = (line for line in page.splitlines() if line.startswith(start))
+        part = second if row["task"] == "choose-sort" else first
+        (line,) = (line for line in part.splitlines() if line.startswith(start))
         success, low, high = (
             100 * float(row[key]) for key in ("success", "success_low", "success_high")
         )
         shown = f"{success:.1f} [{low:.0f}, {high:.0f}]"
-        if row["right"]:
-            shown += f" ({100 * float(row['right']):.1f})"
+        shares = [row[name] for name in ("right", "right_tray") if row[name]]
+        if shares:
+            shown += f" ({', '.join(f'{100 * float(share):.1f}' for share in shares)})"
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        column = columns.index((row["task"].removeprefix("choose-"), row["robot"]))
+        column = columns.index((row["task"].removeprefix("choose-"), row["robot"])) % 4
         assert cells[1 + column] == shown
 
 

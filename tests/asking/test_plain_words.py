@@ -610,3 +610,24 @@ def test_words_that_change_nothing_count_within_a_value_or_a_relation(question, 
         ("pot", "in", "stove"),
     ]
     assert meaning(reading(graph_of(facts), FACETS, question)) == meaning(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "question"),
+    [
+        ("put the red mug where it belongs", "hasColor red and is mug"),
+        (
+            "Please put the blue kettle back where it goes.",
+            "hasColor blue and is kettle",
+        ),
+        ("put away the bell", "is bell"),
+        ("tidy up the mallet", "is mallet"),
+        ("sort the vase onto its tray", "is vase"),
+        ("put what is used for drinking in its place", "usedFor drinking"),
+        ("something to put flowers in", "contains flower"),
+    ],
+)
+def test_what_is_put_away_is_asked_for(text, question):
+    names = ("mug", "kettle", "bell", "mallet", "vase", "wine_glass")
+    facets = [(name, colour) for name in names for colour in ("red", "blue")]
+    assert reading(read_graph("objects"), facets, text) == question
