@@ -1,9 +1,11 @@
 """Campaigns against every command that writes files: kill -9, full disks, and another user."""
 
+import ctypes
 import os
 import random
 import re
 import shutil
+import struct
 import subprocess
 import tempfile
 import threading
@@ -113,7 +115,7 @@ def refuse_writes(tries: int, seed: int) -> tuple[int, list[str]]:
         for number in range(tries):
             name = draws.choice(list(COMMANDS))
             kind = draws.choice(KINDS)
-            size = 2 ** draws.randint(4, 21)
+            size = 2 ** draws.randint(12, 21)  # more than a line of an error
             folder = root / str(number)
             with _refusing(kind, folder, size) as refuse:
                 shutil.copytree(inputs, folder, dirs_exist_ok=True)
@@ -122,7 +124,8 @@ def refuse_writes(tries: int, seed: int) -> tuple[int, list[str]]:
                 where = f"{name}, {kind} {size}"
                 if done.returncode not in (0, 2):
                     failures.append(f"{where}: exit code {done.returncode}")
-                if done.returncode and not re.match(LAST, done.stderr.split("\n")[-2]):
+                last = done.stderr.rstrip("\n").rpartition("\n")[2]
+                if done.returncode and not re.match(LAST, last):
                     failures.append(f"{where}: {done.stderr[-300:]}")
                 if "Traceback" in done.stderr:
                     failures.append(f"{where}: {done.stderr[-300:]}")
@@ -146,7 +149,7 @@ def _refusing(kind: str, folder: Path, size: int) -> Iterator[Callable[[], objec
     if kind == "files":
         yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     elif kind == "user":
-        yield lambda: os.setuid(65534)
+        yield lambda: _give_away(folder)
     else:
         blocks = 65536  # [KiB], all but so many bytes filled
         command = ["mount", "-t", "tmpfs", "-o", f"size={blocks}k", "tmpfs"]
@@ -155,6 +158,14 @@ def _refusing(kind: str, folder: Path, size: int) -> Iterator[Callable[[], objec
             yield lambda: _fill(folder / ".full", size)
         finally:
             subprocess.run(["umount", folder], check=True)
+
+
+def _give_away(folder: Path) -> None:
+    """Give a folder to another user, and lose root's right to write there all the same."""
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, 65534, 65534)
+    version = struct.pack("Ii", 0x20080522, 0)
+    assert ctypes.CDLL(None).capset(version, bytes(24)) == 0
 
 
 def _fill(file: Path, free: int) -> None:
