@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from PIL import Image
 
 from knowarm.errors import UserError, packages_of
@@ -167,7 +168,7 @@ def _bars(drawing: Any, study: StudyData) -> None:
             mean = success.estimate
             panel.barh(row, mean, 0.7, color=colour, alpha=0.5)
             if success.runs:
-                heights = [row] * len(success.runs)
+                heights = np.full(len(success.runs), row)
                 panel.plot(success.runs, heights, "o", color="black", markersize=3)
             else:
                 ends = [[mean - success.low], [success.high - mean]]

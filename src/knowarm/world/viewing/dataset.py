@@ -2,7 +2,7 @@
 
 import io
 from collections import Counter
-from itertools import cycle
+from itertools import cycle, repeat
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ def write_dataset_page(folder: Path, page: Path, most: int) -> int:
         features = info["features"]
         images = [name for name in features if features[name]["dtype"] == "image"]
         joints = list(features[STATE]["names"])
-        units = features[STATE].get("units") or [""] * len(joints)
+        units = features[STATE].get("units") or list(repeat("", len(joints)))
         counts = f"{info['total_episodes']:,} episodes, {info['total_frames']:,} frames"
         pace = float(info["fps"])
     if not images:
