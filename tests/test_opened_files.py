@@ -45,6 +45,7 @@ WITHOUT = {
     "knowledge/formats/files.py": "its callers read it in `reading`",
     "knowledge/formats/tables.py": "an output",
     "knowledge/graph/denials.py": "words of the package",
+    "knowledge/graph/homonyms.py": "words of the package",
     "knowledge/vectors/words.py": "vectors of the package",
     "knowledge/embedding.py": "opens a source of vectors",
     "learn/checkpoint.py": "writes",
