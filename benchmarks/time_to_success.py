@@ -7,6 +7,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 from knowarm.cli.tables import print_table
@@ -134,7 +135,9 @@ def time_to_success(
         parts.new_policy(seed),
         env,
         seed=seed,
-        make_evaluate=lambda: interim_evaluation(chosen.env, INTERIM, knowledge),
+        make_evaluate=lambda: interim_evaluation(
+            chosen.env, INTERIM, partial(knowledge.make_agent, greedy=True)
+        ),
         evaluate_every=INTERIM.every_steps,
         hooks=Hooks(
             on_evaluation=lambda step, results, _: clock.add(step, results["success"]),

@@ -10,6 +10,7 @@ from knowarm.experiment.config import INTERIM_SEED, ExperimentConfig, InterimCon
 from knowarm.experiment.knows import Knowledge
 from knowarm.learn import Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
+from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, robot_of
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -18,16 +19,18 @@ from knowarm.world.tasks.state import ACTION_LEVELS
 
 
 def interim_evaluation(
-    config: EnvConfig, interim: InterimConfig, knowledge: Knowledge
-) -> Callable[[Policy], dict[str, float]]:
-    """Make the environments, draw the episodes, and return the function that plays them."""
+    config: EnvConfig,
+    interim: InterimConfig,
+    make_agent: Callable[[Any], AgentProtocol],
+) -> Callable[[Any], dict[str, float]]:
+    """Make the environments, draw the episodes, and return the function that plays a policy."""
     env = ArmVectorEnv(config, interim.episodes)
     episodes = evaluation_episodes(config, interim.episodes, INTERIM_SEED)
     task = config.task
     setting = env.running.setting
 
-    def evaluate(policy: Policy) -> dict[str, float]:
-        result = play(knowledge.make_agent(policy, greedy=True), env, episodes)
+    def evaluate(policy: Any) -> dict[str, float]:
+        result = play(make_agent(policy), env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)
         for measure in task.measures:
@@ -68,7 +71,10 @@ def make_trainer(
         seed=config.seed,
         make_env=partial(knowledge.make_env, config.env),
         make_evaluate=partial(
-            interim_evaluation, config.env, config.interim, knowledge
+            interim_evaluation,
+            config.env,
+            config.interim,
+            partial(knowledge.make_agent, greedy=True),
         ),
         **options,
     )

@@ -68,7 +68,9 @@ class SB3Run(BaseCallback):
         self._folder.write_knowledge(table)
         self._folder.write_experiment(config)
         self._log = CsvLog(self._folder.evaluations_path)
-        self._play = interim_evaluation(config.env, config.interim, self._player)
+        self._play = interim_evaluation(
+            config.env, config.interim, lambda policy: self._player
+        )
         self._evaluate_now()
 
     def _on_step(self) -> bool:
@@ -103,10 +105,6 @@ class _Player:
                 f"SB3Run evaluates models that observe image and knowledge, and this one also "
                 f"observes {', '.join(sorted(unknown))}. Leave that out of observe."
             )
-
-    def make_agent(self, *_: Any, **options: Any) -> "_Player":
-        """Return itself: the model holds its weights."""
-        return self
 
     def reset(self, batch: Batch) -> None:
         """Forget the recurrent state."""
