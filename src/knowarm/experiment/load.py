@@ -147,7 +147,7 @@ class TrainedAgent:
         else:
             facets = _texts(batch, "facet")
             questions = _texts(batch, "query")
-        shown, asked = self._familiar
+        shown, asked = self._trained_on
         seen = {facet.partition("/")[0] for facet in shown}
         objects = set()
         for facet in facets:
@@ -172,7 +172,7 @@ class TrainedAgent:
             )
 
     @cached_property
-    def _familiar(self) -> tuple[set[str], set[str]]:
+    def _trained_on(self) -> tuple[set[str], set[str]]:
         """Facets that training showed, and questions that it asked."""
         shown = {"/".join(facet) for facet in shown_in(self.training)}
         table = questions_of(self.training)

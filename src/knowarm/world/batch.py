@@ -80,7 +80,7 @@ class LoopBatch:
         """Give a field of the model its own value in each simulation, (n, ...), to write."""
         if name not in self._fields:
             value = np.asarray(_field(self.model, name))
-            self._fields[name] = np.tile(value, (self.nsim,) + (1,) * value.ndim)
+            self._fields[name] = np.repeat(value[None], self.nsim, axis=0)
         return self._fields[name]
 
     def forward(self, ids: Integers | None = None, stage: int = _ALL) -> None:
