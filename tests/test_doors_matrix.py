@@ -1,0 +1,235 @@
+"""Every shipped policy through every door: the same episodes give the same actions."""
+
+import copy
+import threading
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+
+import knowarm
+from tests.source_tree import ROOT
+
+ZOO = ROOT / "zoo"
+POLICIES = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
+JUDGED = {"success_distance_m": 0.1, "success_angle_deg": 17.0}  # of evaluations
+
+
+class Doors:
+    """A policy, its environment and some episodes; each method plays them in another way.
+
+    Methods return the actions of each episode, (T, J) each.
+    """
+
+    def __init__(self, name, count):
+        self.trained = knowarm.load_agent(ZOO / name)
+        self.config = replace(self.trained.config.env, **JUDGED)
+        self.options = dict(vars(self.config))
+        self.count = count
+        self.seed = knowarm.EvaluationConfig().seed
+        self.episodes = knowarm.evaluation_episodes(self.config, count, self.seed)
+
+    @property
+    def name(self):
+        """Gymnasium id."""
+        return knowarm.world.env_id(self.config.robot, self.config.task.name)
+
+    def result(self, env):
+        """Play by `knowarm.play`."""
+        return knowarm.play(self.trained, env, self.episodes)
+
+    def played(self, env):
+        """Return the actions of `knowarm.play`."""
+        steps = self.result(env).steps
+        return [steps.actions[steps.episode == i] for i in range(self.count)]
+
+    def alone(self, env, form=lambda observation: observation):
+        """Play one episode after the other in a single environment."""
+        actions = []
+        for i in range(self.count):
+            start = self.episodes[i : i + 1]
+            observation, info = env.reset(options={"episodes": start})
+            self.trained.reset(info)
+            chosen = []
+            ended = False
+            while not ended:
+                chosen.append(self.trained.act(form(observation)))
+                observation, _, terminated, truncated, info = env.step(chosen[-1])
+                ended = terminated or truncated
+            actions.append(np.array(chosen))
+        return actions
+
+    def together(self, env, start, again=lambda env, ended: None):
+        """Play one episode in each of n environments."""
+        images, infos = env.reset(**start)
+        self.trained.reset(infos)
+        chosen = [[] for _ in range(env.num_envs)]
+        ended = np.zeros(env.num_envs, bool)
+        while not ended.all():
+            actions = self.trained.act(np.asarray(images))
+            for i in np.flatnonzero(~ended):
+                chosen[i].append(actions[i])
+            if isinstance(env, knowarm.TorchArmVectorEnv):
+                actions = torch.from_numpy(actions)
+            images, _, terminated, truncated, _ = env.step(actions)
+            now = np.asarray(terminated | truncated)
+            ended |= now
+            if now.any():
+                again(env, now)
+        return list(map(np.array, chosen))
+
+    def vector(self, make=knowarm.make, **options):
+        """Play in an environment with n = number of episodes."""
+        env = make(self.name, num_envs=self.count, **self.options_of_id, **options)
+        start = {"options": {"episodes": self.episodes}}
+        if options.get("autoreset_mode") == AutoresetMode.DISABLED:
+            return self.together(
+                env, start, lambda env, now: env.reset(options={"reset_mask": now})
+            )
+        return self.together(env, start)
+
+    @property
+    def options_of_id(self):
+        """Fields of the config beside those that an id gives."""
+        options = dict(self.options)
+        for name in ("robot", "task", "max_episode_steps"):  # the id gives them
+            options.pop(name)
+        return options
+
+    def single(self, make=gymnasium.make, **options):
+        """Make a single environment of the id."""
+        return make(self.name, **self.options_of_id, **options)
+
+
+def fortran(image):
+    """Return an image in another layout of the memory."""
+    return np.asfortranarray(image)
+
+
+SIDE_BY_SIDE = {}
+for mode in AutoresetMode:
+    for maker in (knowarm.make, gymnasium.make_vec):
+        SIDE_BY_SIDE[f"{maker.__module__} {mode.value}"] = (maker, mode)
+DOORS = {
+    "play, vector": lambda doors: doors.played(knowarm.ArmVectorEnv(doors.config, 3)),
+    "play, single": lambda doors: doors.played(doors.single()),
+    "play, copy": lambda doors: doors.played(copy.deepcopy(doors.single(knowarm.make))),
+    "gymnasium.make": lambda doors: doors.alone(doors.single()),
+    "knowarm.make": lambda doors: doors.alone(doors.single(knowarm.make)),
+    "image and joints": lambda doors: doors.alone(
+        doors.single(observe=("image", "joints"))
+    ),
+    "Fortran-ordered images": lambda doors: doors.alone(doors.single(), fortran),
+    "tensors": lambda doors: doors.vector(device="cpu"),
+    **{
+        name: lambda doors, maker=maker, mode=mode: doors.vector(
+            maker, autoreset_mode=mode
+        )
+        for name, (maker, mode) in SIDE_BY_SIDE.items()
+    },
+}
+
+
+COUNTS = [3, pytest.param(40, marks=pytest.mark.slow(40))]
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_door_gives_the_actions_of_evaluate(name, count):
+    doors = Doors(name, count)
+    env = knowarm.ArmVectorEnv(doors.config, count)
+    result = doors.result(env)
+    evaluated = knowarm.evaluate(
+        doors.trained, episodes=count, probes=(), write=False
+    ).episodes
+    np.testing.assert_array_equal(evaluated["return"], result.episode_return)
+    np.testing.assert_array_equal(evaluated["length"], result.length)
+    expected = doors.played(env)
+    for door, play in DOORS.items():
+        actions = play(doors)
+        assert len(actions) == count
+        for mine, theirs in zip(actions, expected, strict=True):
+            np.testing.assert_array_equal(mine, theirs, err_msg=f"{name} by {door}")
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_environments_of_gymnasium_side_by_side_give_the_same_actions(name):
+    doors = Doors(name, 3)
+    seeded = {"seed": 5}
+    env = knowarm.make(doors.name, num_envs=3, **doors.options_of_id)
+    expected = doors.together(env, seeded)
+    theirs = gymnasium.make_vec(
+        doors.name, num_envs=3, vectorization_mode="sync", **doors.options_of_id
+    )
+    for mine, other in zip(doors.together(theirs, seeded), expected, strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", POLICIES)
+def test_exported_and_served_policies_give_the_same_actions(name, count, tmp_path):
+    for package in ("onnxruntime", "onnxscript", "websockets", "msgpack"):
+        pytest.importorskip(package)
+    from knowarm.benchmark.external import ExportedPolicy
+    from knowarm.deploy.client import Client
+    from knowarm.deploy.contract import export
+    from knowarm.deploy.runner import Runner
+    from knowarm.deploy.serve import PolicyServer
+
+    doors = Doors(name, count)
+    env = knowarm.ArmVectorEnv(doors.config, count)
+    expected = doors.result(env).steps
+    folder = tmp_path / "exported"
+    export(doors.trained, folder)
+    server = PolicyServer(lambda: Runner.load(folder), port=0)
+    threading.Thread(target=server.run, daemon=True).start()
+    served = Client(f"ws://127.0.0.1:{server.port}")
+    try:
+        for agent in (ExportedPolicy(Runner.load(folder), folder), served):
+            steps = knowarm.play(agent, env, doors.episodes).steps
+            np.testing.assert_array_equal(steps.actions, expected.actions)
+            np.testing.assert_array_equal(steps.reward, expected.reward)
+    finally:
+        server.close()
+
+
+CHOOSERS = [name for name in POLICIES if "-choose-" in name]
+
+
+@pytest.mark.parametrize("name", CHOOSERS)
+def test_an_environment_may_show_its_objects_in_another_order_fewer_and_more(name):
+    doors = Doors(name, 40)
+    config = doors.config
+    shown = {facet for facet, _ in doors.trained.network.spec.facets}
+    known = [target for target in config.targets if target in shown]
+    some = known[::2]
+    right = {}
+    for case, changed in {
+        "own": {},
+        "reversed": {"targets": tuple(reversed(config.targets))},
+        "fewer": {"targets": tuple(some)},
+        "two side by side": {"task": replace(config.task.asked, objects=2)},
+        "five side by side": {"task": replace(config.task.asked, objects=5)},
+    }.items():
+        env = knowarm.ArmVectorEnv(replace(config, **changed), 40)
+        images, infos = env.reset(seed=3)
+        doors.trained.reset(infos)
+        goal = np.zeros(40, bool)
+        ended = np.zeros(40, bool)
+        while not ended.all():
+            images, _, terminated, truncated, infos = env.step(
+                doors.trained.act(images)
+            )
+            now = (terminated | truncated) & ~ended
+            if now.any():
+                goal[now] = infos["final_info"]["is_right_object"][now]
+            ended |= now
+        right[case] = goal.mean()
+    assert right["own"] > 0.8
+    assert right["reversed"] > 0.8
+    assert right["two side by side"] > 0.85
+    assert right["five side by side"] > 0.75
+    assert right["fewer"] > 0.6  # what is new to an agent is logged
