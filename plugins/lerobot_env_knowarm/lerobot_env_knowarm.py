@@ -20,7 +20,7 @@ from lerobot.utils.constants import ACTION, OBS_IMAGE, OBS_STATE
 from numpy.typing import NDArray
 
 from knowarm import UserError
-from knowarm.benchmark.suites import Cell, read_suite
+from knowarm.benchmark.suites import Cell, find_cells, read_suite
 from knowarm.world.config import scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.single_env import ArmEnv
@@ -111,7 +111,7 @@ class KnowArmEnv(EnvConfig):
     """Cells of a suite with the same joints, one LeRobot task each."""
 
     task: str | None = "reach-v1/irb120"
-    """SUITE/CELL, or the beginning of the cell's name."""
+    """SUITE/CELL, or the beginning of the cell's name; SUITE may be the folder of your own."""
     fps: int = 10
     features_map: dict[str, str] = field(
         default_factory=lambda: {
@@ -145,14 +145,7 @@ class KnowArmEnv(EnvConfig):
         Raises:
             UserError: an unknown suite or cell.
         """
-        suite, _, wanted = str(self.task).partition("/")
-        cells = read_suite(suite).cells
-        chosen = [cell for name, cell in cells.items() if name.startswith(wanted)]
-        if not chosen:
-            raise UserError(
-                f"{suite} has no cell {wanted!r}; it has {', '.join(cells)}."
-            )
-        return chosen
+        return find_cells(str(self.task))[1]
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -166,7 +159,7 @@ class KnowArmEnv(EnvConfig):
         make: Any = SyncVectorEnv
         if use_async_envs and n_envs > 1:
             make = partial(AsyncVectorEnv, context="forkserver")
-        suite = str(self.task).partition("/")[0]
+        suite = find_cells(str(self.task))[0].name
         envs = {}
         for number, cell in enumerate(self.cells()):
             makers = list(repeat(partial(BenchmarkEnv, suite, cell.name), n_envs))

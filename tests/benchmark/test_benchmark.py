@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from knowarm.benchmark.freezing import freeze
 from knowarm.benchmark.leaderboard import left_out, read_rows, tables, write_leaderboard
 from knowarm.benchmark.policies import Entrant, entrant, is_safe
 from knowarm.benchmark.rows import read_row, run_suite, shuffled, verify
@@ -23,7 +24,6 @@ from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from scripts.freeze_suites import freeze
 from tests.source_tree import ROOT
 
 TABLE = "irb120, fixed colours"

@@ -5,13 +5,13 @@ from dataclasses import MISSING, fields, is_dataclass
 
 import pytest
 
+from knowarm.benchmark.freezing import freeze
 from knowarm.benchmark.suites import FOLDER, parse_suite, read_suite, suite_names
 from knowarm.config import to_dict
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.tasks.asked.query.query_source import GraphQueries
-from scripts.freeze_suites import freeze
 
 NAMES = suite_names()
 CONFIGS = (EnvConfig, AskObject, GraphQueries, VisualRandomization)

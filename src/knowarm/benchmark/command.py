@@ -1,13 +1,15 @@
 """``knowarm benchmark``: score any policy on frozen episodes, verify rows, make a leaderboard."""
 
+import shlex
 import sys
 from dataclasses import dataclass, replace
-from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from knowarm.benchmark.freezing import EPISODES, freeze_cell, write_suite
 from knowarm.benchmark.leaderboard import left_out, read_rows, write_leaderboard
 from knowarm.benchmark.policies import entrant, is_safe
 from knowarm.benchmark.rows import read_row, run_suite, verify
@@ -15,14 +17,20 @@ from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import check_output, print_table
 from knowarm.config import at_least
 from knowarm.errors import UserError
+from knowarm.experiment.evaluation import EvaluationConfig, SplitTest
+from knowarm.knowledge.queries.splits import Split
 from knowarm.reading import write_json
+from knowarm.world.config import EnvConfig
+from knowarm.world.tasks import find_task
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")]
 
 REFERENCES = ("oracle", "open-loop", "chance")
 """Scores of a suite that stand beside its cells."""
 
-_report = partial(print, file=sys.stderr, flush=True)
+
+def _report(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +55,81 @@ class ShowSuites:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FreezeSuite:
+    """Freeze a suite of your own: draw episodes of a task, and store all that decides a score."""
+
+    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
+    """Name of a task, or package.module:Name of your own."""
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Name of a robot, or the TOML file of your own."""
+    to: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """New folder of the suite."""
+    targets: tuple[str, ...] = ()
+    """Objects, names or TOML files. Default: the task's."""
+    colours: Literal["fixed", "randomized"] = "fixed"
+    """Always a target's first colour, or one of its colours drawn per episode."""
+    graph: str | None = None
+    """Graph of the questions: a file, or the name of a shipped one. Default: the task's."""
+    splits: tuple[Split, ...] = ()
+    """Splits of the questions, a cell each. Default: one cell, with those of training."""
+    episodes: int = EPISODES
+    """Episodes of each cell."""
+    distance_m: float | None = None
+    """Largest distance of a success [m]. Default: the robot's, or 5 cm."""
+    angle_deg: float | None = None
+    """Largest angle of a success [deg]. Default: the robot's, or 15."""
+    training_seeds: int = 5
+    """Training seeds that a complete row has."""
+    control_episodes: int = 200
+    """Episodes of each cell that the controls play."""
+
+    def run(self) -> None:
+        """Draw, play the references and write."""
+        at_least(self, 1, "episodes", "training_seeds", "control_episodes")
+        env = EnvConfig(
+            robot=self.robot,
+            task=find_task(self.task),
+            targets=self.targets,
+            colours=self.colours,
+            success_distance_m=self.distance_m or 0.0,
+            success_angle_deg=self.angle_deg or 0.0,
+        )
+        if self.graph is not None:
+            asking = env.task.asking(graph=self.graph)
+            env = replace(env, task=asking)
+        robot = Path(self.robot).stem
+        cells = []
+        for split in self.splits or (None,):
+            test = () if split is None else (SplitTest(split=split),)
+            how = EvaluationConfig(
+                distance_m=env.success_distance_m,
+                angle_deg=env.success_angle_deg,
+                test=test,
+            )
+            name = "-".join(filter(None, [robot, split]))
+            cells.append(freeze_cell(name, env, how, self.episodes, _report))
+        about = (
+            f"{env.task.name} on {robot}, within {100 * env.success_distance_m:g} cm and "
+            f"{env.success_angle_deg:g} degrees."
+        )
+        suite = write_suite(
+            self.to,
+            about,
+            cells,
+            training_seeds=self.training_seeds,
+            control_episodes=self.control_episodes,
+        )
+        print(f"Wrote {self.to}: digest {suite.digest[:16]}")
+        run = ["knowarm", "benchmark", "run", str(self.to), "--policy", "oracle"]
+        print(shlex.join(run))
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunSuite:
     """Play a suite with a policy and its controls, and write a row."""
 
     suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
-    """Name of a suite: see `knowarm benchmark show`."""
+    """Name of a suite: see `knowarm benchmark show`; or the folder of one of `freeze`."""
     policy: Policies
     """Run folders of the training seeds of one agent, seen:RUN, a folder of `knowarm export`, ONNX
     files, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent. All
@@ -126,7 +204,11 @@ class VerifyRow:
                     )
             entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)
-            how = "played again with the same outcomes"
+            measured = row.get("mujoco", "a version that it does not state")
+            how = (
+                f"played again with the same outcomes on MuJoCo {version('mujoco')}; it was "
+                f"measured on {measured}"
+            )
         print(f"{self.row}: {how}.")
 
 
@@ -168,6 +250,7 @@ def _interval(figures: dict[str, float] | None) -> str:
 
 COMMANDS = {
     "show": ShowSuites,
+    "freeze": FreezeSuite,
     "run": RunSuite,
     "verify": VerifyRow,
     "table": WriteTable,

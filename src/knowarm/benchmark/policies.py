@@ -15,6 +15,7 @@ from knowarm.experiment.evaluation import Subject
 from knowarm.experiment.knows import NoKnowledge, answers_by_graph
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph
+from knowarm.experiment.run_inputs import input_content
 from knowarm.experiment.zoo import POLICIES, shipped_name
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
@@ -23,7 +24,8 @@ from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
-from knowarm.world.config import facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.description import SUFFIX
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 MakeAgent = Callable[[Cell, ArmVectorEnv], AgentProtocol]
@@ -115,9 +117,9 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
     def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
         learned = config.env
         played = cell.env
-        if (learned.robot, learned.task.name) != (played.robot, played.task.name):
+        if learned.task.name != played.task.name or not _same_robot(learned, played):
             raise UserError(
-                f"{spec} was trained for {learned.robot} and {learned.task.name}."
+                f"{spec} was trained for {Path(learned.robot).stem} and {learned.task.name}."
             )
         if facets_of(learned) != facets_of(played):
             raise UserError(f"{spec} was trained with other objects or colours.")
@@ -155,6 +157,14 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
         controls=controls,
         seed=config.seed,
     )
+
+
+def _same_robot(first: EnvConfig, second: EnvConfig) -> bool:
+    """Return whether the robots of two tasks are one, or two copies of one's own."""
+    names = (first.robot, second.robot)
+    if not all(name.endswith(SUFFIX) for name in names):
+        return first.robot == second.robot
+    return input_content(first.robot) == input_content(second.robot)
 
 
 def _exported(spec: str, folder: Path) -> Entrant:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from knowarm.arrays import Mask
 from knowarm.benchmark.policies import Entrant
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, by_table, read_suite
 from knowarm.config import differences
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.reading import read_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import play
@@ -34,6 +35,7 @@ MOST_TEXT = 300
 """Longest text of a row: a name, a spec, or how a policy was trained."""
 MOST_TOLERANCE = 0.1
 FIELDS = {"format", "suite", "digest", "name", "policy", "version", "cells", "summary"}
+OPTIONAL_FIELD = "mujoco"  # version; the first rows lack it
 OPTIONAL_CONTROL = (
     "shuffled graph"  # of agents that answer by a graph, and of no others
 )
@@ -68,10 +70,7 @@ def run_suite(
     """
     chosen = _chosen_cells(suite, cells)
     _check_seeds(entrants)
-    for cell in chosen:  # before the first is played
-        with closing(ArmVectorEnv(cell.env, 1)) as env:
-            for entrant in entrants:
-                entrant.make(cell, env)
+    _check_fits(suite, chosen, entrants)
     played: dict[str, Row] = {cell.name: {"outcomes": []} for cell in chosen}
     for entrant in entrants:
         for cell in chosen:
@@ -86,6 +85,7 @@ def run_suite(
         "name": name,
         "policy": _declared(entrants),
         "version": knowarm.__version__,
+        "mujoco": version("mujoco"),
         "cells": played,
     }
     return row | _figures(suite, row)
@@ -98,6 +98,35 @@ def _chosen_cells(suite: Suite, beginnings: Sequence[str]) -> list[Cell]:
     everything = ("",)
     accepted = tuple(beginnings) or everything
     return [cell for name, cell in suite.cells.items() if name.startswith(accepted)]
+
+
+def _check_fits(suite: Suite, chosen: Sequence[Cell], entrants: Entrants) -> None:
+    """Check that policies can play all chosen cells, before the first is played.
+
+    Raises:
+        UserError: they cannot; it names the cells of the suite that fit.
+    """
+    refusals: dict[str, str] = {}
+    for cell in suite.cells.values():
+        with closing(ArmVectorEnv(cell.env, 1)) as env:
+            try:
+                for entrant in entrants:
+                    entrant.make(cell, env)
+            except UserError as error:
+                refusals[cell.name] = str(error)
+    refused = [cell.name for cell in chosen if cell.name in refusals]
+    if not refused:
+        return
+    name = refused[0]
+    fitting = [cell for cell in suite.cells if cell not in refusals]
+    reason = f"{name} of {suite.name} cannot be played: {refusals[name]} "
+    if not fitting:
+        raise UserError(f"{reason}No cell of this suite fits; show names other suites.")
+    raise UserError(
+        f"{reason}Cells that fit: {', '.join(fitting)}. Play one with ",
+        Argument("cells", fitting[0]),
+        ".",
+    )
 
 
 def _declared(entrants: Entrants) -> Row:
@@ -324,7 +353,7 @@ def _check_declared(suite: Suite, row: Row) -> None:
             )
     if not row["name"] or not row["cells"] or not specs:
         raise ValueError("it has no name, no cells or no policy")
-    _check_names("it", row.keys(), FIELDS)
+    _check_names("it", row.keys() - {OPTIONAL_FIELD}, FIELDS)
     if unknown := set(policy["inputs"]) - set(INPUTS):
         raise ValueError(f"policy.inputs names {', '.join(unknown)}")
     for name in ("seeds", "digests"):

@@ -1,13 +1,14 @@
 """Suites: tasks, episodes, thresholds and controls, stored as data that no later change touches.
 
 A suite is a JSON file and a safetensors file of the same name. Their digest names the suite; what
-changes a score makes a new version, ``choose-v2``, beside the old one.
+changes a score makes a new version, ``choose-v2``, beside the old one. A suite of one's own is a
+folder of `knowarm benchmark freeze`, in which these files, ``suite``, name copies of its inputs.
 """
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,20 @@ from safetensors.numpy import load
 
 from knowarm.arrays import Integers
 from knowarm.config import from_dict
-from knowarm.errors import unknown_name
+from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.run_inputs import input_content, with_inputs
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.queries.splits import Split
-from knowarm.reading import digest
+from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.config import EnvConfig
+from knowarm.world.description import check_trusted
 from knowarm.world.tasks.sampling import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
+
+FILE = "suite"
+"""Name of the files of a suite of one's own, without suffix."""
 
 CONTROLS = {
     "open-loop": "the best fixed list of actions that a search found",
@@ -61,7 +67,7 @@ class Cell:
     @property
     def table(self) -> str:
         """Table that the cell belongs to: one per robot and choice of colours."""
-        return f"{self.env.robot}, {self.env.colours} colours"
+        return f"{Path(self.env.robot).stem}, {self.env.colours} colours"
 
 
 @dataclass(frozen=True)
@@ -107,21 +113,65 @@ def suite_names() -> list[str]:
 
 
 def read_suite(name: str) -> Suite:
-    """Read a shipped suite.
+    """Read a shipped suite, or one's own by its folder.
 
     Raises:
-        UserError: there is no suite of this name.
+        UserError: there is no suite of this name, its files are damaged, or a file that it names
+            was changed since.
     """
-    if name not in suite_names():
-        raise unknown_name("suite", name, suite_names())
-    path = FOLDER / f"{name}.json"
-    return parse_suite(path.read_bytes(), path.with_suffix(".safetensors").read_bytes())
+    if name in suite_names():
+        files = [FOLDER / f"{name}{suffix}" for suffix in SUFFIXES]
+        return parse_suite(*map(Path.read_bytes, files))
+    folder = Path(name)
+    if not (folder / f"{FILE}.json").is_file():
+        raise UserError(
+            f"{unknown_name('suite', name, suite_names())} Your own suite is given by its folder, "
+            "which `knowarm benchmark freeze` makes."
+        )
+    remedy = "Restore the folder, or freeze the suite again."
+    text, arrays = (read_bytes(folder / f"{FILE}{suffix}") for suffix in SUFFIXES)
+    with reading(folder, remedy):
+        suite = parse_suite(text, arrays, folder)
+    return replace(suite, name=folder.as_posix())
 
 
-def parse_suite(text: bytes, arrays: bytes) -> Suite:
-    """Make a suite of the content of its files."""
+SUFFIXES = (".json", ".safetensors")
+
+
+def input_digest(name: str) -> str:
+    """Return what a file of the user and all that it needs contain, as 16 letters."""
+    return digest(input_content(name).encode())[:16]
+
+
+def find_cells(name: str) -> tuple[Suite, list[Cell]]:
+    """Return a suite and some of its cells by SUITE, or SUITE/CELL with the beginning of names.
+
+    Raises:
+        UserError: there is no such suite or cell.
+    """
+    suite_name, _, beginning = name.rpartition("/")
+    if not suite_name or (Path(name) / f"{FILE}.json").is_file():
+        suite_name = name
+        beginning = ""
+    suite = read_suite(suite_name)
+    cells = [cell for key, cell in suite.cells.items() if key.startswith(beginning)]
+    if not cells:
+        raise UserError(
+            f"{suite_name} has no cell {beginning!r}; it has {', '.join(suite.cells)}."
+        )
+    return suite, cells
+
+
+def parse_suite(text: bytes, arrays: bytes, folder: Path | None = None) -> Suite:
+    """Make a suite of the content of its files; the folder holds copies of what it names.
+
+    Raises:
+        UserError: a copy was changed.
+    """
     values = json.loads(text)
     del values["format"]
+    if folder is not None:
+        values = with_inputs(values, partial(_frozen_input, folder))
     columns = load(arrays)
     queries = np.array(values.pop("queries"))
     cells = {}
@@ -149,3 +199,14 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
             **cell,
         )
     return Suite(**values, cells=cells, data=(text, arrays))
+
+
+def _frozen_input(folder: Path, name: str) -> str:
+    """Return the path of the copy of an input, whose folder is named by its content."""
+    path = folder / name
+    check_trusted(str(path), folder)  # before any of its files is parsed
+    if not path.exists() or input_digest(str(path)) != path.parent.name:
+        raise UserError(
+            f"{path} is missing or was changed since the suite was frozen: restore it."
+        )
+    return str(path)
