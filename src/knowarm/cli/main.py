@@ -33,7 +33,7 @@ COMMANDS = {
     ),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("study:Report", "write one HTML report from run folders"),
-    "figure": ("study:Figure", "write a figure or table of runs for a paper"),
+    "figure": ("study:PaperFigure", "write a figure or table of runs for a paper"),
     "knowledge": (
         "knowledge:COMMANDS",
         "inspect a graph, its sentences, vectors and embeddings",

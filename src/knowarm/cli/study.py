@@ -375,7 +375,7 @@ class Report(TableCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
+class PaperFigure:
     """Write a figure or table of runs for a paper, with the verdict of their report as caption."""
 
     runs: Annotated[
