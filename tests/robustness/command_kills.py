@@ -93,6 +93,9 @@ def _kill(
             yield "a process is left"
         if running.returncode not in (0, -9):
             yield f"ends with {running.returncode}: {running.stderr[-300:]}"
+        if running.returncode == 0:  # new folders are written once
+            shutil.rmtree(folder)
+            shutil.copytree(inputs, folder)
         yield from _damage(_files(folder), *wholes)
     done = _start(name, folder, environment)
     done.ended(600)
