@@ -57,7 +57,7 @@ class SB3Run(BaseCallback):
             total_steps=self.locals["total_timesteps"],
         )
         table = config.knows.known(config.env, config.seed).table
-        self._player = _Player(self.model, table)
+        self._player: Any = _Player(self.model, table)
         self._config = config
         self._folder = RunFolder.create(run_path(self._runs, config))
         parameters = sum(weights.numel() for weights in self.model.policy.parameters())
@@ -89,7 +89,8 @@ class SB3Run(BaseCallback):
 
     def _evaluate_now(self) -> None:
         self._last_step = self.num_timesteps
-        self._log.write({"step": self.num_timesteps, **self._play(self.model.policy)})
+        policy: Any = self.model.policy
+        self._log.write({"step": self.num_timesteps, **self._play(policy)})
 
 
 class _Player:
