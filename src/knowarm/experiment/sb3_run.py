@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class SB3Run(BaseCallback):
             total_steps=self.locals["total_timesteps"],
         )
         table = config.knows.known(config.env, config.seed).table
-        self._player: Any = _Player(self.model, table)
+        self._player = cast(Any, _Player(self.model, table))
         self._config = config
         self._folder = RunFolder.create(run_path(self._runs, config))
         parameters = sum(weights.numel() for weights in self.model.policy.parameters())
