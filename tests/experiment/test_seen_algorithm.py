@@ -77,3 +77,16 @@ def test_without_joint_angles_it_says_what_it_needs(run):
 def test_an_agent_without_a_network_is_refused_before_anything_is_trained():
     with pytest.raises(UserError, match=r"has none. Take one of .*answers"):
         knowarm.experiment_config("irb120-full-seen")
+
+
+def test_an_edited_fact_puts_the_mug_on_another_tray():
+    run = ZOO / "tiago-choose-sort-answers-seen"
+    asked = ask(run, "put the red mug where it belongs", scene=1)
+    assert asked.told == ("the cyan tray is the garage; the yellow tray is the kitchen")
+    assert asked.result == "It stands on the yellow tray, the kitchen."
+    assert asked.right
+    assert asked.within
+    edit = ["- mug isLocatedIn kitchen", "+ mug isLocatedIn garage"]
+    edited = ask(run, "put the red mug where it belongs", scene=1, edit=edit)
+    assert edited.told == asked.told
+    assert edited.result == "It stands on the cyan tray, the garage."
