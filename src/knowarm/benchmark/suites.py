@@ -120,8 +120,8 @@ def read_suite(name: str) -> Suite:
             was changed since.
     """
     if name in suite_names():
-        files = [FOLDER / f"{name}{suffix}" for suffix in SUFFIXES]
-        return parse_suite(*map(Path.read_bytes, files))
+        text = read_bytes(FOLDER / f"{name}.json")
+        return parse_suite(text, read_bytes(FOLDER / f"{name}.safetensors"))
     folder = Path(name)
     if not (folder / f"{FILE}.json").is_file():
         raise UserError(
@@ -129,13 +129,11 @@ def read_suite(name: str) -> Suite:
             "which `knowarm benchmark freeze` makes."
         )
     remedy = "Restore the folder, or freeze the suite again."
-    text, arrays = (read_bytes(folder / f"{FILE}{suffix}") for suffix in SUFFIXES)
+    text = read_bytes(folder / f"{FILE}.json")
+    arrays = read_bytes(folder / f"{FILE}.safetensors", remedy=remedy)
     with reading(folder, remedy):
         suite = parse_suite(text, arrays, folder)
     return replace(suite, name=folder.as_posix())
-
-
-SUFFIXES = (".json", ".safetensors")
 
 
 def input_digest(name: str) -> str:

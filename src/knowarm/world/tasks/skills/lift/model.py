@@ -226,7 +226,7 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
         type=mjtEq.mjEQ_JOINT,
         name1=FINGERS[0],
         name2=FINGERS[1],
-        data=[0, 1] + [0] * (mjNEQDATA - 2),
+        data=np.eye(1, mjNEQDATA, 1)[0].tolist(),  # 0, 1, 0, 0, ...
     )
     return float(opening)
 
