@@ -34,7 +34,6 @@ NO_FILES = {
 """What is called alike and opens no file of others, or is a reader of KnowArm."""
 WITHOUT = {
     "asking/lexicon.py": "words of the package",
-    "benchmark/suites.py": "suites of the package",
     "cli/tables.py": "an output",
     "cores.py": "/proc",
     "deploy/driver.py": "images of messages, in memory",
