@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment import zoo
 from knowarm.experiment.load import load_agent
@@ -91,6 +92,17 @@ def test_a_shipped_policy_is_found_here_then_in_a_clone_then_in_the_package(
     caplog.clear()
     assert load_agent(path).folder.path == Path(path)
     assert not caplog.text
+
+
+def test_an_evaluation_writes_nothing_into_the_package(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = "zoo/irb120-full-fast"
+    package = shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "site" / path)
+    shutil.rmtree(package / "evaluation", ignore_errors=True)
+    monkeypatch.setattr(zoo, "FOLDERS", {"the package": package.parent})
+    main(["evaluate", path, "--episodes", "2", "--blind-episodes", "0"])
+    assert "Nothing is saved in the package" in capsys.readouterr().err
+    assert not (package / "evaluation").exists()
 
 
 def test_what_is_nowhere_here_comes_from_the_hub_if_it_is_the_shipped_one(

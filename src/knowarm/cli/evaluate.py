@@ -48,6 +48,7 @@ from knowarm.experiment.evaluation import (
 from knowarm.experiment.other_graphs import meeting, target_names
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Numbers, Summary, measure
+from knowarm.experiment.zoo import is_packaged
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import Split
@@ -235,6 +236,7 @@ class Evaluate(TableCommand):
         chosen = {"test": self.conditions.test(), "probes": recorded.probes()}
         how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
         report = partial(print, file=sys.stderr, flush=True)
+        saves = self.save
         if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError(
@@ -271,9 +273,15 @@ class Evaluate(TableCommand):
                 graph = read_graph(self.conditions.graph)
                 names = read_names(self.conditions.names)
                 print_meeting(meeting(graph, target_names(trained.config.env), names))
-            result = evaluate(trained, config=how, write=self.save, report=report)
+            folder = trained.folder.path
+            if saves and is_packaged(folder):
+                saves = False
+                report(
+                    f"Nothing is saved in the package: to keep results, copy {folder}."
+                )
+            result = evaluate(trained, config=how, write=saves, report=report)
         _print(result.summary)
-        if result.folder is not None and self.save:
+        if result.folder is not None and saves:
             print(f"Saved in {result.folder}")
         return to_dict(result.summary)
 

@@ -55,6 +55,12 @@ def open_run(path: Path | str) -> RunFolder:
     return run
 
 
+def is_packaged(folder: Path) -> bool:
+    """Return whether a run folder is part of the installed package, which nobody writes to."""
+    package = FOLDERS.get("the package")
+    return package is not None and package in folder.parents
+
+
 def shipped_name(path: Path | str) -> str | None:
     """Return NAME of ``zoo/NAME``; None for other paths, and where that is a folder here."""
     given = Path(path)
