@@ -14,7 +14,12 @@ import knowarm
 from tests.source_tree import ROOT
 
 ZOO = ROOT / "zoo"
-POLICIES = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
+POLICIES = sorted(
+    path.name
+    for path in ZOO.iterdir()
+    # Those that see and solve need joint angles, which environments do not show.
+    if path.is_dir() and not path.name.endswith("-seen")
+)
 JUDGED = {"success_distance_m": 0.1, "success_angle_deg": 17.0}  # of evaluations
 
 
@@ -168,9 +173,8 @@ def test_environments_of_gymnasium_side_by_side_give_the_same_actions(name):
         np.testing.assert_array_equal(mine, other)
 
 
-@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", POLICIES)
-def test_exported_and_served_policies_give_the_same_actions(name, count, tmp_path):
+def test_exported_and_served_policies_give_the_same_actions(name, tmp_path):
     for package in ("onnxruntime", "onnxscript", "websockets", "msgpack"):
         pytest.importorskip(package)
     from knowarm.benchmark.external import ExportedPolicy
@@ -179,8 +183,8 @@ def test_exported_and_served_policies_give_the_same_actions(name, count, tmp_pat
     from knowarm.deploy.runner import Runner
     from knowarm.deploy.serve import PolicyServer
 
-    doors = Doors(name, count)
-    env = knowarm.ArmVectorEnv(doors.config, count)
+    doors = Doors(name, 6)
+    env = knowarm.ArmVectorEnv(doors.config, 6)
     expected = doors.result(env).steps
     folder = tmp_path / "exported"
     export(doors.trained, folder)
@@ -188,7 +192,7 @@ def test_exported_and_served_policies_give_the_same_actions(name, count, tmp_pat
     threading.Thread(target=server.run, daemon=True).start()
     served = Client(f"ws://127.0.0.1:{server.port}")
     try:
-        for agent in (ExportedPolicy(Runner.load(folder), folder), served):
+        for agent in (ExportedPolicy(folder), served):
             steps = knowarm.play(agent, env, doors.episodes).steps
             np.testing.assert_array_equal(steps.actions, expected.actions)
             np.testing.assert_array_equal(steps.reward, expected.reward)

@@ -290,6 +290,6 @@ def test_the_paper_is_quoted_on_itself_in_one_place():
         files = [
             path
             for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-            if quoted in path.read_text("utf-8")
+            if "_build" not in path.parts and quoted in path.read_text("utf-8")
         ]
         assert files in ([], [ROOT / "docs" / "reference" / "paper.md"]), quoted

@@ -60,6 +60,7 @@ OTHER_MEANINGS = {
     "learned": "policy/",  # PolicyConfig.knowledge_encoder
     "wide": "experiment/run.py",  # field of PolicyConfig
     "reach": "world/tasks/",  # size of a handle
+    "seen": "perception/",  # of answers and networks: what an image shows
 }
 """Names of agents and tasks that mean something else in a place."""
 

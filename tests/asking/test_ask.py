@@ -249,8 +249,8 @@ def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([RUN], f'Give a question: knowarm ask {RUN} "'),
-        ([], 'Give a question: knowarm ask "'),
+        ([RUN], f"Give a question: knowarm ask {RUN} '"),
+        ([], "Give a question: knowarm ask '"),
         (["runs/none"], "Give a question: knowarm ask runs/none "),
         (["zoo/irb120"], "Give a question: knowarm ask zoo/irb120 "),
         ([RUN, "--browser", "--page", "x.html"], "leave out --page"),

@@ -228,7 +228,7 @@ def test_list_shows_one_kind_only(capsys):
             ["train", "irb120-full-fast", "--graph", "kitchen.csv"],
             ["--knows.detail partial"],
         ),
-        (["ask"], ['Give a question: knowarm ask "something to drink from"']),
+        (["ask"], ["Give a question: knowarm ask 'something to drink from'"]),
         (["study", "unpack", "kitchen.csv"], ["no pack of a study"]),
         (["train", "full-fast", "--env.robot", "arm.urdf"], ["is a model file"]),
         (["knowledge", "shwo"], ["'show'"]),

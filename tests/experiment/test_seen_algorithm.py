@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import knowarm
-from knowarm.asking.asker import ask
-from knowarm.deploy.contract import deployment
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import SeenTest
 from knowarm.perception.solving import SolvingAgent
@@ -54,19 +52,6 @@ def test_it_resumes_and_has_a_best_checkpoint(run):
     assert knowarm.load_agent(run.folder.path, which="latest").step == 1
 
 
-def test_it_is_asked_and_stays_where_it_sees_no_answer(run):
-    asked = ask(run.folder.path, "usedFor drinking")
-    assert asked.right
-    assert asked.film[-1].step > 3
-    stays = ask(run.folder.path, "usedFor drinking", scene=asked.scene, unclear="stop")
-    assert stays.stopped == (len(stays.candidates) != 1)
-
-
-def test_it_cannot_leave_the_simulator_as_a_policy(run):
-    with pytest.raises(UserError, match="no policy to take out"):
-        deployment(knowarm.load_agent(run.folder.path))
-
-
 def test_without_joint_angles_it_says_what_it_needs(run):
     trained = knowarm.load_agent(run.folder.path)
     trained.reset({"query": np.array(["usedFor drinking"])})
@@ -77,16 +62,3 @@ def test_without_joint_angles_it_says_what_it_needs(run):
 def test_an_agent_without_a_network_is_refused_before_anything_is_trained():
     with pytest.raises(UserError, match=r"has none. Take one of .*answers"):
         knowarm.experiment_config("irb120-full-seen")
-
-
-def test_an_edited_fact_puts_the_mug_on_another_tray():
-    run = ZOO / "tiago-choose-sort-answers-seen"
-    asked = ask(run, "put the red mug where it belongs", scene=1)
-    assert asked.told == ("the cyan tray is the garage; the yellow tray is the kitchen")
-    assert asked.result == "It stands on the yellow tray, the kitchen."
-    assert asked.right
-    assert asked.within
-    edit = ["- mug isLocatedIn kitchen", "+ mug isLocatedIn garage"]
-    edited = ask(run, "put the red mug where it belongs", scene=1, edit=edit)
-    assert edited.told == asked.told
-    assert edited.result == "It stands on the cyan tray, the garage."

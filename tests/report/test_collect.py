@@ -147,7 +147,7 @@ def test_what_is_no_run_folder_is_named(tmp_path):
     packed = tmp_path / "study.tar.xz"
     packed.touch()
     found = collect([*paths, tmp_path / "empty", tmp_path / "nowhere", packed])
-    assert "knowarm study unpack: left out" in named(found, packed)
+    assert f"knowarm study unpack {packed}: left out" in named(found, packed)
     assert "holds no run folder: left out" in named(found, tmp_path / "empty")
     assert "does not exist: left out" in named(found, tmp_path / "nowhere")
     with pytest.raises(UserError, match="Nothing to report"):

@@ -76,8 +76,10 @@ def freeze(
     queries = np.unique(np.concatenate([cell.episodes.question for cell in cells]))
     for cell in cells:
         for field in fields(Episodes):
-            if field.name != "names":  # the config of the cell has them
-                arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
+            values = getattr(cell.episodes, field.name)
+            is_drawn = field.name != "surroundings" or values.size > 0
+            if field.name != "names" and is_drawn:  # the config of the cell has them
+                arrays[f"{cell.name}/{field.name}"] = values
         numbers = np.searchsorted(queries, cell.episodes.question)
         arrays[f"{cell.name}/question"] = numbers.astype(np.int64)
         arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)

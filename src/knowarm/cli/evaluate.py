@@ -48,7 +48,6 @@ from knowarm.experiment.evaluation import (
 from knowarm.experiment.other_graphs import meeting, target_names
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Numbers, Summary, measure
-from knowarm.experiment.zoo import is_packaged
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import Split
@@ -273,6 +272,8 @@ class Evaluate(TableCommand):
                 graph = read_graph(self.conditions.graph)
                 names = read_names(self.conditions.names)
                 print_meeting(meeting(graph, target_names(trained.config.env), names))
+            from knowarm.experiment.zoo import is_packaged  # imports torch
+
             folder = trained.folder.path
             if saves and is_packaged(folder):
                 saves = False

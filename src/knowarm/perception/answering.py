@@ -160,9 +160,9 @@ class AnsweringAgent(PolicyAgent):
     @property
     def moves(self) -> np.ndarray:
         """Whether the arm moves in each environment, (n,) bool."""
-        count = self.visible_answers
         if self.unclear == "guess":
-            return np.ones(len(count), np.bool_)
+            return np.ones(len(self.rows), np.bool_)
+        count = self.visible_answers
         if self.unclear == "seen":
             return count >= 1
         return count == 1

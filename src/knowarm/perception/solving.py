@@ -4,6 +4,7 @@ It needs what a policy does without: joint angles and a kinematic model of the a
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +12,6 @@ from torch import Tensor
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
-from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.grounding import BATCH
@@ -29,7 +29,7 @@ class SolvingAgent:
     Args:
         agent: the agent whose recognition sees; its policy plays no part.
         env: robot and task.
-        graph: what it knows of where objects belong; None: nothing.
+        graph: the `KnowledgeGraph` that says where objects belong; None: it does not know.
 
     Attributes:
         notes: those of ``agent``.
@@ -41,9 +41,7 @@ class SolvingAgent:
 
     notes: dict[str, np.ndarray]
 
-    def __init__(
-        self, agent: PolicyAgent, env: EnvConfig, graph: KnowledgeGraph | None = None
-    ) -> None:
+    def __init__(self, agent: PolicyAgent, env: EnvConfig, graph: Any = None) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
                 "Only what sees a grasp frame can solve the way to it: this agent has no "

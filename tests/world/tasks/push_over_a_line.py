@@ -39,7 +39,7 @@ class PushGuide(LiftGuide):
 class Push(Lift):
     """The object's centre of mass has to get to the other side of the rectangle's middle line."""
 
-    kind: Literal["push"] = "push"  # type: ignore[assignment]
+    kind: Literal["slide"] = "slide"  # type: ignore[assignment]
 
     def suits(self, target: str) -> bool:
         return True

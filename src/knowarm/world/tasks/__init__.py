@@ -37,6 +37,7 @@ TASKS = (
     "families",
     "choose-lift",
     "choose-place",
+    "choose-sort",
 )
 """Shipped tasks with Gymnasium ids and listed experiments; `find_task` finds every combination."""
 

@@ -38,6 +38,7 @@ TRAY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "pink")
 NAMES = np.array(TRAY_COLOURS)
 TRAY_RGB = np.array([COLOURS[name] for name in TRAY_COLOURS])
 MAX_TRAYS = 4
+WITHOUT_POLICY = frozenset({"seen"})  # Algorithms that train none
 WRONG_TRAY = len(OUTCOMES)
 
 
@@ -67,10 +68,10 @@ class Sort(Place):
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse all algorithms that train a policy, which would not know the right tray."""
-        if algorithm != "seen":
+        if algorithm not in WITHOUT_POLICY:
             raise UserError(
                 "Policies are not told which tray is which place, so they cannot learn to sort. "
-                f"Take the algorithm 'seen' in place of {algorithm!r}."
+                f"Take the algorithm {', '.join(WITHOUT_POLICY)!r} in place of {algorithm!r}."
             )
         return {}
 
