@@ -401,8 +401,8 @@ def test_words_sparql_and_conditions_answer_alike():
     }
     facets = [(name, colour) for name in objects for colour in colours]
     answered = 0
-    for number in range(1_000):
-        if number % 100 == 0:
+    for number in range(300):
+        if number % 30 == 0:
             facts = [(o, "isMarked", "yes") for o in objects]
             facts += [
                 (o, r, v)
@@ -438,7 +438,7 @@ def test_words_sparql_and_conditions_answer_alike():
                 )
         assert len(answers) == 1, texts
         answered += answers != {"nobody"}
-    assert answered > 500
+    assert answered > 150
 
 
 NOUNS = ["mug", "bowl", "jar", "watering can", "lamp", "can", "pot"]
