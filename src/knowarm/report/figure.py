@@ -35,7 +35,7 @@ COLOURS = {
     )
 }
 """Colours of the report on white paper, by palette class."""
-STYLE = {
+STYLE: Any = {
     "font.size": 8,
     "axes.spines.right": False,
     "axes.spines.top": False,
