@@ -38,3 +38,9 @@ def test_an_edited_fact_puts_the_mug_on_another_tray():
     edited = ask(run, "put the red mug where it belongs", scene=1, edit=edit)
     assert edited.told == asked.told
     assert edited.result == "It stands on the cyan tray, the garage."
+    # A fact that is missing is no reason to take any tray.
+    missing = ask(run, "put the red mug where it belongs", scene=1, edit=edit[:1])
+    assert missing.lacks_place
+    assert "The arm stayed: the graph says of none of these places" in missing.outcome
+    way = missing.film[-1].joints - missing.film[0].joints
+    assert abs(way).max() < 0.02

@@ -27,6 +27,7 @@ from knowarm.perception.answering import AnswerGrounding, SeenAnswers
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets, pixels_of
+from knowarm.perception.solving import SolvingAgent
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -82,6 +83,8 @@ class Asked:
     """The episode."""
     result: str = ""
     """What became of the object, where reaching it is not all."""
+    lacks_place: bool = False
+    """Whether the arm stayed because the graph does not say where the object belongs."""
     told: str = ""
     """What the agent was told besides the question, such as which tray is which place."""
 
@@ -97,6 +100,11 @@ class Asked:
         if self.stopped:
             several = f"several answers: {seen}" if seen else "no answer"
             return f"The arm stayed: it sees {several}."
+        if self.lacks_place:
+            return (
+                "The arm stayed: the graph says of none of these places that the object belongs "
+                f"there: {self.told}."
+            )
         judgement = "which answers" if self.right else "which does not answer"
         if self.result:
             went = f"The arm went for the {in_words(self.reached)}, {judgement}"
@@ -417,7 +425,7 @@ class Asker:
         answering = self.trained.answering(
             wanted[None], unclear=unclear, thresholds=self.thresholds
         )
-        agent = self.trained.acting(answering, answers.graph)
+        agent = self.trained.acting(answering, answers.graph, guesses=False)
         film = record_episode(agent, self._env, episode)
         end = self._env.running
         task = end.config.task
@@ -440,6 +448,7 @@ class Asker:
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
             stopped=not answering.moves[0],
+            lacks_place=isinstance(agent, SolvingAgent) and bool(agent.lacks_place[0]),
             reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),

@@ -129,15 +129,22 @@ class TrainedAgent:
         return self.acting(self.agent)
 
     def acting(
-        self, agent: PolicyAgent, graph: KnowledgeGraph | None = None
+        self,
+        agent: PolicyAgent,
+        graph: KnowledgeGraph | None = None,
+        *,
+        guesses: bool = True,
     ) -> PolicyAgent | SolvingAgent:
-        """Return what acts for an agent; ``graph`` says where objects belong, None: its own."""
+        """Return what acts for an agent.
+
+        ``graph`` says where objects belong, None: its own; ``guesses`` as in `SolvingAgent`.
+        """
         if not self.config.solves:
             return agent
         env = self.config.env
         if graph is None:
             graph = env.task.asked.answering_graph(facets_of(env))
-        return SolvingAgent(agent, env, graph)
+        return SolvingAgent(agent, env, graph, guesses=guesses)
 
     def _report_new(self, batch: Batch | Mapping[str, Any]) -> None:
         """Log objects that training never showed, once each; and once, questions of the kind."""

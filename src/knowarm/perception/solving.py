@@ -30,9 +30,11 @@ class SolvingAgent:
         agent: the agent whose recognition sees; its policy plays no part.
         env: robot and task.
         graph: the `KnowledgeGraph` that says where objects belong; None: it does not know.
+        guesses: whether it moves where that does not say where the object belongs.
 
     Attributes:
         notes: those of ``agent``.
+        lacks_place: where it stays, since it does not know where the object belongs, (n,).
 
     Raises:
         UserError: the agent has no recognition of frames, or the task no guide that moves all its
@@ -41,7 +43,14 @@ class SolvingAgent:
 
     notes: dict[str, np.ndarray]
 
-    def __init__(self, agent: PolicyAgent, env: EnvConfig, graph: Any = None) -> None:
+    def __init__(
+        self,
+        agent: PolicyAgent,
+        env: EnvConfig,
+        graph: Any = None,
+        *,
+        guesses: bool = True,
+    ) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
                 "Only what sees a grasp frame can solve the way to it: this agent has no "
@@ -54,6 +63,7 @@ class SolvingAgent:
         self._guide = guide_of(env)
         self._skill = env.task.skill
         self._graph = graph
+        self._guesses = guesses
         self._scene = scene_of(env)
         names = [target.name for target in self._scene.targets]
         facets = self._network.spec.facets
@@ -67,9 +77,10 @@ class SolvingAgent:
     @property
     def moves(self) -> Mask:
         """Whether the arm moves in each environment, (n,) bool."""
+        moves = np.ones(len(self._joints), bool)
         if isinstance(self._agent, AnsweringAgent):
-            return self._agent.moves
-        return np.ones(len(self._joints), bool)
+            moves = self._agent.moves
+        return moves & ~self.lacks_place
 
     def reset(self, batch: Batch) -> None:
         """Forget everything: n episodes start.
@@ -86,6 +97,7 @@ class SolvingAgent:
         self.notes = {}
         self._joints = np.stack(list(batch.joints.values()), axis=1)
         self._facts = batch.facts
+        self.lacks_place = np.zeros(batch.size, bool)
         self._way: Way | None = None
 
     def act(self, observations: Mapping[str, np.ndarray]) -> Integers:
@@ -94,7 +106,10 @@ class SolvingAgent:
             images = torch.from_numpy(observations["image"].copy())
             frames = self._agent.recognize(images)
             self.notes = self._agent.notes
-            self._way = self._guide.way(self._sight(images, frames))
+            sight = self._sight(images, frames)
+            if sight.decided is not None and not self._guesses:
+                self.lacks_place = ~sight.decided
+            self._way = self._guide.way(sight)
         actions = nearest_levels(self._way.error(observations["joint_targets"]))
         return np.where(self.moves[:, None], actions, 0)
 

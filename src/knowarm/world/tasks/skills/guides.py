@@ -32,6 +32,9 @@ class Sight(NamedTuple):
     """Their x and y, (n, m, 2) [m]."""
     destination: Floats | None = None
     """x and y of where the one that is meant has to be put, (n, 2) [m]; None: nowhere."""
+    decided: Mask | None = None
+    """Whether what is known decides for the destination, or else it is a guess, (n,); None: it
+    does."""
 
     @classmethod
     def true(cls, state: EpisodeState) -> Self:

@@ -186,7 +186,9 @@ class Sort(Place):
         trays = trays_by_colour(scene, images, centres, facts["tray_colours"])
         is_right = np.zeros_like(belongs)
         np.put_along_axis(is_right, trays, belongs, axis=1)
-        return sight._replace(destination=centres[np.argmax(is_right, axis=1)])
+        destination = centres[np.argmax(is_right, axis=1)]
+        is_told = np.asarray(belongs.any(axis=1))
+        return sight._replace(destination=destination, decided=is_told)
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store also whether the object was put on a tray, and on the right one."""
