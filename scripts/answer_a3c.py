@@ -7,22 +7,15 @@ import numpy as np
 
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
-from scripts.answer_cells import agents_table, cells_of, table, title_of, verdict
+from scripts.answer_cells import agents_table, cells_of, title_of, verdict
 
-EVERY = 10_000_000
-"""Steps between two columns of the table."""
-MEASURES = {"success": 100, "return_mean": 1}
-"""Measures of the table, and their factors."""
 ROWS = 100
 """Rows of the metrics whose mean is the success of the last training episodes."""
-EVALUATIONS = 4
-"""Interim evaluations whose mean is a number of the table."""
 
 TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
-workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} Interim
-success (5 cm, 15 degrees) in percent, and return, each the mean of the last {count} evaluations of
-40 episodes. An update learns from {batch:,} steps, the paper's from 50 or fewer, so there are
-{updates:,} updates instead of 1.4 million."""
+workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} An update
+learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates:,} updates instead
+of 1.4 million."""
 
 TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
 {progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
@@ -53,28 +46,10 @@ def tuned_section(study: Path, progress: str) -> list[str]:
     return [*blocks, "\n".join(f"- {line}" for line in lines)]
 
 
-def until(group: Group, key: str, step: float) -> str:
-    """Format the mean of the last interim evaluations until a step; nothing before it."""
-    (run,) = group.runs
-    if run.steps_done < 0.98 * step:
-        return ""
-    chosen = run.interim[key][run.interim["step"] <= 1.002 * step][-EVALUATIONS:]
-    return f"{MEASURES[key] * float(chosen.mean()):.1f}"
-
-
 def a3c_section(study: Path, progress: str) -> list[str]:
     """Return the blocks of the section from an unpacked study."""
     (task,) = collect([study]).tasks
     total = max(run.config.total_steps for run in task.runs)
-    steps = np.arange(EVERY, total + 1, EVERY)
-    rows = []
-    for group in task.groups:
-        for key in MEASURES:
-            name = key.removesuffix("_mean")
-            rows.append(
-                [f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)]
-            )
-    columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
     algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
     text = TEXT.format(
@@ -82,9 +57,8 @@ def a3c_section(study: Path, progress: str) -> list[str]:
         updates=total // batch,
         total=total // 10**6,
         progress=progress,
-        count=EVALUATIONS,
     )
-    return ["## The paper's algorithm", text, table(columns, rows), conclusion(task)]
+    return ["## The paper's algorithm", text, conclusion(task)]
 
 
 def blind_agents(groups: Sequence[Group]) -> str:
@@ -121,7 +95,6 @@ def conclusion(task: TaskData) -> str:
     lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:
         lines.append(
-            "- One training seed each, no control: nothing about the knowledge follows from the "
-            "difference."
+            "- One training seed each, no control: nothing about the knowledge follows."
         )
     return "\n".join(lines)

@@ -19,11 +19,10 @@ TEXT = """**Protocol.** Study `fusions`, IRB120, task `choose`: the subgraph of 
 the policy by one of six [fusions](../reference/algorithms.md#policy), without a grounding network;
 `before_lstm` is the paper's. Imitation (300,000 steps) and reinforcement (2 million), 1,000 new
 episodes of {split}, 5 cm and 15 degrees. *Position*: no arm, the network predicts where the queried
-object stands (20,000 images and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and
-16: seed 0). Last rows: study `choose`. {progress} Success is not compared: the fusions ended their
-training by reinforcement at 1.2 to 1.4 times the task's thresholds.
-
-Right objects of training seeds {seeds} in percent; at random {chance:.0f} are right:"""
+object stands (`python -m benchmarks.fusions`; 60,000 images: seed 0). Last rows: study `choose`.
+{progress} Success is not compared: the fusions ended their training by reinforcement at 1.2 to 1.4
+times the task's thresholds. Right objects of training seeds {seeds} in percent; at random
+{chance:.0f}:"""
 
 
 def shares(values: Iterable[float]) -> str:
@@ -117,8 +116,8 @@ def blind_scores(path: Path) -> str:
     }
     return (
         f"- Blind, {rows[0]['episodes']} episodes, seed 0: the best list of actions succeeds in "
-        f"{best['open-loop']:.1f} %, the networks on black images "
-        f"in at most {best['blind']:.1f} %, on the first image only in {best['frozen']:.1f} %."
+        f"{best['open-loop']:.1f} %, the networks on black images in at most {best['blind']:.1f}, "
+        f"on the first image only in {best['frozen']:.1f} %."
     )
 
 

@@ -28,22 +28,21 @@ from scripts.answer_cells import (
 BATCHES = 10
 """Evaluation seeds that the analysis of variance makes of the 1,000 episodes of a run."""
 
-OUTCOMES_TEXT = """Differences against `bm` with Welch intervals; p: Holm's correction over the
-outcomes of the cell's study, as in the study's report. Controls count only where `full` passes this
-test ([decisions](../decisions.md#evidence)). The primary outcome, steps to 80 %, follows by
-cell."""
+OUTCOMES_TEXT = """p: Holm's correction over the outcomes of the cell's study, as in its report.
+Controls count only where `full` passes this test ([decisions](../decisions.md#evidence)). The
+primary outcome, steps to 80 %, follows by cell."""
 
-AREAS_TEXT = """Mean success during training of all agents, points above `bm`, described and not
-tested but for `full`:"""
+AREAS_TEXT = """Mean success during training, points above `bm`, described and not tested but for
+`full`:"""
 
 ANOVA_TEXT = """The paper compares two networks, one training seed each, by an analysis of variance
-over evaluation seeds, and reads the F values as an effect of the knowledge. Here F
-compares the ten times 100 episodes of two runs; the paper's has 30 times 100, at 60 to 90 % in
-place of nearly 100, so the values themselves are not alike."""
+over evaluation seeds, and reads the F values as an effect of the knowledge. Here F compares the ten
+times 100 episodes of two runs; the paper's has 30 times 100, at 60 to 90 % in place of nearly 100,
+so the values themselves are not alike."""
 
-COST_TEXT = """The paper expects no increase of training time. Runs on the processor that most runs
-of a cell share; median steps per second, mean seconds to 80 % (of the whole training where never
-reached). TIAGo with fixed colours: seeds 0, 1 and 5 trained beside other programs."""
+COST_TEXT = """Runs on the processor that most runs of a cell share; median steps per second, mean
+seconds to 80 % (of the whole training where never reached). TIAGo with fixed colours: seeds 0, 1
+and 5 trained beside other programs."""
 
 
 @dataclass(frozen=True)
@@ -259,9 +258,9 @@ def anova_section(tasks: Sequence[TaskData]) -> list[str]:
     largest = max(f for f, _ in own if np.isfinite(f))
     text = (
         f"**Two training seeds of one and the same agent differ by up to {seeds_apart(tasks):.1f} "
-        f"points of success, the paper's agents by {effects(tasks)}.** Of all {len(own)} pairs of "
-        f"training seeds of one agent {share(own)} differ with p < .05 (median F "
-        f"{spread(own)[0]}, 95 % of them below {spread(own)[1]}, the largest {largest:.0f})."
+        f"points of success, the paper's agents by {effects(tasks)}.** Of all {len(own)} such "
+        f"pairs {share(own)} differ with p < .05 (median F {spread(own)[0]}, 95 % of them below "
+        f"{spread(own)[1]}, the largest {largest:.0f})."
     )
     return [
         "## The paper's analysis of variance",

@@ -25,9 +25,8 @@ from scripts.answer_cells import (
 
 TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
 {seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
-of the paper's network with 150 and 300 numbers of knowledge. Seconds: steps to 80 % over the steps
-per second of each size, the median of {rounds} measurements on one core of an {processor}
-(`KNOWARM_CORES=1 python -m benchmarks.sizes`)."""
+of the paper's network with 150 and 300 numbers of knowledge. Speed: the median of {rounds}
+measurements on one core of an {processor} (`KNOWARM_CORES=1 python -m benchmarks.sizes`)."""
 
 
 def speeds(path: Path) -> tuple[dict[str, list[float]], str]:
@@ -48,9 +47,9 @@ def slope(sizes: np.ndarray, values: np.ndarray) -> tuple[Interval, float]:
     )
 
 
-LARGER_TEXT = """**Not settled by it.** The four controls of this page are as large as `full` and
-know nothing of the scene. All of their runs together against `bm`, mean success during training
-[points]: {differences} (Welch, not declared, p not corrected). New seeds have to confirm it."""
+LARGER_TEXT = """**Not settled by it.** All runs of the four controls above, which are as large as
+`full`, against `bm`, mean success during training [points]: {differences} (Welch, not declared, p
+not corrected). New seeds have to confirm it."""
 
 
 def larger_networks(cells: Sequence[Cell]) -> str:

@@ -58,25 +58,24 @@ follows from them. By the fast learner, with five to ten seeds per agent, no sen
 on learning time or final score is found.**"""
 
 SENTENCES = """Each sentence of the paper (section) on what the knowledge does, beside the runs of
-the [fast learner](answer.md); steps are those to 80 % success. Statements of method, and
-percentages of the paper that differ from its table: [line by line](../reference/paper.md)."""
+the [fast learner](answer.md); steps are those to 80 % success. Statements of method: [line by
+line](../reference/paper.md)."""
 
 PROTOCOL = """**Protocol.** *A3C*: `knowarm study run paper-a3c`, the paper's numbers, 17 workers of
 one environment, {total:g} million steps, [near start](../reference/world.md#near-start), one
 training seed; 1,000 new episodes by the best model so far, that with the highest mean return of the
 interim evaluations (40 episodes every 50,000 steps). *Fast*: studies `answer`, `answer-tiago`,
 `paper`, far start, 1.5 million steps, means over seeds with 95 % intervals. Accuracy counts the
-distance alone (10 cm; the paper's equation 8), success the angle, too (17 degrees). *List*: success
-of the best fixed list of actions, which sees nothing; *frozen*: of the network on the first image
-alone. One network says nothing about the next, so no difference of two is a result."""
+distance alone (10 cm), success the angle, too (17 degrees). *List*: the best fixed list of actions,
+which sees nothing; *frozen*: the network on the first image alone. One network says nothing about
+the next, so no difference of two is a result."""
 
 CURVES = """Mean return of the last {count} interim evaluations (a million steps), its largest fall
-so far from the highest value before, and where it stands. No run is stopped for what it shows;
-complete or not, a cell is published as it stands."""
+so far, and where it stands. No run is stopped for what it shows; complete or not, a cell is
+published as it stands."""
 
 EARLIER = """Two earlier trainings (fixed colours, actor with gain .01) were stopped in the drop,
-which a rule of today forbids: {runs}. Their curves were not kept; the figures are those noted then
-(`paper-a3c-before.csv`)."""
+which a rule of today forbids: {runs} (`paper-a3c-before.csv`; no curves were kept)."""
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
@@ -91,10 +90,11 @@ OUTCOMES = {
 of the best model, and the evaluation whose thresholds its fixed list of actions is searched for.
 Within 10 cm at any angle an episode of that list ends, so its success is its accuracy."""
 
-OUTCOMES_TEXT = """Declared before the first run, in the study, for complete cells: the primary
-outcome is the accuracy at 10 cm of the best model, minus that of the best fixed list of actions, on
-the same 1,000 new episodes; the two rates of success stand beside it. The step of the best model is
-no outcome: it is the place of the largest of 1,400 evaluations of 40 episodes."""
+OUTCOMES_TEXT = """[Declared before the first
+run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run), for
+complete cells: the accuracy at 10 cm of the best model, minus that of the best fixed list of
+actions, on the same 1,000 new episodes; success stands beside it. The step of the best model is no
+outcome."""
 
 ANOVA = """30 evaluation seeds of 100 episodes of each network, success, as the paper's. F compares
 two trained networks. It cannot tell the knowledge from the training seed: two seeds of one and the
