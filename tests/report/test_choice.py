@@ -240,14 +240,11 @@ def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
         for table in found
         if isinstance(table, DataTable)
     }
-    names = {"choice", "reach", "switched", "choice-curves", "query-types", "confusion"}
+    names = {"choice", "reach", "switched", "choice-curves", "query-types"}
     assert set(tables) == names
     assert [row["split"] for row in tables["choice"]] == ["S1", "S5"]
     kinds = {row["type"] for row in tables["query-types"]}
     assert {"usedFor", "hasColor"} & kinds
-    for split in ("S1", "S5"):
-        confused = [row for row in tables["confusion"] if row["split"] == split]
-        assert sum(row["episodes"] for row in confused) == 8
     kinds = [block.kind for block in flat(page.blocks) if getattr(block, "kind", "")]
     assert kinds == ["no control"] * 2
     films = behaviour.film_blocks(study.tasks[0])

@@ -18,7 +18,6 @@ from knowarm.report.charts import (
 )
 from knowarm.report.diagrams import (
     Dot,
-    confusion_map,
     dot_chart,
 )
 from knowarm.report.format import palette, slugs
@@ -118,9 +117,6 @@ def drawings():
             ],
             "name",
             Axis(title="x"),
-        ),
-        "confusion": confusion_map(
-            np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"
         ),
     }
 

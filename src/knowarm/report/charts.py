@@ -4,7 +4,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -25,8 +24,6 @@ TEMPLATES = Environment(
 """Templates of a report, with the formats of numbers that they use."""
 TEMPLATES.filters["px"] = svg.number
 TEMPLATES.filters["facet"] = facet
-TEMPLATES.filters["text_width"] = svg.text_width
-TEMPLATES.filters["percent"] = partial(percent, decimals=0)
 CHARTS: Any = TEMPLATES.get_template("charts.svg.j2").module  # its macros
 BINS = 48  # of a density chart
 PIXELS_PER_TICK = 70  # of a horizontal axis, at least

@@ -1,9 +1,8 @@
-"""Diagrams with one row per item in SVG: dot charts, confusion matrices."""
+"""Diagrams with one row per item in SVG: dot charts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from knowarm.arrays import Floats
 from knowarm.report.blocks import DataTable, Panel
 from knowarm.report.charts import CHARTS, Axis, Box
 from knowarm.report.model import Evaluated
@@ -103,10 +102,3 @@ def _drawn_values(dots: Sequence[Dot], zero: bool) -> list[float]:
         if dot.ring is not None:
             values.append(dot.ring)
     return values
-
-
-def confusion_map(
-    shares: Floats, rows: Sequence[str], columns: Sequence[str], title: str
-) -> str:
-    """Draw (R, C) shares in 0..1 as cells: the larger the share, the darker."""
-    return CHARTS.confusion(shares.tolist(), rows, columns, title)

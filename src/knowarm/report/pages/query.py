@@ -1,26 +1,19 @@
-"""Page "Query": which object each agent chose, by split, by kind of query and by object."""
+"""Page "Query": which object each agent chose, by split and by kind of query."""
 
 from collections.abc import Sequence
 from itertools import chain
 
-import numpy as np
-import scipy
-
-from knowarm.arrays import Integers
-from knowarm.errors import UserError
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.blocks import (
     Block,
     DataTable,
     Figure,
-    Panel,
     Row,
-    Verdict,
     row_of,
     table_of,
 )
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
-from knowarm.report.diagrams import confusion_map, dot_panels
+from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import facet
 from knowarm.report.model import TaskData, TestedGroup
 from knowarm.report.pages.training import curve_figure
@@ -59,7 +52,7 @@ TABLES = {
 
 
 def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
-    """Show choice and reach by split, how they were learned, and what was confused."""
+    """Show choice and reach by split, how they were learned, and the kinds of queries."""
     if not task.splits:
         return []
     agents = list(chain.from_iterable(task.splits.values()))
@@ -76,7 +69,7 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
         measures = {"choice": CHOICE_AXIS}
         title = "Learning to choose"
         blocks.append(curve_figure(task, measures, "choice-curves", title))
-    return [*blocks, _by_type(task, agents), _confusion(task, agents)]
+    return [*blocks, _by_type(task, agents)]
 
 
 def _row(agent: TestedGroup, *keys: str) -> Row:
@@ -113,45 +106,3 @@ def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
             rows.append(row)
     table = table_of(task, "query-types", rows, split=first)
     return Figure(table, dot_panels(table, "choice", CHOICE_AXIS, width=340))
-
-
-def _confusion(task: TaskData, agents: Sequence[TestedGroup]) -> Block:
-    """Show which object was chosen for which, by the first agent that receives the query."""
-    told = [agent for agent in agents if agent.group.role == "knowledge"]
-    first = (told or agents)[0]
-    agents = [agent for agent in agents if agent.group is first.group]
-    rows = []
-    panels = []
-    try:
-        for agent in agents:
-            asked, chosen, counts = _counts(agent)
-            shares = counts / counts.sum(axis=1, keepdims=True)
-            name = f"Objects chosen by {agent.name} on {agent.split}: {task.title}"
-            svg = confusion_map(
-                shares, list(map(facet, asked)), list(map(facet, chosen)), name
-            )
-            panels.append(Panel(svg, _split_title(agent)))
-            for i, j in np.argwhere(counts):
-                row = {
-                    "split": agent.split,
-                    "asked": asked[i],
-                    "chosen": chosen[j],
-                    "episodes": int(counts[i, j]),
-                    "share": shares[i, j],
-                }
-                rows.append(row)
-    except UserError as error:
-        return Verdict(str(error), tone="bad")
-    return Figure(table_of(task, "confusion", rows, agent=first.name), panels)
-
-
-def _counts(agent: TestedGroup) -> tuple[list[str], list[str], Integers]:
-    """Count the episodes of every wanted and chosen object: names, names, (R, C)."""
-    targets: list[str] = []
-    chosen: list[str] = []
-    for evaluation in agent.evaluations:
-        episodes = evaluation.episodes("chosen")
-        targets += map(str, episodes["target"])
-        chosen += map(str, episodes["chosen"])
-    (rows, columns), counts = scipy.stats.contingency.crosstab(targets, chosen)
-    return rows.tolist(), columns.tolist(), counts
