@@ -118,7 +118,45 @@ class NoKnowledge:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vector(KnowledgeConfig):
+class _Embedded(KnowledgeConfig):
+    """Vectors from a graph: of the scene of a task, or of its queries, a slot per condition."""
+
+    def known(
+        self,
+        env: EnvConfig,
+        run_seed: int,
+        *,
+        table: np.ndarray | None = None,
+        graph: KnowledgeGraph | None = None,
+        trained: EnvConfig | None = None,
+        **of_network: Any,
+    ) -> Knowledge:
+        """Embed what is known in a task.
+
+        Args:
+            env: the task.
+            run_seed: seed of the training.
+            table: in place of embedding anything, the knowledge table of the task.
+            graph: in place of the own graph.
+            trained: the task of the training, if another one is tested.
+            of_network: arguments of `Grounded.known`, which do not matter here.
+        """
+        if table is not None:
+            return Knowledge(table)
+        if self.scope == "query":
+            queries = asked(env).queries
+            trained_on = asked(trained or env).queries
+            of_queries = query_embedding(
+                self, queries, run_seed=run_seed, graph=graph, trained_on=trained_on
+            )
+            return Knowledge(of_queries.table(queries), of_queries)
+        facets = facets_of(env)
+        embedding = scene_embedding(self, facets, run_seed=run_seed, graph=graph)
+        return Knowledge(embedding.table(facets), embedding)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vector(_Embedded):
     """A vector from a graph, which enters the policy."""
 
     grounding: ClassVar[None] = None
@@ -133,24 +171,9 @@ class Vector(KnowledgeConfig):
         """What a row of the table describes."""
         return self.kind
 
-    def known(
-        self,
-        env: EnvConfig,
-        run_seed: int,
-        *,
-        network: object = None,
-        reasoning: object = None,
-        **sources: Any,
-    ) -> Knowledge:
-        """Embed what is known in a task; see `embedded` for the arguments.
-
-        Those of `Grounded.known`, ``network`` and ``reasoning``, do not matter.
-        """
-        return embedded(self, env, run_seed, **sources)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Grounded(KnowledgeConfig):
+class Grounded(_Embedded):
     """Grasp frame of the object that a network finds in the image, in tasks with queries."""
 
     kind: Literal["grounded", "answers"] = "grounded"
@@ -180,9 +203,9 @@ class Grounded(KnowledgeConfig):
             run_seed: seed of the training.
             network: the trained network.
             reasoning: which control of the answers of the graph it is, if any.
-            **sources: further arguments of `embedded`.
+            **sources: further arguments, as of `Vector.known`.
         """
-        knowledge = embedded(self, env, run_seed, **sources)
+        knowledge = super().known(env, run_seed, **sources)
         knowledge = replace(knowledge, is_grounded=True)
         if network is None:
             return knowledge
@@ -232,39 +255,6 @@ class Grounded(KnowledgeConfig):
 
 Knows = NoKnowledge | Vector | Grounded
 """What an agent knows, told apart by ``kind``."""
-
-
-def embedded(
-    config: Vector | Grounded,
-    env: EnvConfig,
-    run_seed: int,
-    *,
-    table: np.ndarray | None = None,
-    graph: KnowledgeGraph | None = None,
-    trained: EnvConfig | None = None,
-) -> Knowledge:
-    """Embed the scene of a task, or its queries: a slot per condition, from its subgraph.
-
-    Args:
-        config: what is known, and the settings of the embedding.
-        env: the task.
-        run_seed: seed of the training.
-        table: in place of embedding anything, the knowledge table of the task.
-        graph: in place of the own graph.
-        trained: the task of the training, if another one is tested.
-    """
-    if table is not None:
-        return Knowledge(table)
-    if config.scope == "query":
-        queries = asked(env).queries
-        trained_on = asked(trained or env).queries
-        of_queries = query_embedding(
-            config, queries, run_seed=run_seed, graph=graph, trained_on=trained_on
-        )
-        return Knowledge(of_queries.table(queries), of_queries)
-    facets = facets_of(env)
-    embedding = scene_embedding(config, facets, run_seed=run_seed, graph=graph)
-    return Knowledge(embedding.table(facets), embedding)
 
 
 def _seen_part(query: Query) -> Query:

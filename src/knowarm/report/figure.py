@@ -15,7 +15,7 @@ from knowarm.errors import UserError, packages_of
 from knowarm.escapes import latex, markdown
 from knowarm.reading import replacing
 from knowarm.report.blocks import Column, DataTable, Films, Verdict
-from knowarm.report.charts import SUCCESS_AXIS
+from knowarm.report.charts import SUCCESS_AXIS, TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, NARROW_SPACE, percent, steps
 from knowarm.report.model import StudyData
@@ -88,7 +88,7 @@ def write_figure(
                 "No run has a post-training evaluation, which the table shows: run "
                 "`knowarm evaluate RUN` first."
             )
-        text = TABLES[suffix](results_figure(study).table, verdict.sentence)
+        text = _table(results_figure(study).table, verdict.sentence, suffix)
         with replacing(out) as temporary:
             temporary.write_text(text, encoding="utf-8")
         return verdict.sentence
@@ -236,71 +236,36 @@ DRAWINGS: Mapping[Kind, tuple[Callable[[Any, StudyData], None], str]] = {
 """How each kind is drawn, and how to read it."""
 
 
-def _latex(table: DataTable, caption: str) -> str:
-    """Return a table of LaTeX, which needs no package."""
-    heads, rows = _cells(table, latex)
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{latex(f'{caption} {table.title}.')}}}",
-        rf"\begin{{tabular}}{{{'l' * len(heads)}}}",
-        r"\hline",
-        rf"{' & '.join(heads)} \\ \hline",
-        *[rf"{' & '.join(row)} \\" for row in rows],
-        r"\hline",
-        r"\end{tabular}",
-        r"\end{table}",
-    ]
-    return "\n".join([*lines, ""])
+TABLES: Mapping[str, Callable[[str], str]] = {".tex": latex, ".md": markdown}
+"""How the text of each format of a table is escaped."""
 
 
-def _markdown(table: DataTable, caption: str) -> str:
-    """Return a table of Markdown below its caption."""
-    heads, rows = _cells(table, markdown)
-    lines = [
-        markdown(f"{caption} {table.title}."),
-        "",
-        f"| {' | '.join(heads)} |",
-        "|" + "---|" * len(heads),
-        *[f"| {' | '.join(row)} |" for row in rows],
-    ]
-    return "\n".join([*lines, ""])
-
-
-TABLES: Mapping[str, Callable[[DataTable, str], str]] = {
-    ".tex": _latex,
-    ".md": _markdown,
-}
-
-
-def _cells(
-    table: DataTable, escape: Callable[[str], str]
-) -> tuple[list[str], list[list[str]]]:
-    """Return the headings and the rows of a table as text, without columns that are empty."""
-    columns = [column for column in table.columns if _is_known(table, column.key)]
-    heads = [escape(column.label) for column in columns]
+def _table(table: DataTable, caption: str, suffix: str) -> str:
+    """Return a table below its caption, without columns that are empty."""
+    escape = TABLES[suffix]
+    columns = []
+    for column in table.columns:
+        if any(row.get(column.key) is not None for row in table.rows):
+            columns.append(column)
     rows = []
     for row in table.rows:
-        texts = [_text(column, row.get(column.key)) for column in columns]
-        rows.append(list(map(escape, texts)))
-    return heads, rows
-
-
-def _is_known(table: DataTable, key: str) -> bool:
-    return any(row.get(key) is not None for row in table.rows)
+        rows.append([escape(_text(column, row.get(column.key))) for column in columns])
+    return TEMPLATES.get_template(f"table{suffix}.j2").render(
+        caption=escape(f"{caption} {table.title}."),
+        heads=[escape(column.label) for column in columns],
+        rows=rows,
+    )
 
 
 def _text(column: Column, value: Any) -> str:
     """Return a value with its interval, or with its few training seeds."""
-
-    def form(number: Any) -> str:
-        return FORMATS[column.format](number).replace(NARROW_SPACE, " ")
-
+    form = FORMATS[column.format]
     if not isinstance(value, Interval):
-        return form(value)
-    text = form(value.estimate)
-    if value.runs:
-        return f"{text} ({', '.join(map(form, value.runs))})"
-    if value.low < value.high:
-        return f"{text} [{form(value.low)}, {form(value.high)}]"
-    return text
+        text = form(value)
+    else:
+        text = form(value.estimate)
+        if value.runs:
+            text += f" ({', '.join(map(form, value.runs))})"
+        elif value.low < value.high:
+            text += f" [{form(value.low)}, {form(value.high)}]"
+    return text.replace(NARROW_SPACE, " ")

@@ -56,9 +56,8 @@ class WorkerState(NamedTuple):
 
 
 class EvaluationRequest(NamedTuple):
-    """The parameters when interim evaluation ``number`` was due."""
+    """The parameters when an interim evaluation was due."""
 
-    number: int
     step: int
     values: np.ndarray
 

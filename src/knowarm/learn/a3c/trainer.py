@@ -86,9 +86,9 @@ class A3CTrainer(Trainer):
         self._threshold_factor: float | None = None  # of the worker that reported last
         self._sums: Counter[str] = Counter()
         self._requested_evaluations: set[int] = set()
-        self._request: StateRequest | None = None
+        self._request = StateRequest(is_last=False)
         self._states: dict[int, WorkerState] = {}
-        self._checkpoints_requested = 0
+        self._checkpoints = 0  # intervals of steps after each of which one was due
 
     @property
     def restarts(self) -> int:
@@ -99,13 +99,12 @@ class A3CTrainer(Trainer):
         self._total_steps = total_steps
         self._begin = time.perf_counter()
         self._row_begin = self._begin
-        self._request = None
         self._workers = []
         self._shared["paused"].fill_(False)
         reason: StopReason = "finished"
         if self.step == 0 and self.lacks_evaluation:
             values = self._shared.copy("values")
-            self._evaluate_once(EvaluationRequest(number=0, step=0, values=values))
+            self._evaluate_once(EvaluationRequest(step=0, values=values))
         try:
             for index in range(self.config.workers):
                 start = partial(self._start_worker, index)
@@ -116,7 +115,12 @@ class A3CTrainer(Trainer):
                 if self._should_stop():
                     reason = "stopped"
                     break
-            self._collect_last_states()
+                checkpoints = self.step // self.checkpoint_every
+                if checkpoints > self._checkpoints:
+                    self._checkpoints = checkpoints
+                    if self._collect_states(is_last=False, patience_s=0.0):
+                        self._save(self._checkpoint())
+            self._collect_states(is_last=True, patience_s=STATE_S)
         finally:
             stop_all([worker.child for worker in self._workers], 0.0)
         self._replace_missing_states()
@@ -149,7 +153,7 @@ class A3CTrainer(Trainer):
         self._sums = Counter(checkpoint.facts["sums"])
         steps = checkpoint.optimizer["steps"].tolist()
         self._worker_steps = Counter(dict(enumerate(steps)))
-        self._checkpoints_requested = self.step // self.checkpoint_every
+        self._checkpoints = self.step // self.checkpoint_every
 
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
         self._restarts[index] = restarts
@@ -176,7 +180,8 @@ class A3CTrainer(Trainer):
         """Handle the messages of the workers, waiting briefly for the first one."""
         senders: dict[Any, int] = {}
         for index, worker in enumerate(self._workers):
-            if not self._has_exited(index):
+            has_exited = self._request.is_last and index in self._states
+            if not has_exited:
                 senders[worker.child.connection] = index
         for connection in wait(senders, READ_S):
             self._read_worker(senders[connection])
@@ -184,29 +189,22 @@ class A3CTrainer(Trainer):
         self._shared["paused"].fill_(len(self._evaluations.pending()) > MAX_PENDING)
 
     def _read_worker(self, index: int) -> None:
+        """Handle what a worker has sent, up to the state that was requested."""
         worker = self._workers[index]
-        while not self._has_exited(index):
+        while True:
             message = worker.receive(0.0)
             if message is None:
                 return
             if isinstance(message, UpdateReport):
                 self._add_report(index, message)
-            elif isinstance(message, WorkerState):
-                self._add_state(index, message)
-            # Otherwise it was restarted.
-            elif self._request is not None and index not in self._states:
+            elif not isinstance(message, WorkerState):  # it was restarted
                 worker.child.send(self._request)
-
-    def _has_exited(self, index: int) -> bool:
-        """Tell whether a worker has sent its last state."""
-        return (
-            self._request is not None
-            and self._request.is_last
-            and index in self._states
-        )
+            elif message.is_last == self._request.is_last:
+                self._states[index] = message
+                return
 
     def _add_report(self, index: int, report: UpdateReport) -> None:
-        """Count an update; log a row of metrics and request states when due."""
+        """Count an update; log a row of metrics when due."""
         before = self.step
         steps = int(report.sums["steps"])
         self.step += steps
@@ -218,10 +216,6 @@ class A3CTrainer(Trainer):
             self._log_row()
         if report.evaluation is not None:
             self._evaluate_once(report.evaluation)
-        checkpoints = self.step // self.checkpoint_every
-        if checkpoints > self._checkpoints_requested and self._request is None:
-            self._checkpoints_requested = checkpoints
-            self._request_states(is_last=False)
 
     def _log_row(self) -> None:
         """Log the means since the last row."""
@@ -241,34 +235,25 @@ class A3CTrainer(Trainer):
         self._row_begin = now
         self._sums = Counter()
 
-    def _request_states(self, *, is_last: bool) -> None:
-        """Request the states of all workers; the first one's includes the shared vectors.
+    def _collect_states(self, *, is_last: bool, patience_s: float) -> bool:
+        """Request the states of all workers; return whether all have sent them.
 
-        With one worker both belong to the same moment; with several the others continue meanwhile.
+        Once training is asked to stop, they have some time for it. The first one's state includes
+        the shared vectors. With one worker both belong to the same moment; with several the others
+        continue meanwhile.
         """
         self._states = {}
         self._request = StateRequest(is_last)
         for worker in self._workers:
             worker.child.send(self._request)
-
-    def _add_state(self, index: int, state: WorkerState) -> None:
-        """Take the state of a worker; save a checkpoint with the last one."""
-        assert self._request is not None
-        if state.is_last != self._request.is_last:
-            return  # the answer to a request that the last one replaced
-        self._states[index] = state
-        if len(self._states) == self.config.workers and not state.is_last:
-            self._request = None
-            self._save(self._checkpoint())
-
-    def _collect_last_states(self) -> None:
-        """Let every worker send its state and exit; once training was stopped, for `STATE_S`."""
-        self._request_states(is_last=True)
         deadline = math.inf
-        while len(self._states) < self.config.workers and time.monotonic() <= deadline:
+        while len(self._states) < self.config.workers:
             self._read()
             if self._should_stop():
-                deadline = min(deadline, time.monotonic() + STATE_S)
+                deadline = min(deadline, time.monotonic() + patience_s)
+            if time.monotonic() >= deadline:
+                return False
+        return True
 
     def _replace_missing_states(self) -> None:
         """Record workers that were killed without an answer: resuming starts new episodes there.
@@ -311,6 +296,7 @@ class A3CTrainer(Trainer):
 
     def _evaluate_once(self, request: EvaluationRequest) -> None:
         """Submit an interim evaluation unless another worker has requested it before."""
-        if request.number not in self._requested_evaluations:
-            self._requested_evaluations.add(request.number)
+        number = request.step // self.evaluate_every
+        if number not in self._requested_evaluations:
+            self._requested_evaluations.add(number)
             self._evaluate(request.step, request.values)

@@ -126,9 +126,7 @@ class A3CWorker:
         if number <= int(self._shared["evaluated"]):
             return None
         self._shared["evaluated"].fill_(number)
-        return EvaluationRequest(
-            number=number, step=step, values=self._shared.copy("values")
-        )
+        return EvaluationRequest(step, self._shared.copy("values"))
 
     def _state(self, request: StateRequest) -> WorkerState:
         index = self.args.index
