@@ -595,14 +595,68 @@ def test_an_evaluation_shows_what_the_question_means(tmp_path):
     assert "needs water" not in queries
 
 
-def test_an_evaluation_says_that_it_asks_of_classes_alone(tmp_path):
-    lines = [f"{name},on,table" for name in ("bowl", "book", "pot", "teapot", "lamp")]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([*lines, "mug_0,on,table", "bowl_1,on,shelf"]))
+def changed_by(tmp_path, text, names=None, suffix=".csv"):
+    """Return the experiment of a shipped policy that another graph asks."""
+    path = tmp_path / f"a{suffix}"
+    path.write_text(text)
     config = RunFolder.open(ROOT / "zoo" / "irb120-choose-answers-fast").experiment()
-    with pytest.warns(DataWarning, match="individuals of mug, bowl. Evaluations ask"):
-        changed = with_graph(config, str(path))
-    assert "mug" not in changed.env.targets
+    return with_graph(config, str(path), names)
+
+
+OTHERS = [f"{name},on,table" for name in ("book", "pot", "teapot", "lamp")]
+SCENES = {
+    "of names": ["mug_0,on,table_1", "mug_0,state,clean", "mug_1,on,shelf", "bowl_1,on,shelf"],
+    "of types": ["obj1,type,Mug", "obj1,on,shelf", "obj2,type,Bowl", "obj2,inside,cupboard"],
+    "with classes": ["mug_0,on,shelf", "mug,usedFor,drinking", "mug,on,table", "bowl,on,floor"],
+    "of one colour": ["mug_0,color,red", "mug_0,on,shelf", "mug_1,on,sink", "mug_1,color,blue"],
+    "of kinds": ["o1,type,CoffeeMug", "CoffeeMug,subClassOf,Mug", "o1,state,dirty", "o2,type,Bowl"],
+    "contradicting": ["mug,usedFor,drinking", "mug_0,notUsedFor,drinking", "bowl,usedFor,drinking"],
+    "on individuals": ["mug_0,on,desk_4", "desk_4,type,Desk", "bowl_0,on,desk_5", "desk_5,type,Desk"],
+    "of cameras": ["Mug|-00.5|+01.1,isLocatedIn,sink", "mug.001,isLocatedIn,shelf"],
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::knowarm.errors.DataWarning")
+@pytest.mark.parametrize("lines", SCENES.values(), ids=SCENES)
+def test_an_evaluation_asks_what_ask_answers_of_individuals(tmp_path, lines):
+    changed = changed_by(tmp_path, "\n".join([*OTHERS, *lines]))
+    assert "mug" in changed.env.targets
+    table = asked(changed.env)
+    graph = read_graph(changed.env.task.asked.graph)
+    of_individuals = set()
+    for query, satisfies in zip(table.queries, table.satisfies, strict=True):
+        found = answer(graph, table.facets, str(query))
+        assert found.satisfies.tolist() == satisfies.tolist(), str(query)
+        of_individuals.update(str(reason) for reason in found.evidence.values())
+    told = " ".join(of_individuals)
+    subjects = {line.split(",")[0] for line in lines if line[0] in "mMo"}
+    assert any(f"'{subject} " in told for subject in subjects)
+
+
+def test_an_evaluation_asks_for_the_place_of_an_individual(tmp_path):
+    lines = ["mug_0,on,shelf", "mug,on,table", "bowl_0,on,table_7", "table_7,type,Table"]
+    lines += ["lamp,nextTo,mug_0"]
+    changed = changed_by(tmp_path, "\n".join([*OTHERS, *lines]))
+    table = asked(changed.env)
+    answers = {}
+    for query, satisfies in zip(table.queries, table.satisfies, strict=True):
+        answers[str(query)] = {table.facets[f][0] for f in satisfies.nonzero()[0]}
+    assert answers["on shelf"] == {"mug"}
+    assert answers["on table"] == {"book", "pot", "teapot", "lamp", "bowl"}  # no mug does
+    assert answers["on table_7"] == {"bowl"}
+    assert "nextTo mug_0" not in answers  # a query never names an object
+
+
+def test_given_names_of_individuals_are_evaluated(tmp_path):
+    lines = [*OTHERS, "CoffeeMug_1,on,shelf", "CoffeeMug_2,on,floor", "bowl_3,on,shelf"]
+    changed = changed_by(tmp_path, "\n".join(lines), {"mug": "CoffeeMug"})
+    assert "mug" in changed.env.targets
+    table = asked(changed.env)
+    names = list(map(str, table.queries))
+    satisfies = table.satisfies[names.index("on floor")]
+    assert {table.facets[f][0] for f in satisfies.nonzero()[0]} == {"mug"}
+    with pytest.raises(UserError, match="Unknown entity 'TeaMug'"):
+        changed_by(tmp_path, "\n".join(lines), {"mug": "TeaMug"})
 
 
 def test_an_evaluation_with_given_names_keeps_confidence(tmp_path, monkeypatch):

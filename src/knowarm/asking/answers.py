@@ -26,7 +26,7 @@ from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import short
-from knowarm.knowledge.graph.individuals import Meant, classes_of, may_have, meant
+from knowarm.knowledge.graph.individuals import Meant, classes_of, may_be, meant
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
 from knowarm.knowledge.queries.sparql import Answer, SparqlQuery, limited
@@ -283,21 +283,13 @@ class _Answering:
 
     @cached_property
     def individuals(self) -> dict[ObjectColour, list[Individual]]:
-        """What each facet may be in the graph; none of its entities if it has none.
-
-        It is no individual of which the graph states another colour.
-        """
+        """What each facet may be in the graph; none of its entities if it has none."""
         individuals = {}
         for name, colour in self.facets:
-            may_be = self.meant.get(name, Meant(None, ()))
-            entities: list[int | None] = [
-                entity
-                for entity in may_be.individuals
-                if may_have(self.graph, entity, colour)
-            ]
+            described = self.meant.get(name, Meant(None, ()))
             individuals[name, colour] = [
                 Individual(entity, name, colour)
-                for entity in entities or [may_be.entity]
+                for entity in may_be(self.graph, described, colour)
             ]
         return individuals
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import partial
 from itertools import chain
 from math import prod
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ from knowarm.asking.judgements import (
     surest,
     undescribed,
 )
-from knowarm.asking.lexicon import FAMILIES, WORDS
+from knowarm.asking.lexicon import WORDS
 from knowarm.asking.places import (
     DISTANCES,
     ENDS,
@@ -53,8 +53,8 @@ from knowarm.asking.relations import is_colour, kind_relations
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.individuals import classes_of, values_of
-from knowarm.knowledge.graph.terms import label_of, local_name, name_key
+from knowarm.knowledge.graph.individuals import Tellers, values_of
+from knowarm.knowledge.graph.terms import local_name, name_key
 from knowarm.questions import COLOUR_RELATION
 
 SIGNS: dict[str, Callable[[Any, Any], bool]] = {
@@ -101,12 +101,6 @@ class _Relation(NamedTuple):
     ids: list[int]
     opposed: list[int]
 
-    @property
-    def is_place(self) -> bool:
-        """Whether it says where something is."""
-        pattern = FAMILIES["location"].relations
-        return re.search(pattern, label_of(self.name, {})) is not None
-
 
 class QuestionReader:
     """Reads a question word by word, by recursive descent.
@@ -130,8 +124,7 @@ class QuestionReader:
         self.objects = objects
         self.words = [*_TOKEN.findall(text), "", ""]
         self.taken = 0
-        self.stated = cache(self._stated)
-        self.classes = cache(partial(classes_of, graph))
+        self.tellers = Tellers(graph)
         self.has_relation = False
         self.has_places = False
         deep = self.words.count("(") + self.words.count("not")
@@ -333,7 +326,7 @@ class QuestionReader:
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
                 return undescribed(individual)
-            for entities in self.told_of(individual, relation):
+            for entities in self.tellers.of(individual.entity, relation.ids):
                 facts = partial(self.facts, individual, entities, of)
                 stated = _evidence(facts(relation.ids))
                 denied = _evidence(facts(relation.opposed))
@@ -342,28 +335,6 @@ class QuestionReader:
             return settled(None, None, text)
 
         return judgement
-
-    def told_of(self, individual: Individual, relation: _Relation) -> list[list[int]]:
-        """Return the entities whose facts tell of an individual: itself, and then its classes.
-
-        A class does not tell where an individual is, if that is stated of the individual itself.
-        """
-        entity = individual.entity
-        assert entity is not None
-        classes = self.classes(entity)
-        if not classes or (relation.is_place and self.states(entity, relation.ids)):
-            return [[entity]]
-        return [[entity], classes]
-
-    def states(self, entity: int, relations: Collection[int]) -> bool:
-        """Return whether a triple about an entity has one of some relations."""
-        return any(relation in relations for relation, _ in self.stated(entity))
-
-    def _stated(self, entity: int) -> list[tuple[int, int]]:
-        """Return relation and tail of each triple about an entity; it is asked in many colours."""
-        rows = self.graph.out_rows(entity)
-        relations = self.graph.relations[rows].tolist()
-        return list(zip(relations, self.graph.tails[rows].tolist(), strict=True))
 
     def leading_to(self, relation: _Relation, ids: Collection[int], text: str) -> Part:
         """Return the part that is true where a relation leads to one of some entities."""
@@ -428,7 +399,8 @@ class QuestionReader:
         def judgement(individual: Individual) -> Judgement:
             if individual.entity is None:
                 return undescribed(individual)
-            entities = list(chain.from_iterable(self.told_of(individual, relation)))
+            tellers = self.tellers.of(individual.entity, relation.ids)
+            entities = list(chain.from_iterable(tellers))
             facts = list(self.facts(individual, entities, of, relation.ids))
             evidence = chain.from_iterable(fact.evidence for fact in facts)
             is_it = SIGNS[sign](len(facts), int(number))
@@ -475,11 +447,7 @@ class QuestionReader:
 
         A part is true of its tail; what several entities tell alike counts once.
         """
-        heads: dict[tuple[int, int], int] = {}
-        for entity in entities:
-            for relation, tail in self.stated(entity):
-                if relation in relations:
-                    heads.setdefault((relation, tail), entity)
+        heads = self.tellers.facts(entities, relations)
         for (relation, tail), head in heads.items():
             told = Individual(tail)
             if tail == individual.entity:

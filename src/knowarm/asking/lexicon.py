@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from knowarm.errors import UserError
+from knowarm.knowledge.graph.homonyms import PLACES
 from knowarm.knowledge.graph.terms import name_key
 from knowarm.knowledge.vectors.words import DATA, word_forms
 
@@ -67,6 +68,7 @@ class Family:
     takes_object: bool = False
 
 
+_ENGLISH["relations"]["location"]["relations"] = PLACES
 FAMILIES = {name: Family(**fields) for name, fields in _ENGLISH["relations"].items()}
 WEAK = WORDS.weak.union(*(family.weak for family in FAMILIES.values()))
 """Prepositions, and verbs such as "has"."""

@@ -27,8 +27,7 @@ from knowarm.asking.quotes import condition, quoted
 from knowarm.asking.relations import IS, Relation, is_colour, kind_relations
 from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.homonyms import is_class
-from knowarm.knowledge.graph.individuals import classes_of
+from knowarm.knowledge.graph.individuals import classes_of_value
 from knowarm.knowledge.graph.terms import RDFS, label_of, local_name, name_key
 from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
@@ -96,7 +95,7 @@ class Vocabulary:
             text = condition(COLOUR_RELATION, colour)
             self._add(Entry(words_of(colour), self.colour, text))
         for relation, tail in self._pairs(heads):
-            for value in (tail, *self._classes(tail)):
+            for value in (tail, *classes_of_value(graph, tail)):
                 self._learn(relation, value)  # "on table" of what is on table_4
             for inner, end in self._pairs([tail]):
                 if inner.turning is None and relation.turning is None:
@@ -106,14 +105,6 @@ class Vocabulary:
             text = local_name(graph.names[tail])
             if re.fullmatch(r"\d+(\.\d+)?", text):
                 relation.numbers[head] = float(text)
-
-    def _classes(self, tail: int) -> list[int]:
-        """Return the classes of an individual that a relation leads to; none of a class."""
-        if self.graph.names[tail].startswith('"'):
-            return []
-        if is_class(self.graph, tail):
-            return []
-        return classes_of(self.graph, tail)
 
     def _label(self, name: str) -> str:
         labels = self.graph.labels

@@ -22,7 +22,7 @@ from knowarm.knowledge import (
 )
 from knowarm.knowledge.config import Scope
 from knowarm.knowledge.graph.builder import shuffle_tails
-from knowarm.knowledge.graph.homonyms import find_objects
+from knowarm.knowledge.graph.individuals import meant
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.config import FRAME, GroundingConfig
 from knowarm.questions import ObjectColour, Query, QuestionTable
@@ -309,6 +309,6 @@ def asked(env: EnvConfig) -> QuestionTable:
 
 
 def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
-    """Return which names a graph describes."""
-    entities = find_objects(graph, dict.fromkeys(names))
-    return [entities[name] is not None for name in names]
+    """Return which names a graph describes, by themselves or by individuals."""
+    described_as = meant(graph, names, {})
+    return [name in described_as for name in names]

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.config import override
-from knowarm.errors import DataWarning, UserError, warn
+from knowarm.errors import DataWarning, UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge, asked, described
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph, write_graph
+from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.homonyms import find_object
-from knowarm.knowledge.graph.individuals import meant
+from knowarm.knowledge.graph.individuals import individuals_of, meant
+from knowarm.knowledge.graph.terms import RDF_TYPE
 from knowarm.world.cache import cache_file
 from knowarm.world.config import EnvConfig, facets_of
 
@@ -50,7 +52,6 @@ def with_graph(
     path = _with_names(path, names) if names else path
     task = config.env.task.asking(graph=path, hold_out=())
     graph = read_graph(path)
-    _warn_of_individuals(graph, path, target_names(config.env))
     is_described = described(graph, target_names(config.env))
     targets = tuple(compress(config.env.targets, is_described))
     if len(targets) < config.env.task.asked.visible:
@@ -63,26 +64,15 @@ def with_graph(
     return override(config, {"env": env, "knows": {"graph": path}})
 
 
-def _warn_of_individuals(
-    graph: KnowledgeGraph, path: str, objects: Collection[str]
-) -> None:
-    """Say which objects have individuals in a graph, of which an evaluation asks nothing."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataWarning)  # homonyms are told later
-        described_as = meant(graph, objects, {})
-    names = [name for name in described_as if described_as[name].individuals]
-    if names:
-        warn(
-            f"{path}: holds individuals of {', '.join(names)}. Evaluations ask what is stated of "
-            "classes, not what is stated of individuals; `knowarm ask` asks both."
-        )
-
-
 def _with_names(path: str, names: Mapping[str, str]) -> str:
     """Write a graph in which objects are labelled as the task names them; return its path."""
     graph = read_graph(path).stated()
     labels = dict(graph.labels)
     for name, other in names.items():
+        if graph.find_entity(other) is None:  # it may be the word of individuals alone
+            individuals = graph.names.at(individuals_of(graph, other, None))
+            typed = [(individual, RDF_TYPE, other) for individual in individuals]
+            graph = with_facts(graph, typed).stated()
         entity = graph.entity_id(other)
         namesake = find_object(graph, name)
         if namesake is not None and namesake != entity:

@@ -248,8 +248,8 @@ def query_agreement(
     facts = [query for query in queries if not query.conditions[0].is_seen]
     embedding = query_embedding(config, facts, run_seed=run_seed, graph=asked.graph)
     cosine = _cosine(embedding.matrix)
-    _, first_facets = np.unique(asked.owner, return_index=True)
-    answers = asked.answers(facts)[:, first_facets]
+    is_of = asked.owner == np.arange(len(asked.objects))[:, None]
+    answers = asked.answers(facts) @ is_of.T
     both = (answers[:, None] & answers).sum(2)
     either = (answers[:, None] | answers).sum(2)
     pairs = np.triu_indices(len(facts), 1)

@@ -269,6 +269,8 @@ class KnowledgeGraph:
 
     def linking(self, rows: Ids, relations: Sequence[int]) -> Ids:
         """Return those rows whose triples have one of some relations and are believed, (k,)."""
+        if not relations:
+            return rows[:0]
         return self.believed(rows[np.isin(self.relations[rows], relations)])
 
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":

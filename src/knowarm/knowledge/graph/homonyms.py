@@ -22,7 +22,9 @@ from knowarm.knowledge.graph.terms import (
 )
 
 _KINDS = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text("utf-8"))
-"""Last words of classes; the file says of which."""
+"""Last words of classes, of which the file tells; and relations of places."""
+PLACES: str = _KINDS["places"]
+"""Pattern of the names of relations that say where something is."""
 _TOLD = 2
 """Most names that are explained in one warning."""
 _OPEN = {"NamedIndividual", "Thing", "Resource"}
@@ -61,23 +63,42 @@ def find_objects(graph: KnowledgeGraph, names: Iterable[str]) -> dict[str, int |
     return entities
 
 
-def object_ids(graph: KnowledgeGraph, names: Iterable[str]) -> list[int]:
+def named_objects(graph: KnowledgeGraph, names: Iterable[str]) -> dict[str, int | None]:
     """Return the ids of objects as `find_objects`, which may be actions.
+
+    Raises:
+        AmbiguousNameError: several are described alike.
+    """
+    entities = {}
+    notes = {}
+    for name in names:
+        entities[name], notes[name] = _object(graph, name)
+    _tell(notes)
+    return entities
+
+
+def object_ids(graph: KnowledgeGraph, names: Iterable[str]) -> list[int]:
+    """Return the ids of objects as `named_objects`.
 
     Raises:
         AmbiguousNameError: several are described alike.
         UserError: there is none.
     """
+    names = list(names)
+    named = named_objects(graph, names)
     entities = []
-    notes = {}
     for name in names:
-        entity, notes[name] = _object(graph, name)
-        entities.append(_described(graph, name) if entity is None else entity)
-    _tell(notes)
+        entity = named[name]
+        entities.append(described_id(graph, name) if entity is None else entity)
     return entities
 
 
-def _described(graph: KnowledgeGraph, name: str) -> int:
+def described_id(graph: KnowledgeGraph, name: str) -> int:
+    """Return the id of an object that is found in another way than as `find_objects`.
+
+    Raises:
+        UserError: there is none.
+    """
     try:
         return graph.entity_id(name)
     except UserError as error:

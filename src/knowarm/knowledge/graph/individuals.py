@@ -1,10 +1,14 @@
 """Individuals of classes: what the name of an object stands for in the graph of a scene."""
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import cache, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.homonyms import (
+    PLACES,
     best_described,
     find_objects,
     is_class,
@@ -48,18 +52,27 @@ def meant(
     Warns:
         DataWarning: the graph has several entities of one name.
     """
-    entities: dict[str, int | None] = {}
-    individuals: dict[str, set[int]] = {}
     objects = list(objects)
-    found = find_objects(graph, [name for name in objects if name not in names])
-    for name in objects:
-        if name in names:
-            entities[name] = graph.find_entity(names[name])
-        else:
-            entities[name] = found[name]
+    entities = dict.fromkeys(objects)
+    entities |= find_objects(graph, [name for name in objects if name not in names])
+    for name in names.keys() & entities.keys():
+        entities[name] = graph.find_entity(names[name])
+    return with_individuals(graph, entities, names)
+
+
+def with_individuals(
+    graph: KnowledgeGraph,
+    entities: Mapping[str, int | None],
+    names: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Meant]:
+    """Return what objects stand for, as `meant`, by the entities of their names."""
+    individuals: dict[str, set[int]] = {}
     for name, entity in entities.items():
         word = local_name(names.get(name, name))
         individuals[name] = set(individuals_of(graph, word, entity))
+        if entity is not None:
+            word = local_name(graph.names[entity])
+            individuals[name].update(individuals_of(graph, word, None))
         individuals[name].difference_update(entities.values())
     all_meant = {}
     for name, entity in entities.items():
@@ -108,7 +121,71 @@ def classes_of(graph: KnowledgeGraph, entity: int) -> list[int]:
     return []
 
 
-def may_have(graph: KnowledgeGraph, entity: int, colour: str) -> bool:
+def classes_of_value(graph: KnowledgeGraph, value: int) -> list[int]:
+    """Return the ids of the classes of an individual that a relation leads to; none of a class."""
+    if graph.names[value].startswith('"') or is_class(graph, value):
+        return []
+    return classes_of(graph, value)
+
+
+def may_be(graph: KnowledgeGraph, described: Meant, colour: str) -> list[int | None]:
+    """Return what of all that an object stands for is seen, if it is seen in a colour.
+
+    It is no individual of which the graph states another colour; "" is any. Without an individual
+    it is the entity of its name, None if the graph has none.
+    """
+    individuals: list[int | None] = [
+        one
+        for one in described.individuals
+        if not colour or _may_have(graph, one, colour)
+    ]
+    return individuals or [described.entity]
+
+
+class Tellers:
+    """Whose facts tell of an individual: its own, and those of its classes; looked up once."""
+
+    def __init__(self, graph: KnowledgeGraph) -> None:
+        self.graph = graph
+        self.classes = cache(partial(classes_of, graph))
+        self.stated = cache(self._stated)
+
+    def of(self, entity: int, relations: Collection[int]) -> list[list[int]]:
+        """Return the entities whose facts by relations tell of an individual, the nearest first.
+
+        A class does not tell where an individual is, if that is stated of the individual itself.
+        """
+        classes = self.classes(entity)
+        for relation, _ in self.stated(entity) if classes else ():
+            if relation in relations and _is_place(self.graph.relation_names[relation]):
+                classes = []
+        return [[entity], classes] if classes else [[entity]]
+
+    def facts(
+        self, entities: Iterable[int], relations: Collection[int]
+    ) -> dict[tuple[int, int], int]:
+        """Return what entities state by relations: their ids, by relation and tail, once each."""
+        heads: dict[tuple[int, int], int] = {}
+        for entity in entities:
+            for fact in self.stated(entity):
+                if fact[0] in relations:
+                    heads.setdefault(fact, entity)
+        return heads
+
+    def _stated(self, entity: int) -> list[tuple[int, int]]:
+        """Return relation and tail of each triple about an entity."""
+        rows = self.graph.out_rows(entity)
+        relations = self.graph.relations[rows].tolist()
+        return list(zip(relations, self.graph.tails[rows].tolist(), strict=True))
+
+
+@cache
+def _is_place(relation: str) -> bool:
+    """Return whether a relation says where something is."""
+    return re.search(PLACES, label_of(local_name(relation), {})) is not None
+
+
+def _may_have(graph: KnowledgeGraph, entity: int, colour: str) -> bool:
     """Return whether an individual may be seen in a colour: that, or none, is stated of it.
 
     "dark red" is red; numbers and the names of other things are no colours.

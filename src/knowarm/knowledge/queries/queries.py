@@ -1,7 +1,7 @@
 """Queries that a graph answers: which there are, and which objects with colours answer them."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cache, cached_property
 from itertools import chain, combinations, compress
 from typing import Literal, get_args
@@ -12,7 +12,14 @@ from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.denials import opposed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.homonyms import object_ids
+from knowarm.knowledge.graph.homonyms import described_id, named_objects
+from knowarm.knowledge.graph.individuals import (
+    Tellers,
+    classes_of_value,
+    may_be,
+    values_of,
+    with_individuals,
+)
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import (
@@ -54,7 +61,8 @@ def parse_query(text: str) -> Query:
 class QueryGraph:
     """A graph with the (object, colour) facets of a task: what can be asked, and the answers.
 
-    ``owner`` (F,) is the number of each facet's object among ``objects``.
+    A facet satisfies what one of the individuals that it may be does, or else what the entity of
+    its name does. ``owner`` (F,) is the number of each facet's object among ``objects``.
     """
 
     def __init__(self, graph: KnowledgeGraph, facets: Iterable[ObjectColour]) -> None:
@@ -65,12 +73,26 @@ class QueryGraph:
             raise UserError(
                 "There are no facets to ask about: give at least one object."
             )
-        self._ids = np.array(object_ids(graph, self.objects))
+        entities = named_objects(graph, self.objects)
+        self._meant = with_individuals(graph, entities)
+        for name in entities.keys() - self._meant.keys():
+            described_id(graph, name)  # which raises the error
         self.owner = number_objects(self.facets)
         names, colours = zip(*self.facets, strict=True)
         self._wholes = np.array(list(map(object_of, names)))
         self._colours = np.array(colours)
         self._holders = cache(self._find_holders)
+        self._tellers = Tellers(graph)
+        # What each facet may be, one after the other, and where that of each begins
+        self._seen_as = list[int | None]()
+        self._starts = list[int]()
+        for name, colour in self.facets:
+            self._starts.append(len(self._seen_as))
+            self._seen_as += may_be(graph, self._meant[name], colour)
+        self._told_by = defaultdict[int, set[int]](set)
+        for entity in set(self._seen_as) - {None}:
+            for teller in chain.from_iterable(self._tellers.of(entity, ())):
+                self._told_by[teller].add(entity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -80,16 +102,25 @@ class QueryGraph:
         never names an object.
         """
         graph = self.graph
+        individuals = set[int]()
+        objects = set[int | None]()
+        for described in self._meant.values():
+            individuals.update(described.individuals)
+            objects.add(described.entity)
+        objects |= individuals
         stated = set[Condition]()
-        for entity in self._ids:
-            for row in graph.out_rows(entity):
-                tail = graph.tails[row]
-                if tail in self._ids or graph.names[tail].startswith(('"', "_:")):
-                    continue
-                relation = graph.relation_names.short(graph.relations[row])
-                condition = Condition(relation, graph.names.short(tail))
-                if not condition._replace(relation=local_name(relation)).is_seen:
-                    stated.add(condition)
+        for teller, told in self._told_by.items():
+            for index, tail in self._tellers.stated(teller):
+                values = [tail]
+                if not individuals.isdisjoint(told):  # "on table" of what is on table_4
+                    values += classes_of_value(graph, tail)
+                relation = graph.relation_names.short(index)
+                for value in values:
+                    condition = Condition(relation, graph.names.short(value))
+                    is_unnamed = graph.names[value].startswith(('"', "_:"))
+                    is_seen = condition._replace(relation=local_name(relation)).is_seen
+                    if not (is_unnamed or is_seen or value in objects):
+                        stated.add(condition)
         whole = set(map(object_of, self.objects)).difference(self.objects)
         colours = {Condition(COLOUR_RELATION, colour) for _, colour in self.facets}
         objects = {Condition(OBJECT_RELATION, name) for name in whole}
@@ -150,7 +181,8 @@ class QueryGraph:
         An object of which the graph states colours has these only, any other has all.
         """
         stated: dict[str, set[str]] = defaultdict(set)
-        for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
+        named = [name for name in self.objects if self._meant[name].entity is not None]
+        for name, colour in graph_facets(named, self.graph, COLOUR_RELATION):
             if colour:
                 stated[name].add(colour)
         allowed = [c in stated.get(name, {c}) for name, c in self.facets]
@@ -174,24 +206,41 @@ class QueryGraph:
         relation = graph.find_relation(condition.relation)
         if relation is None:  # an edited graph may lack what another one knows
             return np.zeros(len(self.facets), bool)
-        values = graph.values(condition.value)
-        stated = self._stated([relation], values)
-        denying = opposed(graph, graph.relation_names[relation])
-        # What the graph both states and denies does not count
-        is_denied = self._stated(denying, values) >= SURE
-        return np.where(is_denied, 0, stated)[self.owner]
+        values = values_of(graph, condition.value, graph.has_node)
+        relations = [relation, *opposed(graph, graph.relation_names[relation])]
+        is_told = np.isin(graph.relations, relations)
+        is_told &= np.isin(graph.tails, list(values))
+        shares = dict[int | None, float]()
+        for teller in np.unique(graph.heads[is_told]).tolist():
+            for entity in self._told_by.get(teller, ()):
+                shares[entity] = self._share(entity, relations, values)
+        of_entities = [shares.get(entity, 0.0) for entity in self._seen_as]
+        return np.maximum.reduceat(of_entities, self._starts)
 
-    def _stated(self, relations: Sequence[int], values: Sequence[int]) -> Degrees:
-        """Return the probability that relations lead from each object to a value, (n,)."""
-        graph = self.graph
-        has_relation = np.isin(graph.relations, relations)
-        rows = np.flatnonzero(has_relation & np.isin(graph.tails, values))
-        if not graph.confidence:
-            return np.isin(self._ids, graph.heads[rows]).astype(float)
-        # Probability that no triple about an object holds
-        wrong = np.ones(len(self._ids))
-        for head, share in zip(
-            graph.heads[rows], graph.probabilities(rows), strict=True
-        ):
-            wrong[self._ids == head] *= 1 - share
+    def _share(
+        self, entity: int, relations: Sequence[int], values: Collection[int]
+    ) -> float:
+        """Return the probability that a relation leads from an entity to one of some values.
+
+        It is 0 if a further one, which denies the first, does so, too: what the graph both states
+        and denies does not count.
+        """
+        stating, *denying = relations
+        for tellers in self._tellers.of(entity, [stating]):
+            stated = self._probability(tellers, [stating], values)
+            denied = self._probability(tellers, denying, values)
+            if stated or denied:
+                return stated if denied < SURE else 0.0
+        return 0.0
+
+    def _probability(
+        self, tellers: list[int], relations: Sequence[int], values: Collection[int]
+    ) -> float:
+        """Return the probability that one of what entities state of some values holds."""
+        wrong = 1.0
+        facts = self._tellers.facts(tellers, relations)
+        for (relation, tail), head in facts.items():
+            if tail in values:
+                triple = self.graph.named((head, relation, tail))
+                wrong *= 1 - self.graph.confidence.get(triple, 1)
         return 1 - wrong

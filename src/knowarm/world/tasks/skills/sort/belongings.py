@@ -9,7 +9,7 @@ from knowarm.arrays import Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph
-from knowarm.knowledge.graph.homonyms import find_object
+from knowarm.knowledge.graph.individuals import meant
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import Query
 from knowarm.world.tasks.asked.asked import Asking
@@ -40,7 +40,7 @@ def belongings(graph: KnowledgeGraph, facets: Facets, relation: str) -> Belongin
     Those that it does not describe belong nowhere.
     """
     objects = tuple(dict.fromkeys(name for name, _ in facets))
-    described = [name for name in objects if find_object(graph, name) is not None]
+    described = list(meant(graph, objects, {}))
     places: list[str] = []
     belongs = np.zeros((len(objects), 0), bool)
     if described:
