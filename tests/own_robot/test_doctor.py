@@ -37,6 +37,10 @@ from tests.world.helpers import EXAMPLES, write_robot
             {"robot": "arm.xml", "write": Path("a.txt")},
             "--write must name a .toml file",
         ),
+        (
+            {"robot": "arm.xml", "write": Path("my arm.toml")},
+            "as runs are named after it, got my arm.toml. Take my_arm.toml.",
+        ),
         ({"robot": "missing.xml"}, "no such file"),
         ({"package": ("a=b",)}, "--package needs --robot"),
     ],
@@ -137,6 +141,50 @@ def test_the_printed_commands_parse_and_read_the_thresholds_of_the_description(
         assert env.ignore_roll
     judged = EvaluationConfig().of_robot(read_description(file, Robot))
     assert (judged.distance_m, judged.angle_deg) == (0.04, 60)
+
+
+TOLD = {
+    "targets": ("mug", "bottle"),
+    "set": ("home=[0.0, 1.5]",),
+    "xacro": ("dof:=6",),
+    "package": ("parts=/some where",),
+    "unit": "deg",
+}
+
+
+@pytest.mark.parametrize("is_written", [True, False])
+def test_the_printed_commands_keep_what_doctor_was_told(
+    is_written: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = write_robot(tmp_path, **STATED).read_text()
+    Path("my_arm.toml").write_text(text)
+    robot = SimpleNamespace(joints=("a",))
+    draft = SimpleNamespace(how={}, toml=lambda file: text, robot=robot, fields={})
+    here = "knowarm.own_robot.command."
+    monkeypatch.setattr(here + "draft_robot", lambda *args: draft)
+    monkeypatch.setattr(here + "as_mjcf", lambda *args, **options: (Path("a.xml"), ""))
+    monkeypatch.setattr(here + "repair_draft", lambda draft, *args: draft)
+    monkeypatch.setattr(here + "shrink_distance", lambda draft, targets: draft)
+    monkeypatch.setattr(here + "check_robot", lambda *args, **options: [])
+    (tmp_path / "a folder").mkdir()
+    file = tmp_path / "a folder" / "arm.toml" if is_written else None
+    Doctor(robot="my arm.xacro", write=file, **TOLD).run()
+    printed = capsys.readouterr().out.splitlines()
+    commands = [shlex.split(line)[1:] for line in printed if "  knowarm" in line]
+    parsed = [_parse(words[0], words[1:]) for words in commands]
+    doctor, view, oracle, train, _ = parsed
+    assert view.targets == oracle.env.targets == train.config.env.targets
+    assert view.targets == TOLD["targets"]
+    if is_written:
+        assert doctor == Doctor(robot=str(file), targets=TOLD["targets"])
+    else:  # the other commands need the file
+        expected = Doctor(robot="my arm.xacro", write=Path("my_arm.toml"), **TOLD)
+        assert doctor == expected
+    assert oracle.env.robot == ("my_arm.toml" if file is None else str(file))
 
 
 def test_evaluations_are_judged_as_the_description_states(tmp_path: Path) -> None:

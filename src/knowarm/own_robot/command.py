@@ -1,5 +1,7 @@
 """``knowarm doctor``: checks of this installation or a robot, and drafts of descriptions."""
 
+import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,7 +171,8 @@ class Doctor(TableCommand):
             return
         self._refuse_existing()
         with TemporaryDirectory() as folder:
-            file = new or Path(folder) / f"{Path(robot).with_suffix('').stem}{SUFFIX}"
+            stem = _run_name(Path(robot).with_suffix("").stem)
+            file = new or Path(folder) / f"{stem}{SUFFIX}"
             model, note = as_mjcf(
                 Path(robot),
                 file.with_suffix(""),
@@ -244,8 +247,10 @@ class Doctor(TableCommand):
         self._refuse_existing()
         with replacing(self.write) as temporary:
             temporary.write_text(text, "utf-8")
-        use = shell_command("serve", "RUN", "--joint-map", self.write)
-        print(f"Wrote {self.write}; use it: {use}")
+        use = shlex.join(["--joint-map", str(self.write)])
+        print(
+            f"Wrote {self.write}; knowarm serve, ros, record and export take it: {use}"
+        )
 
     def _refuse_existing(self) -> None:
         """Refuse to write to another file than a new TOML file."""
@@ -253,6 +258,11 @@ class Doctor(TableCommand):
         if new is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(
                 f"--write must name a {SUFFIX} file that does not exist, got {new}."
+            )
+        if new is not None and new.stem != _run_name(new.stem):
+            raise UserError(
+                f"--write must name a file of letters, digits, '-', '_', '+' and '.', as runs are "
+                f"named after it, got {new}. Take {new.with_stem(_run_name(new.stem))}."
             )
 
     def _unit(self) -> Unit:
@@ -282,20 +292,41 @@ class Doctor(TableCommand):
         title = f"Draft of a description of {self.robot}"
         print_table(title, ["topic", "choice"], list(draft.how.items()))
         print(text)
+        targets = self._options("targets")
+        trained = self._options("targets", prefix="env.")
         agent = "full-fast"
         print("Next:")
-        for words in (
-            ("doctor", "--robot", file),
-            ("view", file),
-            ("evaluate", "oracle", "--env.robot", file),
-            ("train", agent, "--env.robot", file),
+        commands = [
+            ("doctor", "--robot", file, *targets),
+            ("view", file, *targets),
+            ("evaluate", "oracle", "--env.robot", file, *trained),
+            ("train", agent, "--env.robot", file, *trained),
             ("evaluate", f"runs/{file.stem}-{agent}/0"),
-        ):
+        ]
+        if self.write is None:  # the others read the file
+            options = self._options("targets", *DRAFT_OPTIONS, "calibration", "unit")
+            commands[0] = ("doctor", "--robot", self.robot, *options, "--write", file)
+        for words in commands:
             print(f"  {shell_command(*words)}")
         print()
+
+    def _options(self, *names: str, prefix: str = "") -> list[Any]:
+        """Return options that are given, as words of a command line."""
+        words: list[Any] = []
+        for name in names:
+            value = getattr(self, name)
+            if value:
+                words.append(f"--{prefix}{name}")
+                words += value if isinstance(value, tuple) else [value]
+        return words
 
     def _refuse(self, needed: str, *options: str) -> None:
         """Refuse options that need another command line."""
         for name in options:
             if getattr(self, name):
                 raise UserError(f"--{name} needs {needed}.")
+
+
+def _run_name(stem: str) -> str:
+    """Return the name of a file as one that a run can have."""
+    return re.sub(r"^[.+-]|[^\w.+-]+", "_", stem, flags=re.ASCII)
