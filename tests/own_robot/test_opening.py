@@ -16,7 +16,7 @@ from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.skills.lift.model import build_lift_scene
+from knowarm.world.tasks.skills.lift.model import SQUEEZE_M, build_lift_scene
 from tests.own_robot.robot_cases import ARM, LEFT, RIGHT, as_urdf
 
 FINGER = """<body name="{0}" pos="0 {1} .06"><joint name="{0}" type="slide" axis="0 {2} 0" {3}/>
@@ -108,7 +108,9 @@ def test_fingers_without_any_range_are_said_to_be_none() -> None:
     text = fingers((0.03, 1, "", 0), (-0.03, -1, "", 0))
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert "fingers" not in gripper.fields
-    assert gripper.how.endswith("no fingers, as left and right have no range")
+    assert gripper.how.endswith(
+        "no fingers, as left and right have no range with two ends"
+    )
 
 
 def test_the_tips_count_where_fingers_bend_towards_each_other() -> None:
@@ -160,23 +162,257 @@ def test_fingers_that_overlap_at_all_ends_are_none(tmp_path: Path) -> None:
 
 
 OLD = 'size=".01 .005 .03" pos="0 0 0"/></body>'
-ONE_SIDED = {
-    "a camera on one finger": '<body name="eye" pos="0 .02 .05"><geom type="box" '
-    'size=".01 .01 .01"/></body>',
-    "a bent tip": '<geom type="box" size=".01 .02 .003" pos="0 .015 .033"/>',
-    "a plate outside": '<geom type="box" size=".01 .002 .02" pos="0 .03 0"/>',
+BOX = '<geom type="box" size="{}" pos="{}"/>'
+EYE = BOX.format(".01 .01 .01", "0 {} .047")  # Reaches 2.7 cm beyond the tip
+CARRIED = {
+    "a camera on one finger": (f'<body name="eye">{EYE}</body>'.format(".02"), ""),
+    "a camera in one finger's body": (EYE.format(".02"), ""),
+    "a camera on each finger": (EYE.format(".02"), EYE.format("-.02")),
+    "a camera that is only drawn": (
+        EYE.format(".02").replace("<geom", '<geom contype="0"'),
+        "",
+    ),
+    "a bent tip": (BOX.format(".01 .02 .003", "0 .015 .033"), ""),
+    "a plate outside": (BOX.format(".01 .002 .02", "0 .03 0"), ""),
+    "screws outside": (
+        '<geom size=".004" pos="0 .009 .028"/>',
+        '<geom size=".004" pos="0 -.009 .0"/>',
+    ),
+    "a lamp beside one finger": (BOX.format(".01 .005 .02", ".03 .012 .03"), ""),
+    "a cable of 10 cm": (BOX.format(".002 .002 .05", "0 .012 .05"), ""),
+    "covers outside": (
+        BOX.format(".012 .002 .035", "0 .0075 .003"),
+        BOX.format(".012 .002 .035", "0 -.0075 .003"),
+    ),
+    "a sensor behind one finger": (BOX.format(".02 .01 .01", "0 .02 -.03"), ""),
 }
+"""What a finger and the other carry, of which nothing meets where they close."""
 
 
-@pytest.mark.parametrize("name", ONE_SIDED)
-def test_what_one_finger_carries_moves_no_tool_centre_point(name: str) -> None:
+@pytest.mark.parametrize("name", CARRIED)
+def test_what_fingers_carry_moves_no_tool_centre_point(name: str) -> None:
     text, _ = CASES["open at the upper end"]
+    plain = find_gripper(mujoco.MjModel.from_xml_string(text)).fields
     assert text.count(OLD) == 2
-    more = OLD.replace("</body>", ONE_SIDED[name] + "</body>")
-    gripper = find_gripper(mujoco.MjModel.from_xml_string(text.replace(OLD, more, 1)))
+    first, second, third = text.split(OLD)
+    left, right = (OLD.replace("</body>", more + "</body>") for more in CARRIED[name])
+    text = first + left + second + right + third
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert gripper.fields["fingers"] == ["left", "right"]
     assert gripper.how.endswith("open by 7.0 cm")
-    assert gripper.fields["tcp_position_m"][:2] == pytest.approx((0, 0), abs=1e-6)
+    for field in ("tcp_position_m", "tcp_quaternion"):
+        assert gripper.fields[field] == pytest.approx(plain[field], abs=0.002)
+
+
+def test_rubber_on_the_tips_makes_the_opening_smaller() -> None:
+    text, _ = CASES["open at the upper end"]
+    plain = find_gripper(mujoco.MjModel.from_xml_string(text)).fields
+    first, second, third = text.split(OLD)
+    left = OLD.replace(
+        "</body>", BOX.format(".01 .001 .015", "0 -.006 .015") + "</body>"
+    )
+    right = OLD.replace(
+        "</body>", BOX.format(".01 .001 .015", "0 .006 .015") + "</body>"
+    )
+    text = first + left + second + right + third
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.how.endswith("open by 6.6 cm")
+    expected = pytest.approx(plain["tcp_position_m"], abs=0.002)
+    assert gripper.fields["tcp_position_m"] == expected
+
+
+LINK_M = 0.04  # Of the links that carry a hinged finger
+HINGED = """<body name="{0}_link" pos="0 {1} .04"><joint name="{0}" axis="{2} 0 0" {3}/>
+  <geom type="box" size=".005 .003 .02" pos="0 0 .02"/>
+  <body name="{0}_tip" pos="0 0 .04"><joint name="{0}_tip" axis="{2} 0 0" {4}/>
+    <geom type="box" size=".01 .005 .03" pos="0 0 .03"/></body></body>"""
+BAR = """<body name="{0}_bar" pos="0 {1} .06"><joint name="{0}_bar" axis="1 0 0" range="-1.5 1.5"/>
+  <geom type="box" size=".005 .003 .02" pos="0 0 .02"/></body>"""
+SPRING = 'range="-1 0" stiffness="1"'
+FOLLOW = '<joint joint1="{}" joint2="{}" polycoef="0 {} 0 0 0"/>'
+LOOP = '<connect body1="{0}_tip" body2="{0}_bar" anchor="0 {1} .02"/>'
+TIPS = FOLLOW.format("left_tip", "left", -1) + FOLLOW.format("right_tip", "right", -1)
+MOTOR = '<actuator><position joint="left"/></actuator>'
+WIDE = 'range="-1.5 1.5"'
+
+
+def hinged(
+    left: tuple[str, str],
+    right: tuple[str, str],
+    equalities: str = "",
+    *,
+    bars: bool = False,
+    more: str = "",
+    out: int = -1,
+) -> str:
+    """Return the plain arm with two fingers on hinged links, 5 cm apart where all are 0.
+
+    Both fingers have the ranges of their link and tip. The left one opens at negative angles, and
+    the right one where ``out`` is the axis.
+    """
+    first = HINGED.format("left", 0.03, 1, *left)
+    second = HINGED.format("right", -0.03, out, *right)
+    if bars:
+        first += BAR.format("left", 0.035)
+        second += BAR.format("right", -0.035)
+    text = ARM.replace(LEFT, first).replace(RIGHT, second)
+    text = text.replace(' range="-2.9 2.9"/></default>', "/></default>")
+    return text.replace(
+        "</mujoco>", f"<equality>{equalities}</equality>{more}</mujoco>"
+    )
+
+
+CLOSES = 'range="-.3 .6"'
+ALONG = FOLLOW.format("right", "left", 1)
+HINGES = {
+    "mimics of one joint": (
+        hinged((CLOSES, WIDE), (WIDE, WIDE), ALONG + TIPS),
+        (-0.3, -0.3),
+    ),
+    "the other one turns the other way": (
+        hinged(
+            (CLOSES, WIDE),
+            (WIDE, WIDE),
+            FOLLOW.format("right", "left", -1) + TIPS,
+            out=1,
+        ),
+        (-0.3, 0.3),
+    ),
+    "followers without ranges": (
+        hinged((CLOSES, ""), ("", ""), ALONG + TIPS),
+        (-0.3, -0.3),
+    ),
+    "the leader is the right one": (
+        hinged(("", ""), (CLOSES, ""), FOLLOW.format("left", "right", 1) + TIPS),
+        (-0.3, -0.3),
+    ),
+    "two free links": (
+        hinged((CLOSES, WIDE), ('range="-.2 .6"', WIDE), TIPS),
+        (-0.3, -0.2),
+    ),
+    "drawn closed, open at the upper end": (
+        hinged(('range="-.6 .3"', WIDE), (WIDE, WIDE), ALONG + TIPS)
+        .replace('axis="1 0 0" range="-.6', 'axis="-1 0 0" range="-.6')
+        .replace(
+            FOLLOW.format("left_tip", "left", -1), FOLLOW.format("left_tip", "left", 1)
+        )
+        .replace(ALONG, FOLLOW.format("right", "left", -1)),
+        (0.3, -0.3),
+    ),
+    "closed loops": (
+        hinged(
+            (CLOSES, WIDE),
+            (WIDE, WIDE),
+            ALONG + LOOP.format("left", ".005") + LOOP.format("right", "-.005"),
+            bars=True,
+        ),
+        (-0.3, -0.3),
+    ),
+    "closed loops that no equality couples": (
+        hinged(
+            (CLOSES, WIDE),
+            (CLOSES, WIDE),
+            LOOP.format("left", ".005") + LOOP.format("right", "-.005"),
+            bars=True,
+        ),
+        (-0.3, -0.3),
+    ),
+    "springs hold the tips": (
+        hinged((CLOSES, SPRING), (WIDE, SPRING), ALONG, more=MOTOR),
+        (-0.3, -0.3),
+    ),
+    "a follower whose range ends before": (
+        hinged((CLOSES, WIDE), ('range="-.15 .6"', WIDE), ALONG + TIPS),
+        (-0.15, -0.15),
+    ),
+}
+"""MJCF of hinged grippers, and the angles at which their links are open [rad]."""
+
+
+@pytest.mark.parametrize("name", HINGES)
+def test_hinged_fingers_are_found_and_drafted_open(name: str, tmp_path: Path) -> None:
+    text, (left, right) = HINGES[name]
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.fields["fingers"] == ["left_tip", "right_tip"]
+    held = gripper.fields["held_joints"]
+    assert [held["left"], held["right"]] == pytest.approx([left, right], abs=0.02)
+    gap = float(gripper.how.rsplit("open by ", 1)[1].removesuffix(" cm")) / 100
+    if not name.startswith("springs"):  # else the tips turn with their links
+        ways = [LINK_M * np.sin(abs(held[side])) for side in ("left", "right")]
+        assert gap == pytest.approx(0.05 + sum(ways), abs=0.001)
+        # 3 cm after the ends of the links, and a tenth of the hand's length before
+        ends = 0.04 + LINK_M * np.cos(max(held["left"], held["right"], key=abs)) + 0.06
+        assert 0.8 * ends < gripper.fields["tcp_position_m"][2] < ends
+    robot = describe(tmp_path, text, held)
+    assert check_fingers(robot).ok
+    closed = check_fingers(
+        replace(robot, held_joints={"left": 0.6 if left < 0 else -0.6})
+    )
+    assert not closed.ok
+    limits = build_lift_scene(robot, find_targets(["mug"]), 0).joint_upper
+    near_m = 0.01 if name.startswith("springs") else 0.003
+    assert limits[-1] == pytest.approx(gap / 2 + SQUEEZE_M, abs=near_m)
+
+
+THIRD = HINGED.format("third", 0.03, 1, CLOSES, WIDE).replace(
+    "0 0.03 .04", ".02 .03 .04"
+)
+NO_FINGERS = {
+    "no mimic, as where loops are lost": (
+        hinged((CLOSES, WIDE), (CLOSES, WIDE)),
+        "4 joints move them that the file couples by no mimic or equality",
+    ),
+    "three fingers": (
+        hinged(
+            (CLOSES, WIDE),
+            (WIDE, WIDE),
+            ALONG
+            + TIPS
+            + FOLLOW.format("third", "left", 1)
+            + FOLLOW.format("third_tip", "left", -1),
+        ).replace(
+            "</body></body></body></body></body></body></body></worldbody>",
+            THIRD + "</body>" * 7 + "</worldbody>",
+        ),
+        "3 of them close, and lifting moves two",
+    ),
+    "one jaw": (
+        ARM.replace(RIGHT, ""),
+        "left moves alone across the hand, and lifting moves two",
+    ),
+    "joints without ranges": (
+        hinged(("", ""), ("", ""), ALONG + TIPS),
+        "as left and left_tip and right and right_tip have no range with two ends",
+    ),
+    "suction": (
+        ARM.replace(
+            LEFT, '<body name="vacuum_gripper"><geom size=".02" pos="0 0 .05"/></body>'
+        ).replace(RIGHT, ""),
+        "no fingers: it holds by suction",
+    ),
+    "a gripper of one piece": (
+        ARM.replace(
+            LEFT, '<body name="gripper"><geom size=".02" pos="0 0 .05"/></body>'
+        ).replace(RIGHT, ""),
+        "no fingers: its gripper has no joints in the file",
+    ),
+    "no names": (
+        hinged((CLOSES, WIDE), (WIDE, WIDE), ALONG + TIPS).replace(
+            ' name="left_tip" pos', " pos"
+        ),
+        "no fingers, as their bodies have no names",
+    ),
+}
+"""MJCF of grippers that cannot lift, and why."""
+
+
+@pytest.mark.parametrize("name", NO_FINGERS)
+def test_a_gripper_that_cannot_lift_is_named_in_one_line(name: str) -> None:
+    text, reason = NO_FINGERS[name]
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert "fingers" not in gripper.fields
+    assert reason in gripper.how
+    assert "\n" not in gripper.how
 
 
 def test_fingers_that_open_by_metres_are_none() -> None:

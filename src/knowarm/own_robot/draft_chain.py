@@ -52,7 +52,7 @@ JAW_SHARE = 0.5
 """A fixed part that reaches at least so far along a moving one is its other jaw."""
 
 JAW_TRAVEL_M = 0.1  # The last part of an arm slides farther than a jaw
-_MOVABLE = (int(mjtJoint.mjJNT_HINGE), int(mjtJoint.mjJNT_SLIDE))
+MOVABLE = (int(mjtJoint.mjJNT_HINGE), int(mjtJoint.mjJNT_SLIDE))
 
 Ids = list[int]
 """Ids of joints, bodies or sites of a model."""
@@ -157,7 +157,7 @@ def _is_gripper(model: MjModel, body: int) -> bool:
 def _arm_joints(model: MjModel, body: int) -> Ids:
     """Return those of a body's joints that can be an arm's."""
     joints = joints_of(model, [body])
-    return [j for j in joints if model.jnt_type[j] in _MOVABLE and model.joint(j).name]
+    return [j for j in joints if model.jnt_type[j] in MOVABLE and model.joint(j).name]
 
 
 def _without_base(data: MjData, joints: Ids) -> Ids:

@@ -1,7 +1,8 @@
 """Arm and gripper of a bare MJCF file: the joints that the agent moves, and the TCP."""
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import (
     JAW_SHARE,
+    MOVABLE,
     Ids,
     box_corners,
     extent,
@@ -26,7 +28,15 @@ from knowarm.own_robot.draft_chain import (
     subtree,
     tool_sites,
 )
-from knowarm.own_robot.opening import LEAST_M, MOST_M, SAME_M, widest_opening
+from knowarm.own_robot.opening import (
+    LEAST_M,
+    MOST_DRIVERS,
+    MOST_M,
+    SAME_M,
+    Motion,
+    solid_geoms,
+    widest_opening,
+)
 from knowarm.own_robot.poses import Fields
 
 AGREEING_COSINE = 0.7
@@ -38,6 +48,14 @@ TOOL_M = 0.05
 
 ASIDE_M = 0.03  # Farthest from the middle between fingers that a tool frame lies aside
 AHEAD_M = 0.06  # Farthest beyond their ends
+BEFORE = 0.1  # Share of a hand's length that the TCP lies before the fingers' ends
+FINGERTIP_M = 0.01  # Parts that end nearer to a finger's end are fingers too
+STILL = {
+    "suction|vacuum": "it holds by suction",
+    "grip|finger|jaw|claw": "its gripper has no joints in the file",
+}
+"""Why a hand without joints has no fingers, by words in the names of its bodies."""
+
 BEHIND_M = 0.01  # Farthest behind their beginning
 
 _HORIZONTAL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -92,11 +110,10 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     inside = subtree(model, hand)
     outer = [b for b in inside[1:] if model.body_jntnum[b]]  # the first is the hand
     approach, point = _approach(data, last, hand, outer)
-    across = _across(data, outer, approach)
+    fingers, text, across, tip = _fingers(data, inside, outer, approach)
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
-    fingers, text, middle_m = _fingers(data, outer, frame)
-    if middle_m is not None:
-        point = point + across * (middle_m - across @ point)
+    if tip is not None:
+        point = tip - BEFORE * ((tip - data.xanchor[last]) @ approach) * approach
     bodies = inside
     if outer:
         bodies = fixed_to(model, [hand])
@@ -162,54 +179,118 @@ def _is_between(
 
 
 def _fingers(
-    data: MjData, outer: Ids, frame: Floats
-) -> tuple[Fields, str, float | None]:
-    """Return ``fingers`` and their open values in ``held_joints``, if two slide across the hand.
+    data: MjData, inside: Ids, outer: Ids, approach: Floats
+) -> tuple[Fields, str, Floats, Floats | None]:
+    """Return ``fingers`` and their open values in ``held_joints``, if two move across a hand.
 
-    The columns of ``frame`` (3, 3) are any direction, that across the hand and the approach.
-    Also return what was found, in words, and the middle between the fingers across the hand [m].
+    ``inside`` are the hand and all bodies on it, of which ``outer`` have joints. Also return what
+    was found, in words, the direction across the hand, and the middle between the fingers' ends
+    [m], each of world (3,).
     """
-    if not outer:
-        return {}, "", None
     model = data.model
-    slides = []
-    for j in joints_of(model, outer):
-        is_across = abs(data.xaxis[j] @ frame[:, 1]) > AGREEING_COSINE
-        if is_slide(model, j) and is_across and model.joint(j).name:
-            slides.append(j)
-    bodies = model.jnt_bodyid[slides].tolist()
-    tips = [_tip(data, finger, frame[:, 2]) for finger in bodies]
-    if not set(tips) & set(bodies):  # else what one finger carries is something else
-        bodies = tips
-    names = [model.body(body).name for body in bodies]
-    geoms = [geoms_of(model, [body]).tolist() for body in bodies]
-    if len(slides) != 2 or bodies[0] == bodies[1] or not all([*names, *geoms]):
-        return {}, "; no fingers: two named ones have to slide across the hand", None
-    opening = widest_opening(data, slides, geoms, frame)
+    across = _across(data, outer, approach)
+    if not outer:
+        return {}, _still(model, inside), across, None
+    joints = [j for j in joints_of(model, outer) if model.jnt_type[j] in MOVABLE]
+    motion = Motion(data, joints)
+    groups = []
+    for body in sorted({*model.body_weldid[outer].tolist()}):
+        geoms = solid_geoms(data, fixed_to(model, [body]))
+        if geoms:
+            groups.append(geoms)
+    shifts = motion.shifts(groups)
+    moved = norm(shifts, axis=2) > SAME_M
+    if not moved.any():
+        names = " and ".join(joint_names(model, joints))
+        return {}, f"; no fingers, as {names} have no range with two ends", across, None
+    reach = np.array([extent(data, np.array(geoms), approach) for geoms in groups])
+    farthest = int(np.where(moved.any(axis=0), reach, -np.inf).argmax())
+    way = shifts[norm(shifts[:, farthest], axis=1).argmax(), farthest]
+    flat = way - (way @ approach) * approach
+    if norm(flat) > 0.3 * norm(way):
+        across = flat / norm(flat) * (1 if flat @ across >= 0 else -1)
+    pair, reason = _pair(model, motion, groups, shifts @ across, reach)
+    if reason:
+        return {}, f"; no fingers: {reason}", across, None
+    drivers = [motion.drivers[k] for k in np.flatnonzero(moved[:, pair].any(axis=1))]
+    frame = np.stack([np.cross(across, approach), across, approach], axis=1)
+    fingers = [groups[k] for k in pair]
+    opening = widest_opening(motion, drivers, fingers, frame)
     if opening is None:
-        joints = " and ".join(joint_names(model, slides))
-        return {}, f"; no fingers, as {joints} have no range", None
+        reason = f"; no fingers: {_listed(model, drivers)} reach no end, as loops do not close"
+        return {}, reason, across, None
+    names = [_main_body(model, geoms, opening.counts) for geoms in fingers]
     both = " and ".join(names)
-    gap_m, middle_m, values = opening
-    if gap_m < LEAST_M:
-        return {}, f"; no fingers, as {both} overlap at all their ends", None
-    text = f"{both}, open by {100 * gap_m:.1f} cm"
-    if gap_m > MOST_M:
-        return {}, f"; no fingers: {text}, as no gripper does", None
-    return {"fingers": names, "held_joints": values}, f"; fingers: {text}", middle_m
+    if not all(names):
+        return {}, "; no fingers, as their bodies have no names", across, None
+    if opening.gap_m < LEAST_M:
+        return {}, f"; no fingers, as {both} overlap at all their ends", across, None
+    text = f"{both}, open by {100 * opening.gap_m:.1f} cm"
+    if opening.gap_m > MOST_M:
+        return {}, f"; no fingers: {text}, as no gripper does", across, None
+    fields: Fields = {"fingers": names, "held_joints": opening.joints}
+    return fields, f"; fingers: {text}", across, opening.tip
 
 
-def _tip(data: MjData, finger: int, approach: Floats) -> int:
-    """Return the named body fixed to a finger that reaches farthest out of the hand, or itself."""
+def _still(model: MjModel, bodies: Ids) -> str:
+    """Return why a hand on which nothing moves has no fingers; '' for a bare flange."""
+    names = " ".join(model.body(body).name for body in bodies)
+    for words, reason in STILL.items():
+        if re.search(words, names, re.IGNORECASE):
+            return f"; no fingers: {reason}"
+    return ""
 
-    def reach(body: int) -> float:
-        return extent(data, geoms_of(data.model, [body]), approach)
 
-    named = [b for b in fixed_to(data.model, [finger]) if data.model.body(b).name]
-    tip = max(named, key=reach, default=finger)
-    if reach(tip) > reach(finger) + SAME_M:
-        return tip
-    return finger
+def _pair(
+    model: MjModel,
+    motion: Motion,
+    groups: Sequence[Ids],
+    shifts: Floats,
+    reach: Floats,
+) -> tuple[Ids, str]:
+    """Return the two groups of geoms that are fingers, or why there are none.
+
+    ``shifts`` (drivers, groups) are how far each driver moves them across the hand, and ``reach``
+    how far they reach out of it [m]. On each side the one that reaches farthest is a finger.
+    """
+    sides: dict[tuple[int, bool], Ids] = {}
+    for k in np.argsort(-reach).tolist():
+        driver = int(np.abs(shifts[:, k]).argmax())
+        if abs(shifts[driver, k]) > SAME_M:
+            sides.setdefault((driver, shifts[driver, k] > 0), []).append(k)
+    pair = sorted(members[0] for members in [*sides.values()][:2])
+    if len(pair) < 2:
+        name = _main_body(model, groups[pair[0]], {}) if pair else "nothing"
+        return pair, f"{name} moves alone across the hand, and lifting moves two"
+    drivers = np.flatnonzero((np.abs(shifts[:, pair]) > SAME_M).any(axis=1))
+    if len(drivers) > MOST_DRIVERS:
+        names = _listed(model, [motion.drivers[k] for k in drivers])
+        return pair, (
+            f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "
+            f"URDF has no closed loops: {names}"
+        )
+    roots = set()
+    for members in sides.values():
+        for k in members:
+            if reach[k] > reach[pair].min() - FINGERTIP_M:
+                roots.add(motion.root(groups[k]))
+    if len(roots) > 2:
+        return pair, f"{len(roots)} of them close, and lifting moves two"
+    return pair, ""
+
+
+def _listed(model: MjModel, joints: Ids) -> str:
+    return ", ".join(joint_names(model, joints))
+
+
+def _main_body(model: MjModel, geoms: Ids, counts: Mapping[int, int]) -> str:
+    """Return the named body that has most points of the fingertip's surface, '' if none."""
+    points: dict[str, int] = {}
+    for geom in geoms:
+        name = model.body(model.geom_bodyid[geom]).name
+        points[name] = points.get(name, 0) + counts.get(geom, 0)
+    points.pop("", None)
+    return max(points, key=points.__getitem__, default="")
 
 
 def _approach(
@@ -240,7 +321,7 @@ def _approach(
     along_centres = centres @ approach
     end = max(along_centres.max(), extent(data, geoms, approach))
     if fingers:  # which grasp a little before their ends
-        end -= 0.1 * (end - origin @ approach)
+        end -= BEFORE * (end - origin @ approach)
     else:
         middle = origin
     if len(fingers) == 1 and len(geoms):
@@ -255,14 +336,12 @@ def _approach(
     return approach, middle + approach * (end - middle @ approach)
 
 
-def _across(data: MjData, fingers: Ids, approach: Floats) -> Floats:
-    """Return the direction in which the fingers open, world, perpendicular to the approach."""
-    model = data.model
-    joints = joints_of(model, fingers)
-    between = data.xpos[fingers[1:]] - data.xpos[fingers[:1]]
-    slides = [j for j in joints if is_slide(model, j)]
-    swings = joints if len(fingers) == 1 else []  # of a jaw that turns
-    swept = np.cross(data.xaxis[swings], approach)
+def _across(data: MjData, moving: Ids, approach: Floats) -> Floats:
+    """Return a direction across a hand, world: of what moves on it, or horizontal."""
+    between = data.xpos[moving[1:]] - data.xpos[moving[:1]]
+    joints = joints_of(data.model, moving)
+    slides = [j for j in joints if is_slide(data.model, j)]
+    swept = np.cross(data.xaxis[joints[:1]], approach)  # by a jaw that turns
     candidates = np.vstack([between, data.xaxis[slides], swept, _HORIZONTAL])
     flat = candidates - np.outer(candidates @ approach, approach)
     lengths = norm(flat, axis=1)

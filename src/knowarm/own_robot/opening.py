@@ -1,23 +1,33 @@
-"""Opening of two fingers: the gap between their tips, and the joint values that make it widest."""
+"""Opening of two fingers: the gap between the surfaces that meet, where it is widest."""
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
-from mujoco import MjData, MjModel, mj_kinematics, mj_name2id, mjtEq, mjtObj
-from numpy.linalg import norm
+from mujoco import (
+    MjData,
+    MjModel,
+    mj_fwdPosition,
+    mj_kinematics,
+    mj_name2id,
+    mjtDisableBit,
+    mjtEq,
+    mjtJacobian,
+    mjtObj,
+    mjtTrn,
+)
+from numpy.linalg import matrix_rank, norm
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Mask
 from knowarm.check import Check
 from knowarm.own_robot.draft_chain import (
+    MOVABLE,
     Ids,
     geoms_of,
-    is_slide,
-    joint_names,
     joints_of,
+    subtree,
 )
 from knowarm.own_robot.poses import robot_file
 from knowarm.world.robots.robot import Robot
@@ -26,96 +36,301 @@ from knowarm.world.scene.surface import surface_points
 TIP_M = 0.03  # Most length of a finger's tip
 TIP_SHARE = 0.5  # Most of a finger that is its tip
 SAME_M = 0.001  # Gaps that differ by less are equal
+MEET_M = 0.003  # Surfaces that are so near where the gripper is closed meet
 LEAST_M = 0.005  # Of a gripper that is open
 MOST_M = 0.5  # Of any gripper
 LEAST_SHARE = 0.5  # Of the widest gap, at which fingers count as drawn open
+MOST_DRIVERS = 2  # Joints that move two fingers without being coupled
+STEPS = 20  # In which a joint is moved to its end
+ITERATIONS = 20  # Of Newton's method at each
+CLOSED_M = 1e-6  # Error of loops that are closed [m or rad]
+SLACK = 0.02  # Of a range, by which coupled joints may leave theirs
+
+
+def _actuated(model: MjModel) -> set[int]:
+    """Return the joints that actuators move, directly or by a tendon."""
+    joints: set[int] = set()
+    for kind, (target, _) in zip(
+        model.actuator_trntype, model.actuator_trnid, strict=True
+    ):
+        if kind == mjtTrn.mjTRN_JOINT:
+            joints.add(int(target))
+        elif kind == mjtTrn.mjTRN_TENDON:
+            start = model.tendon_adr[target]
+            wrapped = model.wrap_objid[start : start + model.tendon_num[target]]
+            joints.update(wrapped.tolist())
+    return joints
+
+
+class Motion:
+    """Motion of a gripper: its joints move as the file couples them, in chains or closed loops."""
+
+    def __init__(self, drawn: MjData, joints: Ids) -> None:
+        model = copy.copy(drawn.model)
+        model.opt.jacobian = mjtJacobian.mjJAC_DENSE
+        for bit in (mjtDisableBit.mjDSBL_CONTACT, mjtDisableBit.mjDSBL_LIMIT):
+            model.opt.disableflags |= bit
+        self.data = MjData(model)
+        self._model = model
+        self._drawn = drawn.qpos.copy()
+        self._joints = joints
+        independent = self._independent()
+        actuated = _actuated(model).intersection(independent) or {*independent}
+        self.drivers = [
+            j for j in independent if j in actuated and model.jnt_limited[j]
+        ]
+        self._followers = [j for j in joints if j not in independent]
+
+    def _independent(self) -> Ids:
+        """Return joints that determine all others of the gripper; those that can drive first."""
+        model = self._model
+        is_pair = model.eq_type == mjtEq.mjEQ_JOINT
+        followers = model.eq_obj1id[is_pair]
+        leaders = model.eq_obj2id[is_pair]
+        actuated = _actuated(model)
+        jacobian, _ = self._loops()
+        rest = [*self._joints]
+
+        def rank(joints: Ids) -> int:
+            return int(matrix_rank(np.pad(jacobian[:, model.jnt_dofadr[joints]], 1)))
+
+        def preference(joint: int) -> tuple[bool, ...]:
+            return (
+                not model.jnt_limited[joint],
+                joint in followers,
+                joint not in leaders,
+                joint not in actuated,
+            )
+
+        independent = []
+        for joint in sorted(rest, key=preference):
+            others = [j for j in rest if j != joint]
+            if rank(others) == rank(self._joints):
+                rest = others
+                independent.append(joint)
+        return independent
+
+    def _loops(self) -> tuple[Floats, Floats]:
+        """Return Jacobian (E, V) and errors (E,) of the file's equalities."""
+        data = self.data
+        mj_fwdPosition(self._model, data)
+        jacobian = data.efc_J.reshape(-1, self._model.nv)
+        return jacobian[: data.ne], data.efc_pos[: data.ne]
+
+    def pose(self, ends: Mapping[int, float]) -> Floats | None:
+        """Return qpos where joints are at ends, or as near as the others' ranges allow.
+
+        None where the file's equalities hold nowhere on the way.
+        """
+        model = self._model
+        data = self.data
+        moved = model.jnt_qposadr[[*ends]]
+        start = self._drawn[moved]
+        data.qpos = self._drawn
+        reached = None
+        for share in np.linspace(0, 1, STEPS + 1):
+            data.qpos[moved] = start + share * (np.array([*ends.values()]) - start)
+            if self._close(self._followers):
+                reached = data.qpos.copy()
+        return reached
+
+    def _close(self, joints: Ids) -> bool:
+        """Move joints until the equalities hold; return whether they do, in the ranges."""
+        model = self._model
+        data = self.data
+        columns = model.jnt_dofadr[joints]
+        address = model.jnt_qposadr[joints]
+        for _ in range(ITERATIONS):
+            jacobian, errors = self._loops()
+            jacobian = jacobian[:, columns]
+            errors = errors[jacobian.any(axis=1)]
+            if np.abs(errors).max(initial=0.0) < CLOSED_M:
+                break
+            change = np.linalg.pinv(jacobian[jacobian.any(axis=1)]) @ errors
+            data.qpos[address] -= change
+        else:
+            return False
+        low, high = model.jnt_range[joints].T
+        slack = SLACK * (high - low)
+        values = data.qpos[address]
+        is_inside = (values > low - slack - SAME_M) & (values < high + slack + SAME_M)
+        return bool((is_inside | (model.jnt_limited[joints] == 0)).all())
+
+    def at(self, qpos: Floats) -> MjData:
+        """Return the model at joint positions."""
+        self.data.qpos = qpos
+        mj_kinematics(self._model, self.data)
+        return self.data
+
+    def ends(self, drivers: Ids) -> list[Floats]:
+        """Return qpos at all combinations of the ends of drivers that the gripper reaches."""
+        poses = []
+        for ends in product(*self._model.jnt_range[drivers]):
+            pose = self.pose(dict(zip(drivers, ends, strict=True)))
+            if pose is not None:
+                poses.append(pose)
+        return poses
+
+    def shifts(self, groups: Sequence[Ids]) -> Floats:
+        """Return how far each driver moves groups of geoms, (drivers, groups, 3) [m]."""
+        shifts = np.zeros((len(self.drivers), len(groups), 3))
+        for k, driver in enumerate(self.drivers):
+            for qpos, sign in zip(self.ends([driver]), (-1, 1), strict=False):
+                places = self.at(qpos).geom_xpos
+                middles = [places[geoms].mean(axis=0) for geoms in groups]
+                shifts[k] += sign * np.array(middles)
+        return shifts
+
+    def root(self, geoms: Ids) -> int:
+        """Return the first body on the way from the hand to geoms that the gripper moves."""
+        model = self._model
+        moving = model.jnt_bodyid[self._joints]
+        body = int(model.geom_bodyid[geoms[0]])
+        first = body
+        while body:
+            if body in moving:
+                first = body
+            body = int(model.body_parentid[body])
+        return first
+
+    def side(self, fingers: Sequence[Ids], across: Floats) -> float:
+        """Return how far the way of a finger begins beyond that of another [m], 0 if nowhere."""
+        model = self._model
+        data = self.at(self._drawn)
+        begins = []
+        for geoms in fingers:
+            first = self.root(geoms)
+            parent = model.body_parentid[first]
+            turn = data.xmat[parent].reshape(3, 3)
+            begins.append(data.xpos[parent] + turn @ model.body_pos[first])
+        between = (begins[0] - begins[1]) @ across
+        return float(between) if abs(between) > SAME_M else 0.0
+
+    def named(self, qpos: Floats, others: Sequence[Floats]) -> dict[str, float]:
+        """Return the values of joints that have names and differ in other poses."""
+        values = {}
+        for joint in self._joints:
+            address = self._model.jnt_qposadr[joint]
+            name = self._model.joint(joint).name
+            if name and np.ptp([pose[address] for pose in others]) > CLOSED_M:
+                values[name] = float(qpos[address].round(5)) + 0.0
+        return values
 
 
 class Opening(NamedTuple):
     """Two fingers that are open."""
 
-    gap_m: float  # Between their tips
-    middle_m: float  # Of that gap, from the world's origin across the hand
-    joints: dict[str, float]  # Values of their joints by name
+    gap_m: float  # Between the tips of the surfaces that meet
+    tip: Floats  # Middle between the ends of those, world (3,) [m]
+    joints: dict[str, float]  # Values of the gripper's joints by name
+    counts: dict[int, int]  # Points of those tips by geom
 
 
-def finger_gap(data: MjData, fingers: list[Ids], frame: Floats) -> tuple[float, float]:
-    """Return the gap between the tips of two fingers, and its middle across the hand [m].
-
-    ``fingers`` are their geoms. The columns of ``frame`` (3, 3), world, are any direction, that
-    across the hand in which the fingers open, and that out of the hand.
-    """
-    model = data.model
-    spans = []
-    for geoms in fingers:
-        solid = [geom for geom in geoms if model.geom_contype[geom] != 0]
-        surfaces = [surface_points(data, geom) for geom in solid or geoms]
-        spans.append(np.concatenate(surfaces) @ frame[:, 1:])
-    lengths = np.concatenate(spans)[:, 1]
-    end = lengths.max()
-    tip_m = min(TIP_M, TIP_SHARE * np.ptp(lengths))
-    sides = []
-    for points in spans:
-        across, along = points.T
-        tip = across[along > end - tip_m]
-        if not len(tip):
-            tip = across
-        sides.append(tip)
-    low, high = sides
-    if low.min() - high.max() > high.min() - low.max():
-        low, high = sides[::-1]
-    return float(high.min() - low.max()), float(high.min() + low.max()) / 2
+def solid_geoms(data: MjData, bodies: Ids) -> Ids:
+    """Return the geoms of bodies that collide, or all where none does."""
+    geoms = geoms_of(data.model, bodies)
+    solid = geoms[data.model.geom_contype[geoms] != 0]
+    return (solid if len(solid) else geoms).tolist()
 
 
 def widest_opening(
-    drawn: MjData, joints: Ids, fingers: list[Ids], frame: Floats
+    motion: Motion, drivers: Ids, fingers: Sequence[Ids], frame: Floats
 ) -> Opening | None:
-    """Return the widest opening of two fingers at the ends of their slides.
+    """Return the widest opening of two fingers at the ends of the joints that drive them.
 
-    None if a slide has no end. The gap is negative where the tips overlap.
-    Where fingers could pass through each other, the one counts in which each is on the side on
-    which its slide begins.
+    ``fingers`` are their geoms. The columns of ``frame`` (3, 3), world, are any direction, that
+    across the hand in which the fingers open, and that out of the hand. None if the gripper
+    reaches no end. The gap is negative where the tips overlap. Where fingers could pass through
+    each other, the one counts in which each is on the side on which its way begins.
     """
-    data = copy.copy(drawn)
-    model = data.model
-    address = model.jnt_qposadr[joints]
-    moved = data.qpos[address] - model.qpos0[address]
-    begins = data.xpos[model.jnt_bodyid[joints]] - data.xaxis[joints] * moved[:, None]
-    between = begins[0] - begins[1]
-    across = frame[:, 1]
-    side = between @ across
-    one, other = fingers
-    openings = []
-    for ends in _ends(model, joints):
-        values = np.round(ends, 5)
-        data.qpos[address] = values
-        mj_kinematics(model, data)
-        gap, middle = finger_gap(data, fingers, frame)
-        apart = data.geom_xpos[one].mean(axis=0) - data.geom_xpos[other].mean(axis=0)
-        is_apart = norm(between) < SAME_M or apart @ across * side > 0
-        named = dict(zip(joint_names(model, joints), values.tolist(), strict=True))
-        openings.append((round(gap / SAME_M), is_apart, Opening(gap, middle, named)))
-    if not openings:
+    poses = motion.ends(drivers)
+    if not poses:
         return None
-    *_, opening = max(openings, key=lambda row: row[:2])
-    return opening
+    side = motion.side(fingers, frame[:, 1])
+    rows = []
+    for qpos in poses:
+        data = motion.at(qpos)
+        span = [_points(data, geoms) @ frame for geoms in fingers]
+        apart = span[0][:, 1].mean() - span[1][:, 1].mean()
+        rows.append((apart * side < 0, qpos, span))
+
+    def closeness(row: tuple[bool, Floats, list[Floats]]) -> tuple[bool, bool, float]:
+        is_swapped, _, span = row
+        gap, *_ = _gap(span, _tips(span))
+        return gap < -LEAST_M, is_swapped, gap
+
+    *_, closed = min(rows, key=closeness)
+    tips = _meeting(closed)
+
+    def width(row: tuple[bool, Floats, list[Floats]]) -> tuple[bool, int]:
+        is_swapped, _, span = row
+        gap, *_ = _gap(span, tips)
+        return not is_swapped, round(gap / SAME_M)
+
+    _, qpos, span = max(rows, key=width)
+    gap, middle, _ = _gap(span, tips)
+    ends = [points[tip] for points, tip in zip(span, tips, strict=True)]
+    aside = np.mean([(end[:, 0].min() + end[:, 0].max()) / 2 for end in ends])
+    along = min(end[:, 2].max() for end in ends)
+    tip = frame @ np.array([aside, middle, along])
+    counts: dict[int, int] = {}
+    for geoms, is_tip in zip(fingers, tips, strict=True):
+        sizes = [len(surface_points(motion.data, geom)) for geom in geoms]
+        for geom, part in zip(
+            geoms, np.split(is_tip, np.cumsum(sizes)[:-1]), strict=True
+        ):
+            counts[geom] = int(part.sum())
+    return Opening(float(gap), tip, motion.named(qpos, poses), counts)
 
 
-def _ends(model: MjModel, joints: Ids) -> Iterable[Sequence[float]]:
-    """Return the values of two joints at the ends of their ranges; coupled ones go together."""
-    at_zero = model.qpos0[model.jnt_qposadr]
-    for row in np.flatnonzero(model.eq_type == mjtEq.mjEQ_JOINT):
-        follower = int(model.eq_obj1id[row])
-        leader = int(model.eq_obj2id[row])
-        if {follower, leader} == {*joints} and model.jnt_limited[leader]:
-            ends = model.jnt_range[leader]
-            follow = np.polynomial.Polynomial(model.eq_data[row, :5])
-            followed = at_zero[follower] + follow(ends - at_zero[leader])
-            values = {leader: ends, follower: followed}
-            return np.column_stack(itemgetter(*joints)(values))
-    if not model.jnt_limited[joints].all():
-        return ()
-    return product(*model.jnt_range[joints])
+def _points(data: MjData, geoms: Ids) -> Floats:
+    """Return points on the surfaces of geoms, world (P, 3) [m]."""
+    return np.concatenate([surface_points(data, geom) for geom in geoms])
+
+
+def _tips(fingers: Sequence[Floats], near: Sequence[Mask] | None = None) -> list[Mask]:
+    """Return which points of two fingers, (P, 3) each, are those of their tips, of some or all."""
+    near = near or [np.full(len(points), True) for points in fingers]
+    lengths = [points[mask, 2] for points, mask in zip(fingers, near, strict=True)]
+    end = min(length.max() for length in lengths)
+    tip_m = min(TIP_M, TIP_SHARE * np.ptp(np.concatenate(lengths)))
+    tips = []
+    for points, mask in zip(fingers, near, strict=True):
+        tip = mask & (points[:, 2] > end - tip_m)
+        tips.append(tip if tip.any() else mask)
+    return tips
+
+
+def _gap(fingers: Sequence[Floats], masks: Sequence[Mask]) -> tuple[float, float, int]:
+    """Return gap and middle between points of two fingers across the hand [m], and the lower."""
+    sides = [points[mask, 1] for points, mask in zip(fingers, masks, strict=True)]
+    gaps = [
+        sides[1].min() - sides[0].max(),
+        sides[0].min() - sides[1].max(),
+    ]
+    low = int(np.argmax(gaps))
+    middle = (sides[low].max() + sides[1 - low].min()) / 2
+    return gaps[low], middle, low
+
+
+def _meeting(closed: Sequence[Floats]) -> list[Mask]:
+    """Return which points of two closed fingers are the tips of the surfaces that meet.
+
+    What fingers carry outside, such as a camera or a screw, may reach farther, and meets nothing.
+    """
+    tips = _tips(closed)
+    gap, middle, low = _gap(closed, tips)
+    if gap < -LEAST_M:  # they pass through each other
+        return tips
+    far = max(gap, 0.0) / 2 + MEET_M
+    near = []
+    for k, points in enumerate(closed):
+        beyond = points[:, 1] - middle
+        if k == low:
+            beyond = -beyond
+        is_near = beyond <= far
+        near.append(is_near if is_near.any() else np.full(len(points), True))
+    return _tips(closed, near)
 
 
 def check_fingers(robot: Robot) -> Check:
@@ -130,15 +345,12 @@ def check_fingers(robot: Robot) -> Check:
         data.joint(name).qpos = value
     mj_kinematics(model, data)
     fingers: list[Ids] = []
-    slides: Ids = []
     for name in robot.fingers:
+        geom = mj_name2id(model, mjtObj.mjOBJ_GEOM, name)
         body = mj_name2id(model, mjtObj.mjOBJ_BODY, name)
         if body >= 0:
-            fingers.append(geoms_of(model, [body]).tolist())
-            joints = joints_of(model, [model.body_weldid[body]])
-            slides += [j for j in joints if is_slide(model, j)]
+            fingers.append(solid_geoms(data, [body]))
         else:
-            geom = mj_name2id(model, mjtObj.mjOBJ_GEOM, name)
             fingers.append([geom] if geom >= 0 else [])
     names = " and ".join(robot.fingers)
     if len(fingers) != 2 or not all(fingers):
@@ -149,16 +361,23 @@ def check_fingers(robot: Robot) -> Check:
             "Name two bodies with geoms, or two geoms.",
         )
     frame = data.site(robot.tcp_site).xmat.reshape(3, 3)
-    drawn, middle = finger_gap(data, fingers, frame)
+    spans = [_points(data, geoms) @ frame for geoms in fingers]
+    drawn, *_ = _gap(spans, _tips(spans))
     found = f"{names} are drawn {100 * drawn:.1f} cm apart"
     best = None
-    if len(slides) == 2:
-        best = widest_opening(data, slides, fingers, frame)
-    widest, _, values = best or Opening(drawn, middle, {})
+    hand = model.joint(robot.joints[-1]).bodyid[0]
+    moving = joints_of(model, subtree(model, hand)[1:])
+    motion = Motion(data, [j for j in moving if model.jnt_type[j] in MOVABLE])
+    moved = norm(motion.shifts(fingers), axis=2).max(axis=1, initial=0.0) > SAME_M
+    drivers = [motion.drivers[k] for k in np.flatnonzero(moved)]
+    if 0 < len(drivers) <= MOST_DRIVERS:
+        best = widest_opening(motion, drivers, fingers, frame)
+    widest = best.gap_m if best else drawn
     if drawn >= min(LEAST_SHARE * widest, widest - SAME_M):
         remedy = "Open them in the file, or with held_joints."
         return Check("fingers", drawn >= LEAST_M, found, remedy)
-    held = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+    assert best
+    held = ", ".join(f"{name} = {value:g}" for name, value in best.joints.items())
     return Check(
         "fingers",
         False,
