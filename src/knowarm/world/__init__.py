@@ -9,10 +9,11 @@ import itertools
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.robots import KNOWN_ARMS, ROBOTS
-from knowarm.world.tasks import task_names
+from knowarm.world.tasks import find_task, task_names
 
 if TYPE_CHECKING:
     from knowarm.world.envs.single_env import ArmEnv
@@ -37,12 +38,29 @@ def register_environments() -> None:
     """Register an id per robot and task, for ``gymnasium.make`` and ``gymnasium.make_vec``."""
     for name, (robot, task) in _ids().items():
         if name not in gymnasium.registry:
-            gymnasium.register(
+            gymnasium.registry[name] = _IdSpec(
                 name,
-                entry_point="knowarm.world.envs.single_env:ArmEnv",
-                vector_entry_point="knowarm.world.envs.single_env:make_vector_env",
-                kwargs={"robot": robot, "task": task},
+                entry_point="knowarm.world.envs.gymnasium_ids:IdEnv",
+                vector_entry_point="knowarm.world.envs.gymnasium_ids:make_id_vector",
+                kwargs={"robot": robot, "task": task, "id_task": task},
             )
+
+
+class _IdSpec(EnvSpec):
+    """Spec of an id, whose limit of steps is the task's unless another one is set.
+
+    The task is imported when the limit is read, since it imports the simulator.
+    """
+
+    @property  # type: ignore[override]
+    def max_episode_steps(self) -> int:
+        """Steps after which Gymnasium truncates an episode."""
+        _, task = _ids()[self.id]
+        return self._steps or find_task(task).skill.max_steps
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, steps: int | None) -> None:
+        self._steps = steps
 
 
 def _ids() -> dict[str, tuple[str, str]]:

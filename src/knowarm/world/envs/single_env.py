@@ -1,4 +1,4 @@
-"""Single environment, and the entry points of Gymnasium's registry."""
+"""Single environment, and what makes vector environments by options."""
 
 import dataclasses
 from typing import Any
@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import iterate
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats
@@ -128,7 +128,7 @@ def vector_of(env: Any) -> ArmVectorEnv:
         UserError: it is another one, or a wrapper may change what the agent sees or does.
     """
     inner = env
-    while isinstance(inner, _HARMLESS):
+    while isinstance(inner, _HARMLESS) or _has_own_limit(inner):
         inner = inner.env
     if isinstance(inner, ArmEnv):
         return inner.vector
@@ -136,12 +136,21 @@ def vector_of(env: Any) -> ArmVectorEnv:
         return inner
     raise UserError(
         "Agents play an ArmEnv or ArmVectorEnv without further wrappers, as knowarm.make and "
-        f"gymnasium.make return them, got {type(inner).__name__}."
+        "gymnasium.make return them (another limit of steps is knowarm.make's max_episode_steps), "
+        f"got {type(inner).__name__}."
     )
 
 
 _HARMLESS = (OrderEnforcing, PassiveEnvChecker)
 """Wrappers that `gymnasium.make` adds, and that change nothing."""
+
+
+def _has_own_limit(env: Any) -> bool:
+    """Return whether an environment is wrapped by the limit of steps that its config has."""
+    if not (isinstance(env, TimeLimit) and isinstance(env.unwrapped, ArmEnv)):
+        return False
+    steps = env.unwrapped.config.max_episode_steps
+    return env.spec is not None and env.spec.max_episode_steps == steps
 
 
 def env_config(others: tuple[str, ...], options: Options) -> tuple[EnvConfig, Options]:
@@ -166,7 +175,7 @@ def make_vector_env(
     device: str | None = None,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
-    """Create a vector environment: the entry point of ``gymnasium.make_vec``.
+    """Create a vector environment.
 
     Args:
         num_envs: n.

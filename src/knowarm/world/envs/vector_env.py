@@ -134,6 +134,10 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
             images[ids] = draw_images(self.renderer, self.running, ids)
         return images, reward, terminated, truncated, self._infos()
 
+    def go_on(self) -> None:
+        """Let the episodes that have ended go on, where another limit of steps counts."""
+        self._ended[:] = False
+
     def render(self) -> tuple[Images, ...]:
         """Draw the policy's view of each environment, enlarged: n images (480, 480, 3) uint8."""
         if self._large_renderer is None:
