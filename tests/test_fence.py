@@ -1,12 +1,13 @@
 """Parsers on hostile input: the process of KnowArm goes on, and the error is one line."""
 
 import ctypes
+import gc
 import os
 import subprocess
 import sys
 import threading
 import time
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -169,6 +170,55 @@ def test_a_parser_that_waits_is_ended(monkeypatch):
     with pytest.raises(ValueError, match="takes more than 0 s"):
         fenced(time.sleep, 100)
     assert time.monotonic() - begin < 30
+
+
+def test_a_fork_frees_nothing_that_it_inherits(tmp_path):
+    path = tmp_path / "freed"
+    parent = os.getpid()
+
+    class Pool:
+        """Such as threads of a library, which the fork lacks and would wait for."""
+
+        def __init__(self):
+            self.itself = self
+
+        def __del__(self):
+            if os.getpid() != parent:
+                path.touch()
+
+    kept = Fence(int)
+    kept()
+    process = kept._process
+    gc.disable()
+    Pool()
+    try:
+        fenced(gc.collect)
+        fenced(kept.close)
+    finally:
+        gc.enable()
+    assert not path.exists()
+    kept()
+    assert kept._process == process
+
+
+class Slow:
+    @cached_property
+    def value(self):
+        time.sleep(0.5)
+        return 3
+
+
+def test_a_fork_waits_for_no_thread_that_computes_a_property(monkeypatch):
+    monkeypatch.setattr(fence, "SECONDS", 1)
+    monkeypatch.setattr(fence, "WAIT", 20)
+    thread = threading.Thread(target=lambda: Slow().value)
+    thread.start()
+    time.sleep(0.1)
+    assert fenced(lambda: (Slow().value, isinstance(Slow.value, cached_property))) == (
+        3,
+        True,
+    )
+    thread.join()
 
 
 def test_an_interrupt_ends_the_process(monkeypatch):

@@ -6,6 +6,7 @@ takes milliseconds, and shares the modules and graphs of this process. Windows c
 nothing limits what is computed.
 """
 
+import gc
 import math
 import os
 import signal
@@ -20,6 +21,7 @@ from threading import BoundedSemaphore
 from typing import Any, NoReturn, TypeVar
 
 from knowarm.errors import UserError
+from knowarm.private_apis import unlock_cached_properties
 
 SECONDS = 60.0
 """Processor time of a call, and of any further megabyte of its input [s]."""
@@ -74,7 +76,7 @@ class Fence:
 
     def close(self) -> str:
         """End the process; return how it ended."""
-        if not self._process:
+        if not self._process or Fence.is_inside:  # which is a fork of the one that asks
             return ""
         os.kill(self._process, signal.SIGKILL)  # of one that has ended: without effect
         _, status = os.waitpid(self._process, 0)
@@ -117,6 +119,9 @@ class Fence:
         """Answer calls until the other process ends, or one of them crosses a limit."""
         try:
             Fence.is_inside = True
+            # Finalizers of what is inherited may wait for threads, which a fork lacks.
+            gc.freeze()
+            unlock_cached_properties()
             _set_limits(self._memory)
             while True:
                 arguments = pipe.recv()

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import update_wrapper
+from functools import cached_property, update_wrapper
 from types import CellType, FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -58,6 +58,25 @@ def key_numba_cache(function: Callable[..., Any], key: str) -> Callable[..., Any
     code = function.__code__.replace(co_freevars=("key",))
     keyed = FunctionType(code, function.__globals__, closure=(CellType(key),))
     return update_wrapper(keyed, function)
+
+
+def unlock_cached_properties() -> None:
+    """Let this process, which is a fork, compute cached properties without a lock.
+
+    Reason: Python 3.11 computes them under a lock of their class, which a thread may hold while the
+    process forks; the fork, which lacks that thread, would wait for ever.
+    """
+    if sys.version_info >= (3, 12):
+        return
+
+    def get(self: Any, instance: Any, owner: Any = None) -> Any:
+        if instance is None:
+            return self
+        if self.attrname not in instance.__dict__:
+            instance.__dict__[self.attrname] = self.func(instance)
+        return instance.__dict__[self.attrname]
+
+    cached_property.__get__ = get  # type: ignore[method-assign]
 
 
 def end_process(code: int) -> NoReturn:

@@ -55,7 +55,7 @@ class GraphStore:
 
 
 LOCK = RLock()
-"""Held while a store is read or changed, since threads share it, and so does a forked process."""
+"""Held while a store is made, read or changed, since threads share it, and so does a forked process."""
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=LOCK.acquire,
@@ -64,13 +64,12 @@ if hasattr(os, "register_at_fork"):
     )
 _STORES: dict[int, GraphStore] = {}
 """Stores by the identity of their graph, while it exists."""
-_MAKING = RLock()
 
 
 def store_of(graph: KnowledgeGraph) -> GraphStore:
     """Return the store of a graph, which is made once."""
     key = id(graph)
-    with _MAKING:
+    with LOCK:
         if key not in _STORES:
             _STORES[key] = GraphStore(graph)
             weakref.finalize(graph, _STORES.pop, key)
