@@ -56,6 +56,10 @@ DOORS = {
         "asking.command:AnswerCommand",
         "answer a question about objects by a graph alone",
     ),
+    "tidy": (
+        "asking.tidy_command:Tidy",
+        "let a trained agent bring things to where a graph says they belong",
+    ),
     "export": (
         "deploy.command:Export",
         "write a trained policy as ONNX, with contract and runner",

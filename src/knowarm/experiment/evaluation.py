@@ -288,15 +288,22 @@ class SeenTest(BaseTest):
 
     def known_places(self, subject: Subject) -> KnowledgeGraph | None:
         """Return the graph that says where objects belong; None where that is unknown."""
-        if self.places == "unknown":
-            return None
         env = subject.env
         graph = subject.graph
         if graph is None:
             graph = env.task.asked.answering_graph(facets_of(env))
-        if graph is None or self.places == "graph":
-            return graph
-        return shuffle_tails(graph, derive_seed(subject.trained.seed, "placebos"))
+        return told_places(graph, self.places, subject.trained.seed)
+
+
+def told_places(
+    graph: KnowledgeGraph | None, places: Places, seed: int
+) -> KnowledgeGraph | None:
+    """Return a graph that says where objects belong, or a control in its place."""
+    if places == "unknown" or graph is None:
+        return None
+    if places == "graph":
+        return graph
+    return shuffle_tails(graph, derive_seed(seed, "placebos"))
 
 
 def _edited_graph(env: EnvConfig) -> KnowledgeGraph | None:

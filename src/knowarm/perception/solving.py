@@ -4,7 +4,7 @@ It needs what a policy does without: joint angles and a kinematic model of the a
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +21,21 @@ from knowarm.world.agents.scripted import guide_of
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.tasks.skills.guides import Sight, Way
 from knowarm.world.tasks.state import nearest_levels
+
+
+class Seen(NamedTuple):
+    """What a network names in n images, m objects each."""
+
+    facets: Integers
+    """Numbers among those of the network, (n, m)."""
+    objects: Integers
+    """Numbers of the objects in the scene, (n, m)."""
+    position: Floats
+    """Points that the gripper has to reach, world, (n, m, 3) [m]."""
+    matrix: Floats
+    """Rotations from goal frame to world, row-major, (n, m, 9)."""
+    places: Floats
+    """x and y of the objects, (n, m, 2) [m]."""
 
 
 class SolvingAgent:
@@ -119,20 +134,27 @@ class SolvingAgent:
         The object that is meant is the one whose frame is nearest to the goal frame.
         """
         position, matrix = self.poses(frames)
-        named = [self._recognition.look_around(batch) for batch in images.split(BATCH)]
-        facets, around = (torch.cat(parts) for parts in zip(*named, strict=True))
-        objects = self._object_of[facets.numpy()]
-        count = objects.shape[1]
-        points = self.poses(around.flatten(0, 1))[0].reshape(-1, count, 3)
-        distance = np.linalg.norm(points - position[:, None], axis=2)
+        seen = self.look(images)
+        distance = np.linalg.norm(seen.position - position[:, None], axis=2)
         order = np.argsort(distance, axis=1, kind="stable")
-        objects = np.take_along_axis(objects, order, axis=1)
-        points = np.take_along_axis(points, order[..., None], axis=1)
-        places = points[..., :2] - self._scene.grasp_position[objects, :2]
+        objects = np.take_along_axis(seen.objects, order, axis=1)
+        places = np.take_along_axis(seen.places, order[..., None], axis=1)
         sight = Sight(self._joints, position, matrix, objects, places)
         return self._skill.see(
             self._scene, sight, images.numpy(), self._facts, self._graph
         )
+
+    def look(self, images: Tensor) -> Seen:
+        """Name the objects in images (n, H, W, 3) uint8, surest first."""
+        named = [self._recognition.look_around(batch) for batch in images.split(BATCH)]
+        facets, around = (torch.cat(parts) for parts in zip(*named, strict=True))
+        objects = self._object_of[facets.numpy()]
+        shape = objects.shape
+        position, matrix = self.poses(around.flatten(0, 1))
+        position = position.reshape(*shape, 3)
+        places = position[..., :2] - self._scene.grasp_position[objects, :2]
+        matrix = matrix.reshape(*shape, 9)
+        return Seen(facets.numpy(), objects, position, matrix, places)
 
     def poses(self, frames: Tensor) -> tuple[Floats, Floats]:
         """Return the poses of frames (n, 9): (n, 3) [m], and row-major rotations (n, 9)."""

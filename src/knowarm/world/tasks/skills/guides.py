@@ -75,6 +75,11 @@ class Way:
         self._next = np.zeros(len(points), np.int64)
         self._waited = np.zeros(len(points), np.int64)
 
+    def has_ended(self, joint_targets: Floats) -> Mask:
+        """Return where joint targets (n, J) are near the last point, (n,)."""
+        _, is_near = self._steps_to_next(joint_targets)
+        return is_near & (self._next == self.points.shape[1] - 1)
+
     def error(self, joint_targets: Floats) -> Floats:
         """Return the way from joint targets to the next point in largest steps, (n, J)."""
         last = self.points.shape[1] - 1

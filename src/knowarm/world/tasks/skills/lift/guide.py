@@ -167,14 +167,15 @@ class LiftGuide(Guide):
         legs = [
             Leg(path, fingers, tolerance, SETTLE_STEPS),
             self._standing(grasp, self._closed_m, GRIP_STEPS),
-            *self._after_grip(sight, grasp, surroundings),
+            *self._after_grip(sight, path, surroundings),
         ]
         return joined(legs, self._largest)
 
     def _after_grip(
-        self, sight: Sight, grasp: Floats, surroundings: "Surroundings"
+        self, sight: Sight, path: Floats, surroundings: "Surroundings"
     ) -> list[Leg]:
-        """Return the legs after the fingers have closed at joint angles (n, A)."""
+        """Return the legs after the fingers have closed at the end of a path (n, W, A)."""
+        grasp = path[:, -1]
         position, matrix = self._follower.pose(grasp)
         shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
         rise = self._follower.solve_way(position, matrix, grasp, shifts)

@@ -40,9 +40,10 @@ class PlaceGuide(LiftGuide):
     """
 
     def _after_grip(
-        self, sight: Sight, grasp: Floats, surroundings: Surroundings
+        self, sight: Sight, path: Floats, surroundings: Surroundings
     ) -> list[Leg]:
         """Return the legs to the tray, and away from it."""
+        grasp = path[:, -1]
         surroundings.hold(grasp)
         start = self._follower.pose(grasp)
         joints, (position, matrix), cost = self._over_tray(start, sight, grasp)
@@ -60,9 +61,9 @@ class PlaceGuide(LiftGuide):
             down = self._vertical(
                 position[chosen], matrix[chosen], joints[chosen], height * LOWER
             )[:, ::-1]
-            path = np.concatenate([up, self._path(up[:, -1], down[:, :-1])], axis=1)
+            carry = np.concatenate([up, self._path(up[:, -1], down[:, :-1])], axis=1)
             is_good = cost[chosen] < UNREACHED
-            is_good &= surroundings.are_free(ids, path, 0.0)
+            is_good &= surroundings.are_free(ids, carry, 0.0)
             taken = is_good if is_solved else np.ones(len(ids), bool)
             rise[ids[taken]] = up[taken]
             lower[ids[taken]] = down[taken]
@@ -130,3 +131,18 @@ class PlaceGuide(LiftGuide):
             self._standing(released, 0.0, GRIP_STEPS),
             self._moving(leave.transpose(1, 0, 2), 0.0),
         ]
+
+
+class ReturningGuide(PlaceGuide):
+    """Places as `PlaceGuide`, then goes back on the way that it came, to where it started."""
+
+    def _after_grip(
+        self, sight: Sight, path: Floats, surroundings: Surroundings
+    ) -> list[Leg]:
+        """Add the leg back."""
+        legs = super()._after_grip(sight, path, surroundings)
+        came = path[
+            :, : -len(BACK_M) - 1
+        ]  # Without the straight approach and the grasp
+        left = legs[-1].points[:, -1]
+        return [*legs, self._moving(self._path(left, came[:, ::-1]), 0.0)]

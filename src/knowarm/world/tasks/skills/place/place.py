@@ -216,7 +216,7 @@ class Place(Lift):
         rise = simulator.rise(target)
         way = np.linalg.norm(simulator.place(target) - state.positions[:, 0], axis=1)
         has_fallen = rise < -FALLEN_M
-        has_fallen |= is_free & (_tilt_deg(state) > TOPPLED_DEG)
+        has_fallen |= is_free & (_tilt_deg(simulator, target) > TOPPLED_DEG)
         has_fallen |= ~is_taken & (way > LOST_M)
         is_beside = is_taken & is_free & (rise < DOWN_M) & ~_is_over_tray(state)
         outcome = np.full(len(way), UNFINISHED)
@@ -239,17 +239,19 @@ def _is_over_tray(state: State) -> Mask:
     return np.all(is_within, axis=1)
 
 
-def _tilt_deg(state: State) -> Floats:
-    """Return the angle between the object's vertical and the world's, (n,) [deg]."""
-    _, turn = state.simulator.pose(state.target)
+def _tilt_deg(simulator: LiftSimulator, objects: Integers) -> Floats:
+    """Return the angle between the vertical of objects (n,) and the world's, (n,) [deg]."""
+    _, turn = simulator.pose(objects)
     return np.degrees(np.arccos(turn[:, 2, 2].clip(-1.0, 1.0)))
 
 
 def _is_placed(state: State) -> Mask:
-    """Return whether the object stands upright on the tray without the gripper, (n,)."""
-    simulator = state.simulator
-    is_down = simulator.rise(state.target) < DOWN_M
-    is_upright = _tilt_deg(state) < UPRIGHT_DEG
-    return (
-        simulator.released(state.target) & is_down & is_upright & _is_over_tray(state)
-    )
+    """Return whether the object stands on the tray, (n,)."""
+    return stands(state.simulator, state.target) & _is_over_tray(state)
+
+
+def stands(simulator: LiftSimulator, objects: Integers) -> Mask:
+    """Return whether objects (n,) stand upright, put down and without the gripper, (n,)."""
+    is_down = np.abs(simulator.rise(objects)) < DOWN_M
+    is_upright = _tilt_deg(simulator, objects) < UPRIGHT_DEG
+    return simulator.released(objects) & is_down & is_upright

@@ -18,7 +18,13 @@ from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import State
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
-from knowarm.world.tasks.skills.place.place import BESIDE, OUTCOMES, PLACED, Place
+from knowarm.world.tasks.skills.place.place import (
+    BESIDE,
+    OUTCOMES,
+    PLACED,
+    Place,
+    stands,
+)
 from knowarm.world.tasks.skills.place.tray import (
     HALF_M,
     add_trays,
@@ -189,6 +195,13 @@ class Sort(Place):
         destination = centres[np.argmax(is_right, axis=1)]
         is_told = np.asarray(belongs.any(axis=1))
         return sight._replace(destination=destination, decided=is_told)
+
+    def trays(self, state: State, objects: Integers) -> Integers:
+        """Return on which tray objects (n,) stand upright, let go: its number, or -1, (n,)."""
+        centre = state.simulator.centre(objects)[:, None, :2]
+        way = np.abs(centre - _centres(state.scene.robot)).max(axis=2)
+        is_on = stands(state.simulator, objects) & (way.min(axis=1) < HALF_M)
+        return np.where(is_on, way.argmin(axis=1), -1)
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store also whether the object was put on a tray, and on the right one."""
