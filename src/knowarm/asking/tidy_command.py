@@ -133,11 +133,10 @@ class Tidy(TableCommand):
                 if which < 0:
                     break
                 name = in_words(tidying.facet(0, which))
-                after = (
-                    f"The arm looks again: the {name} is no longer seen on the table."
-                )
+                look = "is gone from where it was"
                 if tidying.is_left(0, which):
-                    after = f"The arm looks again: the {name} is still beside its tray."
+                    look = "is still where it was"
+                after = f"The arm looks again: the {name} {look}."
                 story.tell(after, film[::EVERY])
                 film.clear()
                 brought += not tidying.is_left(0, which)
