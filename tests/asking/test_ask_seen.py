@@ -38,6 +38,8 @@ def test_an_edited_fact_puts_the_mug_on_another_tray():
     edited = ask(run, "put the red mug where it belongs", scene=1, edit=edit)
     assert edited.told == asked.told
     assert edited.result == "It stands on the cyan tray, the garage."
+    # Whether it belongs there is judged by the edited graph.
+    assert edited.within
     # A fact that is missing is no reason to take any tray.
     missing = ask(run, "put the red mug where it belongs", scene=1, edit=edit[:1])
     assert missing.lacks_place

@@ -435,6 +435,8 @@ class Asker:
         distance, angle = end.measure_object(nearest)
         is_near = bool(is_success(distance, angle, *end.limits)[0])
         result = task.skill.result(end, task.asked, 0)
+        assert answers.graph is not None
+        is_solved = bool(task.skill.solved(end, task.asked, answers.graph)[0])
         named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.thresholds)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
@@ -452,7 +454,7 @@ class Asker:
             reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),
-            within=bool(end.success[0]) if result else is_near,
+            within=is_solved if result else is_near,
             film=tuple(film),
             result=result,
             told=task.skill.instruct(end, task.asked, 0),

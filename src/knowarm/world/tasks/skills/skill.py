@@ -139,6 +139,10 @@ class Skill(BaseTaskPart):
         """Say what became of the object of one episode; empty where reaching it is all."""
         return ""
 
+    def solved(self, state: EpisodeState, asked: Asking, graph: KnowledgeGraph) -> Mask:
+        """Return which episodes are solved by what a graph states, in place of the task's, (n,)."""
+        return state.success
+
     def see(
         self,
         scene: Scene,

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
@@ -16,7 +16,7 @@ from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Floats32, Scene
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.guides import DESTINATION, Sight
-from knowarm.world.tasks.skills.lift.lift import State
+from knowarm.world.tasks.skills.lift.lift import State, disturbed
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.place.place import (
     BESIDE,
@@ -195,6 +195,15 @@ class Sort(Place):
         destination = centres[np.argmax(is_right, axis=1)]
         is_told = np.asarray(belongs.any(axis=1))
         return sight._replace(destination=destination, decided=is_told)
+
+    def solved(self, state: State, asked: Asking, graph: KnowledgeGraph) -> Mask:
+        """Return which objects stand on the tray of a place where they belong by a graph, (n,)."""
+        known = belongings(graph, state.facets, self.relation)
+        names = true_belongings(asked, state.facets, self.relation).places
+        places = names[state.memory["tray_places"]]  # (n, MAX_TRAYS)
+        tray = self.trays(state, state.target)
+        belongs = known.of(state.target, places)[np.arange(len(tray)), tray]
+        return belongs & (tray >= 0) & ~disturbed(state)
 
     def trays(self, state: State, objects: Integers) -> Integers:
         """Return on which tray objects (n,) stand upright, let go: its number, or -1, (n,)."""
