@@ -7,7 +7,15 @@ import numpy as np
 
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
-from scripts.answer_cells import agents_table, cells_of, title_of, verdict
+from scripts.answer_cells import (
+    cells_of,
+    never,
+    percent,
+    table,
+    thousands,
+    title_of,
+    verdict,
+)
 
 ROWS = 100
 """Rows of the metrics whose mean is the success of the last training episodes."""
@@ -18,8 +26,8 @@ learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates
 of 1.4 million."""
 
 TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
-{progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Outcomes
-as above, of interim evaluations every {every:,} steps."""
+{progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Interim
+evaluations every {every:,} steps."""
 
 
 def tuned_section(study: Path, progress: str) -> list[str]:
@@ -38,9 +46,18 @@ def tuned_section(study: Path, progress: str) -> list[str]:
         every=between,
     )
     figure = "![Interim success of `a3c-tuned`, fixed colours](../images/a3c-curve.svg)"
-    blocks = ["## A3C with settings that learn", text, figure]
-    for cell in cells:
-        blocks += [f"### {title_of(cell.task)}", agents_table(cell)]
+    rows = [
+        [
+            title_of(cell.task),
+            f"`{name}`",
+            thousands(agent.steps) + never(agent),
+            percent(agent.success),
+        ]
+        for cell in cells
+        for name, agent in cell.agents.items()
+    ]
+    columns = ["cell", "agent", "steps to 80 % [thousands]", "success"]
+    blocks = ["## A3C with settings that learn", text, figure, table(columns, rows)]
     groups = [group for cell in cells for group in cell.task.groups]
     lines = [*map(verdict, cells), f"Blind, at most: {blind_agents(groups)}."]
     return [*blocks, "\n".join(f"- {line}" for line in lines)]

@@ -155,7 +155,6 @@ def agents_table(cell: "Cell") -> str:
             str(len(agent.seeds)),
             thousands(agent.steps) + never(agent),
             percent(agent.success),
-            percent(agent.area),
         ]
         difference = cell.of("full", name)
         if difference:
@@ -165,7 +164,7 @@ def agents_table(cell: "Cell") -> str:
             row += ["", ""]
         rows.append(row)
     columns = [
-        *("agent", "seeds", "steps to 80 % [thousands]", "success", "area"),
+        *("agent", "seeds", "steps to 80 % [thousands]", "success"),
         *("`full` minus it [thousands]", "p"),
     ]
     return table(columns, rows)

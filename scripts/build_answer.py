@@ -109,8 +109,8 @@ colours, and its `partial` with fixed ones, compared with the `bm` of `paper`). 
 outcomes of `answer` were fixed when seeds 0 to 2 of `bm`, `partial` and `full` were known, those of
 `answer-tiago` before its runs. Primary: environment steps until 80 % of the 40 interim episodes
 succeed (5 cm, 15 degrees); a run that never does counts as 1.5 million, and as censored. Secondary:
-success of 1,000 episodes after training (10 cm, 17 degrees); *area*, the mean success during
-training. Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below about
+success of 1,000 episodes after training (10 cm, 17 degrees); mean success during training (*area*).
+Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below about
 ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of a
 cell. Data: `answer-runs.csv`, `answer-comparisons.csv`.
 
