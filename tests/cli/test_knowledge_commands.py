@@ -57,6 +57,22 @@ def test_show_the_vector_of_a_run(capsys, tmp_path):
     assert "leave out --agent" in error
 
 
+def test_show_what_the_graph_of_an_agent_says_that_is_told_of_questions(
+    capsys, tmp_path
+):
+    out, zoo = tmp_path / "run.json", ROOT / "zoo" / "irb120-choose-answers-fast"
+    code, text, _ = run(capsys, "show", "--agent", zoo, "--json", out)
+    assert code == 0
+    assert "told of questions, not of objects" in text
+    assert "bias" not in text  # what it is told differs by question
+    values = json.loads(out.read_text())
+    assert ["mug", "usedFor", "drinking"] in values["triples"]
+    assert "ceramic" in values["sentences"]["mug"]
+    code, text, _ = run(capsys, "embed", "--agent", zoo)
+    assert code == 0
+    assert "26 slots of 50 numbers" in text
+
+
 def test_subgraph(capsys, tmp_path):
     out = tmp_path / "mug.ttl"
     code, text, _ = run(capsys, "subgraph", "--objects", "mug", "--out", out)

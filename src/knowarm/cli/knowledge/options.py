@@ -1,7 +1,7 @@
 """Options shared by the `knowarm knowledge` commands: graph, objects, embedding and source."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -115,6 +115,12 @@ class SceneOptions(TableCommand):
         """Return the settings, the (object, colour) pairs, and the seed that placebos draw from."""
         run = self._run()
         config = self._config(run)
+        if config.scope == "query":
+            config = replace(config, detail="partial")
+            print(
+                "This agent is told of questions, not of objects. What follows is what its graph "
+                "says about the objects, in any colour."
+            )
         if run is not None:
             return config, list(facets_of(run.env)), run.seed
         facets: list[tuple[str, str]] = []
