@@ -109,7 +109,7 @@ def test_fingers_without_any_range_are_said_to_be_none() -> None:
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert "fingers" not in gripper.fields
     assert gripper.how.endswith(
-        "no fingers, as left and right have no range with two ends"
+        "no fingers: left, right have no range with two ends across the hand"
     )
 
 
@@ -152,7 +152,7 @@ def test_fingers_that_overlap_at_all_ends_are_none(tmp_path: Path) -> None:
     text = fingers((0.0, 1, "0 .002", 0), (0.0, -1, "0 .002", 0))
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert "fingers" not in gripper.fields
-    assert gripper.how.endswith("as left and right overlap at all their ends")
+    assert gripper.how.endswith("left and right overlap at all their ends")
     other, _ = CASES["closed at 0, negative axis"]
     robot = describe(tmp_path, other, {})
     (tmp_path / "arm.xml").write_text(text)
@@ -354,6 +354,30 @@ def test_hinged_fingers_are_found_and_drafted_open(name: str, tmp_path: Path) ->
     assert limits[-1] == pytest.approx(gap / 2 + SQUEEZE_M, abs=near_m)
 
 
+@pytest.mark.parametrize(
+    ("height", "back"), [(0.135, LINK_M * (1 - np.cos(0.8))), (0.12, 0.0)]
+)
+def test_a_makers_frame_ahead_of_open_fingers_moves_back_with_them(
+    height: float, back: float
+) -> None:
+    """Closing, the fingers reach 1.2 cm farther, where the frame is between them."""
+    text = hinged(('range="-.8 0"', WIDE), (WIDE, WIDE), ALONG + TIPS)
+    site = f'<site name="tcp" pos="0 0 {height}" euler="0 0 0"/><body name="left_link"'
+    gripper = find_gripper(
+        mujoco.MjModel.from_xml_string(text.replace('<body name="left_link"', site))
+    )
+    assert gripper.fields["fingers"] == ["left_tip", "right_tip"]
+    if back:
+        expected = pytest.approx((0, 0, height - back), abs=0.001)
+        assert gripper.fields["tcp_position_m"] == expected
+        assert (
+            "1.2 cm before site 'tcp', as open fingers end before closed" in gripper.how
+        )
+    else:
+        assert gripper.fields["tcp_site"] == "tcp"
+        assert "tcp_position_m" not in gripper.fields
+
+
 THIRD = HINGED.format("third", 0.03, 1, CLOSES, WIDE).replace(
     "0 0.03 .04", ".02 .03 .04"
 )
@@ -382,7 +406,7 @@ NO_FINGERS = {
     ),
     "joints without ranges": (
         hinged(("", ""), ("", ""), ALONG + TIPS),
-        "as left and left_tip and right and right_tip have no range with two ends",
+        "left, left_tip, right, right_tip have no range with two ends",
     ),
     "suction": (
         ARM.replace(
@@ -400,7 +424,7 @@ NO_FINGERS = {
         hinged((CLOSES, WIDE), (WIDE, WIDE), ALONG + TIPS).replace(
             ' name="left_tip" pos', " pos"
         ),
-        "no fingers, as their bodies have no names",
+        "no fingers: their bodies have no names",
     ),
 }
 """MJCF of grippers that cannot lift, and why."""
@@ -419,7 +443,7 @@ def test_fingers_that_open_by_metres_are_none() -> None:
     text = fingers((0.01, 1, "0 1", 0), (-0.01, -1, "0 1", 0))
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
     assert "fingers" not in gripper.fields
-    assert gripper.how.endswith("left and right, open by 201.0 cm, as no gripper does")
+    assert gripper.how.endswith("left and right open by 201.0 cm, as no gripper does")
 
 
 def test_short_fingers_on_wide_carriages_are_as_open_as_their_tips() -> None:

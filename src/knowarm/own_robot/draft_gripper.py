@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,6 @@ from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import (
     JAW_SHARE,
-    MOVABLE,
     Ids,
     box_corners,
     extent,
@@ -34,6 +33,7 @@ from knowarm.own_robot.opening import (
     MOST_M,
     SAME_M,
     Motion,
+    Opening,
     solid_geoms,
     widest_opening,
 )
@@ -110,10 +110,25 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     inside = subtree(model, hand)
     outer = [b for b in inside[1:] if model.body_jntnum[b]]  # the first is the hand
     approach, point = _approach(data, last, hand, outer)
-    fingers, text, across, tip = _fingers(data, inside, outer, approach)
+    motion = Motion(data, joints_of(model, outer))
+    groups = _rigid_groups(data, outer)
+    reach = np.array([extent(data, np.array(geoms), approach) for geoms in groups])
+    across = _across(data, outer, approach, _farthest_way(motion.shifts(groups), reach))
     frame = np.stack([np.cross(across, approach), across, approach], axis=1)
-    if tip is not None:
-        point = tip - BEFORE * ((tip - data.xanchor[last]) @ approach) * approach
+    fingers: Fields = {}
+    opening = None
+    try:
+        if outer:
+            opening = _open_fingers(motion, groups, reach, frame)
+            names = [model.body(body).name for body in opening.bodies]
+            fingers = {"fingers": names, "held_joints": opening.joints}
+            text = f"; fingers: {' and '.join(names)}, open by {100 * opening.gap_m:.1f} cm"
+            ahead = (opening.tip - data.xanchor[last]) @ approach
+            point = opening.tip - BEFORE * ahead * approach
+        else:
+            text = _still(model, inside)
+    except UserError as error:
+        text = f"; no fingers: {error}"
     bodies = inside
     if outer:
         bodies = fixed_to(model, [hand])
@@ -128,12 +143,17 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
     if kept:
         site = kept[0]
         name = model.site(site).name
+        back = 0.0
+        if opening and (data.site_xpos[site] - opening.tip) @ approach > 0:
+            back = opening.retreat_m
         _, y, z = data.site_xmat[site].reshape(3, 3).T
         cosine = min(z @ approach, abs(y @ across))
-        if cosine > AGREEING_COSINE:
+        if cosine > AGREEING_COSINE and back < SAME_M:
             return {"tcp_site": name, **fingers}, f"site {name!r}{text}"
-        point = data.site_xpos[site]
+        point = data.site_xpos[site] - back * approach
         source = f"the place of site {name!r}, turned"
+        if back > SAME_M:
+            source = f"{100 * back:.1f} cm before site {name!r}, as open fingers end before closed"
     elif outer:
         source = "between the ends of the gripper's fingers"
         if sites:
@@ -178,58 +198,79 @@ def _is_between(
     return bool(-length - BEHIND_M < ahead < AHEAD_M)
 
 
-def _fingers(
-    data: MjData, inside: Ids, outer: Ids, approach: Floats
-) -> tuple[Fields, str, Floats, Floats | None]:
-    """Return ``fingers`` and their open values in ``held_joints``, if two move across a hand.
-
-    ``inside`` are the hand and all bodies on it, of which ``outer`` have joints. Also return what
-    was found, in words, the direction across the hand, and the middle between the fingers' ends
-    [m], each of world (3,).
-    """
-    model = data.model
-    across = _across(data, outer, approach)
-    if not outer:
-        return {}, _still(model, inside), across, None
-    joints = [j for j in joints_of(model, outer) if model.jnt_type[j] in MOVABLE]
-    motion = Motion(data, joints)
+def _rigid_groups(data: MjData, moving: Ids) -> list[Ids]:
+    """Return the geoms of what moves, together where no joint separates them."""
     groups = []
-    for body in sorted({*model.body_weldid[outer].tolist()}):
-        geoms = solid_geoms(data, fixed_to(model, [body]))
+    for body in np.unique(data.model.body_weldid[moving]).tolist():
+        geoms = solid_geoms(data, fixed_to(data.model, [body]))
         if geoms:
             groups.append(geoms)
-    shifts = motion.shifts(groups)
-    moved = norm(shifts, axis=2) > SAME_M
-    if not moved.any():
-        names = " and ".join(joint_names(model, joints))
-        return {}, f"; no fingers, as {names} have no range with two ends", across, None
-    reach = np.array([extent(data, np.array(geoms), approach) for geoms in groups])
-    farthest = int(np.where(moved.any(axis=0), reach, -np.inf).argmax())
-    way = shifts[norm(shifts[:, farthest], axis=1).argmax(), farthest]
-    flat = way - (way @ approach) * approach
-    if norm(flat) > 0.3 * norm(way):
-        across = flat / norm(flat) * (1 if flat @ across >= 0 else -1)
-    pair, reason = _pair(model, motion, groups, shifts @ across, reach)
-    if reason:
-        return {}, f"; no fingers: {reason}", across, None
-    drivers = [motion.drivers[k] for k in np.flatnonzero(moved[:, pair].any(axis=1))]
-    frame = np.stack([np.cross(across, approach), across, approach], axis=1)
+    return groups
+
+
+def _farthest_way(shifts: Floats, reach: Floats) -> Floats:
+    """Return how a gripper moves what reaches farthest of what it moves, (3,) [m], or zeros.
+
+    ``shifts`` (drivers, groups, 3) are the ways of groups of geoms, which reach out by ``reach``.
+    """
+    lengths = norm(shifts, axis=2).max(axis=0, initial=0.0)
+    if not (lengths > SAME_M).any():
+        return np.zeros(3)
+    ways = shifts[:, np.where(lengths > SAME_M, reach, -np.inf).argmax()]
+    return np.asarray(ways[norm(ways, axis=1).argmax()])
+
+
+def _open_fingers(
+    motion: Motion, groups: Sequence[Ids], reach: Floats, frame: Floats
+) -> Opening:
+    """Return how two fingers are open, of the groups of geoms that reach farthest on each side.
+
+    The columns of ``frame`` (3, 3) are any direction, that across the hand and the approach.
+
+    Raises:
+        UserError: there are no two fingers, for the reason that it names.
+    """
+    model = motion.data.model
+    shifts = motion.shifts(groups) @ frame[:, 1]
+    sides: dict[tuple[int, bool], Ids] = {}  # Groups by what drives them, to which side
+    for k in np.argsort(-reach).tolist() if motion.drivers else ():
+        driver = np.abs(shifts[:, k]).argmax()
+        way = shifts[driver, k]
+        if abs(way) > SAME_M:
+            sides.setdefault((int(driver), way > 0), []).append(k)
+    pair = sorted(members[0] for members in [*sides.values()][:2])
+    if not pair:
+        names = ", ".join(joint_names(model, motion.joints))
+        raise UserError(f"{names} have no range with two ends across the hand")
     fingers = [groups[k] for k in pair]
+    drivers = motion.drivers_of(fingers)
+    names = ", ".join(joint_names(model, drivers))
+    if len(pair) < 2:
+        alone = model.body(model.geom_bodyid[fingers[0][0]]).name
+        raise UserError(f"{alone} moves alone across the hand, and lifting moves two")
+    if len(drivers) > MOST_DRIVERS:
+        raise UserError(
+            f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "
+            f"URDF has no closed loops: {names}"
+        )
+    least = reach[pair].min() - FINGERTIP_M
+    ends = [k for members in sides.values() for k in members if reach[k] > least]
+    count = len({motion.root(groups[k]) for k in ends})
+    if count > 2:
+        raise UserError(f"{count} of them close, and lifting moves two")
     opening = widest_opening(motion, drivers, fingers, frame)
     if opening is None:
-        reason = f"; no fingers: {_listed(model, drivers)} reach no end, as loops do not close"
-        return {}, reason, across, None
-    names = [_main_body(model, geoms, opening.counts) for geoms in fingers]
-    both = " and ".join(names)
-    if not all(names):
-        return {}, "; no fingers, as their bodies have no names", across, None
+        raise UserError(f"{names} reach no end, as loops do not close")
+    bodies = [model.body(body).name for body in opening.bodies]
+    both = " and ".join(bodies)
+    if not all(bodies):
+        raise UserError("their bodies have no names")
     if opening.gap_m < LEAST_M:
-        return {}, f"; no fingers, as {both} overlap at all their ends", across, None
-    text = f"{both}, open by {100 * opening.gap_m:.1f} cm"
+        raise UserError(f"{both} overlap at all their ends")
     if opening.gap_m > MOST_M:
-        return {}, f"; no fingers: {text}, as no gripper does", across, None
-    fields: Fields = {"fingers": names, "held_joints": opening.joints}
-    return fields, f"; fingers: {text}", across, opening.tip
+        open_cm = f"{100 * opening.gap_m:.1f} cm"
+        raise UserError(f"{both} open by {open_cm}, as no gripper does")
+    return opening
 
 
 def _still(model: MjModel, bodies: Ids) -> str:
@@ -239,58 +280,6 @@ def _still(model: MjModel, bodies: Ids) -> str:
         if re.search(words, names, re.IGNORECASE):
             return f"; no fingers: {reason}"
     return ""
-
-
-def _pair(
-    model: MjModel,
-    motion: Motion,
-    groups: Sequence[Ids],
-    shifts: Floats,
-    reach: Floats,
-) -> tuple[Ids, str]:
-    """Return the two groups of geoms that are fingers, or why there are none.
-
-    ``shifts`` (drivers, groups) are how far each driver moves them across the hand, and ``reach``
-    how far they reach out of it [m]. On each side the one that reaches farthest is a finger.
-    """
-    sides: dict[tuple[int, bool], Ids] = {}
-    for k in np.argsort(-reach).tolist():
-        driver = int(np.abs(shifts[:, k]).argmax())
-        if abs(shifts[driver, k]) > SAME_M:
-            sides.setdefault((driver, shifts[driver, k] > 0), []).append(k)
-    pair = sorted(members[0] for members in [*sides.values()][:2])
-    if len(pair) < 2:
-        name = _main_body(model, groups[pair[0]], {}) if pair else "nothing"
-        return pair, f"{name} moves alone across the hand, and lifting moves two"
-    drivers = np.flatnonzero((np.abs(shifts[:, pair]) > SAME_M).any(axis=1))
-    if len(drivers) > MOST_DRIVERS:
-        names = _listed(model, [motion.drivers[k] for k in drivers])
-        return pair, (
-            f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "
-            f"URDF has no closed loops: {names}"
-        )
-    roots = set()
-    for members in sides.values():
-        for k in members:
-            if reach[k] > reach[pair].min() - FINGERTIP_M:
-                roots.add(motion.root(groups[k]))
-    if len(roots) > 2:
-        return pair, f"{len(roots)} of them close, and lifting moves two"
-    return pair, ""
-
-
-def _listed(model: MjModel, joints: Ids) -> str:
-    return ", ".join(joint_names(model, joints))
-
-
-def _main_body(model: MjModel, geoms: Ids, counts: Mapping[int, int]) -> str:
-    """Return the named body that has most points of the fingertip's surface, '' if none."""
-    points: dict[str, int] = {}
-    for geom in geoms:
-        name = model.body(model.geom_bodyid[geom]).name
-        points[name] = points.get(name, 0) + counts.get(geom, 0)
-    points.pop("", None)
-    return max(points, key=points.__getitem__, default="")
 
 
 def _approach(
@@ -336,13 +325,23 @@ def _approach(
     return approach, middle + approach * (end - middle @ approach)
 
 
-def _across(data: MjData, moving: Ids, approach: Floats) -> Floats:
-    """Return a direction across a hand, world: of what moves on it, or horizontal."""
+def _across(data: MjData, moving: Ids, approach: Floats, way: Floats) -> Floats:
+    """Return the direction in which a hand opens, world: that of a way, else of what moves.
+
+    It points from the first to the second of what moves, or as a joint of it.
+    """
     between = data.xpos[moving[1:]] - data.xpos[moving[:1]]
     joints = joints_of(data.model, moving)
     slides = [j for j in joints if is_slide(data.model, j)]
     swept = np.cross(data.xaxis[joints[:1]], approach)  # by a jaw that turns
     candidates = np.vstack([between, data.xaxis[slides], swept, _HORIZONTAL])
+    usual = _first_across(candidates, approach)
+    across = _first_across(np.vstack([way, candidates]), approach)
+    return across if across @ usual >= 0 else -across
+
+
+def _first_across(candidates: Floats, approach: Floats) -> Floats:
+    """Return the first of directions (n, 3) that is not along an approach, across it."""
     flat = candidates - np.outer(candidates @ approach, approach)
     lengths = norm(flat, axis=1)
     is_across = lengths > 0.3 * norm(candidates, axis=1)

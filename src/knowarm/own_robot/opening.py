@@ -20,14 +20,12 @@ from mujoco import (
 )
 from numpy.linalg import matrix_rank, norm
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.check import Check
 from knowarm.own_robot.draft_chain import (
     MOVABLE,
     Ids,
     geoms_of,
-    joints_of,
-    subtree,
 )
 from knowarm.own_robot.poses import robot_file
 from knowarm.world.robots.robot import Robot
@@ -73,13 +71,11 @@ class Motion:
         self.data = MjData(model)
         self._model = model
         self._drawn = drawn.qpos.copy()
-        self._joints = joints
-        independent = self._independent()
-        actuated = _actuated(model).intersection(independent) or {*independent}
-        self.drivers = [
-            j for j in independent if j in actuated and model.jnt_limited[j]
-        ]
-        self._followers = [j for j in joints if j not in independent]
+        self.joints = [j for j in joints if model.jnt_type[j] in MOVABLE]
+        free = self._independent()
+        driven = [j for j in free if j in _actuated(model)] or free
+        self.drivers = [j for j in driven if model.jnt_limited[j]]
+        self._followers = [j for j in self.joints if j not in free]
 
     def _independent(self) -> Ids:
         """Return joints that determine all others of the gripper; those that can drive first."""
@@ -89,7 +85,7 @@ class Motion:
         leaders = model.eq_obj2id[is_pair]
         actuated = _actuated(model)
         jacobian, _ = self._loops()
-        rest = [*self._joints]
+        rest = [*self.joints]
 
         def rank(joints: Ids) -> int:
             return int(matrix_rank(np.pad(jacobian[:, model.jnt_dofadr[joints]], 1)))
@@ -105,7 +101,7 @@ class Motion:
         independent = []
         for joint in sorted(rest, key=preference):
             others = [j for j in rest if j != joint]
-            if rank(others) == rank(self._joints):
+            if rank(others) == rank(self.joints):
                 rest = others
                 independent.append(joint)
         return independent
@@ -184,7 +180,7 @@ class Motion:
     def root(self, geoms: Ids) -> int:
         """Return the first body on the way from the hand to geoms that the gripper moves."""
         model = self._model
-        moving = model.jnt_bodyid[self._joints]
+        moving = model.jnt_bodyid[self.joints]
         body = int(model.geom_bodyid[geoms[0]])
         first = body
         while body:
@@ -206,10 +202,15 @@ class Motion:
         between = (begins[0] - begins[1]) @ across
         return float(between) if abs(between) > SAME_M else 0.0
 
+    def drivers_of(self, groups: Sequence[Ids]) -> Ids:
+        """Return the joints that drive groups of geoms."""
+        moved = norm(self.shifts(groups), axis=2) > SAME_M
+        return [self.drivers[k] for k in np.flatnonzero(moved.any(axis=1))]
+
     def named(self, qpos: Floats, others: Sequence[Floats]) -> dict[str, float]:
         """Return the values of joints that have names and differ in other poses."""
         values = {}
-        for joint in self._joints:
+        for joint in self.joints:
             address = self._model.jnt_qposadr[joint]
             name = self._model.joint(joint).name
             if name and np.ptp([pose[address] for pose in others]) > CLOSED_M:
@@ -222,8 +223,69 @@ class Opening(NamedTuple):
 
     gap_m: float  # Between the tips of the surfaces that meet
     tip: Floats  # Middle between the ends of those, world (3,) [m]
+    retreat_m: float  # How far the ends lie behind those of closed fingers
     joints: dict[str, float]  # Values of the gripper's joints by name
-    counts: dict[int, int]  # Points of those tips by geom
+    bodies: tuple[int, int]  # Those that hold most of the tips
+
+
+class Surfaces(NamedTuple):
+    """Points on the surfaces of two fingers."""
+
+    points: Floats  # In any direction, across the hand and out of it, (P, 3) [m]
+    is_first: Mask  # Which are the first finger's, (P,)
+    bodies: Integers  # Ids of their bodies, (P,)
+
+    @classmethod
+    def of(cls, data: MjData, fingers: Sequence[Ids], frame: Floats) -> "Surfaces":
+        """Return those of fingers' geoms, in a frame (3, 3) whose columns are directions."""
+        first, second = fingers
+        geoms = [*first, *second]
+        points = [surface_points(data, geom) @ frame for geom in geoms]
+        owners = np.repeat(geoms, [len(part) for part in points])
+        bodies = data.model.geom_bodyid[owners]
+        return cls(np.concatenate(points), np.isin(owners, first), bodies)
+
+    def end(self, mask: Mask) -> float:
+        """Return how far the finger of some points that ends first reaches [m]."""
+        along = self.points[:, 2]
+        ends = [along[mask & side].max() for side in (self.is_first, ~self.is_first)]
+        return float(min(ends))
+
+    def tips(self, mask: Mask | bool = True) -> Mask:
+        """Return which of some points are those of the tips, (P,)."""
+        mask = mask & (self.is_first | True)
+        along = self.points[:, 2]
+        tip_m = min(TIP_M, TIP_SHARE * np.ptp(along[mask]))
+        return np.asarray(mask & (along > self.end(mask) - tip_m))
+
+    def gap(self, mask: Mask) -> tuple[float, float, bool]:
+        """Return gap and middle of some points across the hand [m]; is the first finger higher?"""
+        across = self.points[:, 1]
+        first = across[mask & self.is_first]
+        second = across[mask & ~self.is_first]
+        above = first.min() - second.max()
+        below = second.min() - first.max()
+        if above > below:
+            return above, (first.min() + second.max()) / 2, True
+        return below, (second.min() + first.max()) / 2, False
+
+    def body(self, mask: Mask) -> int:
+        """Return the body that has most of some points."""
+        return int(np.bincount(self.bodies[mask]).argmax())
+
+    def meeting(self) -> Mask:
+        """Return which points of closed fingers are the tips of the surfaces that meet, (P,).
+
+        What fingers carry outside, such as a camera or a screw, may reach farther, and meets
+        nothing.
+        """
+        tips = self.tips()
+        gap, middle, is_higher = self.gap(tips)
+        if gap < -LEAST_M:  # they pass through each other
+            return tips
+        beyond = self.points[:, 1] - middle
+        beyond[self.is_first != is_higher] *= -1
+        return self.tips(beyond <= max(gap, 0.0) / 2 + MEET_M)
 
 
 def solid_geoms(data: MjData, bodies: Ids) -> Ids:
@@ -247,90 +309,30 @@ def widest_opening(
     if not poses:
         return None
     side = motion.side(fingers, frame[:, 1])
-    rows = []
+    surfaces = []
+    is_swapped = []
     for qpos in poses:
-        data = motion.at(qpos)
-        span = [_points(data, geoms) @ frame for geoms in fingers]
-        apart = span[0][:, 1].mean() - span[1][:, 1].mean()
-        rows.append((apart * side < 0, qpos, span))
-
-    def closeness(row: tuple[bool, Floats, list[Floats]]) -> tuple[bool, bool, float]:
-        is_swapped, _, span = row
-        gap, *_ = _gap(span, _tips(span))
-        return gap < -LEAST_M, is_swapped, gap
-
-    *_, closed = min(rows, key=closeness)
-    tips = _meeting(closed)
-
-    def width(row: tuple[bool, Floats, list[Floats]]) -> tuple[bool, int]:
-        is_swapped, _, span = row
-        gap, *_ = _gap(span, tips)
-        return not is_swapped, round(gap / SAME_M)
-
-    _, qpos, span = max(rows, key=width)
-    gap, middle, _ = _gap(span, tips)
-    ends = [points[tip] for points, tip in zip(span, tips, strict=True)]
-    aside = np.mean([(end[:, 0].min() + end[:, 0].max()) / 2 for end in ends])
-    along = min(end[:, 2].max() for end in ends)
-    tip = frame @ np.array([aside, middle, along])
-    counts: dict[int, int] = {}
-    for geoms, is_tip in zip(fingers, tips, strict=True):
-        sizes = [len(surface_points(motion.data, geom)) for geom in geoms]
-        for geom, part in zip(
-            geoms, np.split(is_tip, np.cumsum(sizes)[:-1]), strict=True
-        ):
-            counts[geom] = int(part.sum())
-    return Opening(float(gap), tip, motion.named(qpos, poses), counts)
-
-
-def _points(data: MjData, geoms: Ids) -> Floats:
-    """Return points on the surfaces of geoms, world (P, 3) [m]."""
-    return np.concatenate([surface_points(data, geom) for geom in geoms])
-
-
-def _tips(fingers: Sequence[Floats], near: Sequence[Mask] | None = None) -> list[Mask]:
-    """Return which points of two fingers, (P, 3) each, are those of their tips, of some or all."""
-    near = near or [np.full(len(points), True) for points in fingers]
-    lengths = [points[mask, 2] for points, mask in zip(fingers, near, strict=True)]
-    end = min(length.max() for length in lengths)
-    tip_m = min(TIP_M, TIP_SHARE * np.ptp(np.concatenate(lengths)))
-    tips = []
-    for points, mask in zip(fingers, near, strict=True):
-        tip = mask & (points[:, 2] > end - tip_m)
-        tips.append(tip if tip.any() else mask)
-    return tips
-
-
-def _gap(fingers: Sequence[Floats], masks: Sequence[Mask]) -> tuple[float, float, int]:
-    """Return gap and middle between points of two fingers across the hand [m], and the lower."""
-    sides = [points[mask, 1] for points, mask in zip(fingers, masks, strict=True)]
-    gaps = [
-        sides[1].min() - sides[0].max(),
-        sides[0].min() - sides[1].max(),
-    ]
-    low = int(np.argmax(gaps))
-    middle = (sides[low].max() + sides[1 - low].min()) / 2
-    return gaps[low], middle, low
-
-
-def _meeting(closed: Sequence[Floats]) -> list[Mask]:
-    """Return which points of two closed fingers are the tips of the surfaces that meet.
-
-    What fingers carry outside, such as a camera or a screw, may reach farther, and meets nothing.
-    """
-    tips = _tips(closed)
-    gap, middle, low = _gap(closed, tips)
-    if gap < -LEAST_M:  # they pass through each other
-        return tips
-    far = max(gap, 0.0) / 2 + MEET_M
-    near = []
-    for k, points in enumerate(closed):
-        beyond = points[:, 1] - middle
-        if k == low:
-            beyond = -beyond
-        is_near = beyond <= far
-        near.append(is_near if is_near.any() else np.full(len(points), True))
-    return _tips(closed, near)
+        drawn = Surfaces.of(motion.at(qpos), fingers, frame)
+        across = drawn.points[:, 1]
+        apart = across[drawn.is_first].mean() - across[~drawn.is_first].mean()
+        is_swapped.append(apart * side < 0)
+        surfaces.append(drawn)
+    gaps = np.array([drawn.gap(drawn.tips())[0] for drawn in surfaces])
+    closed = surfaces[np.lexsort((gaps, is_swapped, gaps < -LEAST_M))[0]]
+    tips = closed.meeting()
+    gaps = np.array([drawn.gap(tips)[0] for drawn in surfaces])
+    best = np.lexsort((-(gaps / SAME_M).round(), is_swapped))[0]
+    _, middle, _ = surfaces[best].gap(tips)
+    points = surfaces[best].points[tips]
+    end = surfaces[best].end(tips)
+    aside = (points[:, 0].min() + points[:, 0].max()) / 2
+    return Opening(
+        float(gaps[best]),
+        frame @ np.array([aside, middle, end]),
+        closed.end(tips) - end,
+        motion.named(poses[best], poses),
+        (closed.body(tips & closed.is_first), closed.body(tips & ~closed.is_first)),
+    )
 
 
 def check_fingers(robot: Robot) -> Check:
@@ -361,26 +363,23 @@ def check_fingers(robot: Robot) -> Check:
             "Name two bodies with geoms, or two geoms.",
         )
     frame = data.site(robot.tcp_site).xmat.reshape(3, 3)
-    spans = [_points(data, geoms) @ frame for geoms in fingers]
-    drawn, *_ = _gap(spans, _tips(spans))
+    surfaces = Surfaces.of(data, fingers, frame)
+    drawn, *_ = surfaces.gap(surfaces.tips())
     found = f"{names} are drawn {100 * drawn:.1f} cm apart"
+    motion = Motion(
+        data, [j for j in range(model.njnt) if model.joint(j).name not in robot.joints]
+    )
+    drivers = motion.drivers_of(fingers)
     best = None
-    hand = model.joint(robot.joints[-1]).bodyid[0]
-    moving = joints_of(model, subtree(model, hand)[1:])
-    motion = Motion(data, [j for j in moving if model.jnt_type[j] in MOVABLE])
-    moved = norm(motion.shifts(fingers), axis=2).max(axis=1, initial=0.0) > SAME_M
-    drivers = [motion.drivers[k] for k in np.flatnonzero(moved)]
     if 0 < len(drivers) <= MOST_DRIVERS:
         best = widest_opening(motion, drivers, fingers, frame)
-    widest = best.gap_m if best else drawn
-    if drawn >= min(LEAST_SHARE * widest, widest - SAME_M):
+    if best is None or drawn >= min(LEAST_SHARE * best.gap_m, best.gap_m - SAME_M):
         remedy = "Open them in the file, or with held_joints."
         return Check("fingers", drawn >= LEAST_M, found, remedy)
-    assert best
     held = ", ".join(f"{name} = {value:g}" for name, value in best.joints.items())
     return Check(
         "fingers",
         False,
-        f"{found}, and {100 * widest:.1f} cm at the other end",
+        f"{found}, and {100 * best.gap_m:.1f} cm at the other end",
         f"Draw them open: held_joints = {{ {held} }}.",
     )
