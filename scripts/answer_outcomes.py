@@ -171,12 +171,12 @@ def answer(
             f"{title} ({points(gate_of(finding))} points, adjusted p "
             f"{p_value(gate_of(finding).adjusted_p)}), but not than networks as large without "
             f"this knowledge, which gain {min(gains):+.1f} to {max(gains):+.1f} points: the [size "
-            "of the network](#is-it-the-size-of-the-network) is a possible cause."
+            "of the network](answer-size.md) is a possible cause."
         )
     low, high = slower(tasks)
     return (
         f"{text} `full` trains at {low} to {high} % of the baseline's steps per second "
-        "([cost](#cost-of-training))."
+        "([cost](answer-cells.md#cost-of-training))."
     )
 
 

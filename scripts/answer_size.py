@@ -1,4 +1,4 @@
-"""Section of `docs/results/answer.md` on the size of the network, without knowledge."""
+"""Page `docs/results/answer-size.md` on the size of the network, without knowledge."""
 
 import csv
 from collections.abc import Sequence
@@ -47,9 +47,9 @@ def slope(sizes: np.ndarray, values: np.ndarray) -> tuple[Interval, float]:
     )
 
 
-LARGER_TEXT = """**Not settled by it.** All runs of the four controls above, which are as large as
-`full`, against `bm`, mean success during training [points]: {differences} (Welch, not declared, p
-not corrected). New seeds have to confirm it."""
+LARGER_TEXT = """**Not settled by it.** All runs of the four controls of the [answer](answer.md),
+which are as large as `full`, against `bm`, mean success during training [points]: {differences}
+(Welch, not declared, p not corrected). New seeds have to confirm it."""
 
 
 def larger_networks(cells: Sequence[Cell]) -> str:
@@ -70,7 +70,7 @@ def larger_networks(cells: Sequence[Cell]) -> str:
 def size_section(
     study: Path, speed: Path, progress: str, cells: Sequence[Cell]
 ) -> list[str]:
-    """Return the blocks of the section.
+    """Return the blocks of the page.
 
     Args:
         study: unpacked study of sizes.
@@ -155,7 +155,7 @@ def size_section(
         processor=processor,
     )
     return [
-        "## Is it the size of the network?",
+        "# Is it the size of the network?",
         lead,
         larger_networks(cells),
         text,

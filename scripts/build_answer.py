@@ -1,4 +1,4 @@
-"""Builds `docs/results/answer.md` and its CSV files from the packs of the studies.
+"""Builds `docs/results/answer.md`, its further pages and CSV files from the packs of the studies.
 
     python -m scripts.build_answer
 
@@ -17,7 +17,7 @@ from knowarm.report.collect import collect
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
 from knowarm.study.status import study_status
-from scripts.answer_a3c import a3c_section, tuned_section
+from scripts.answer_a3c import a3c_page
 from scripts.answer_cells import (
     SIGNIFICANT,
     Cell,
@@ -58,26 +58,18 @@ def faster_cells(cells: Sequence[Cell]) -> list[Cell]:
     return [cell for cell, c, p in decided if p < SIGNIFICANT and c.steps.high < 0]
 
 
-def page(
-    cells: Sequence[Cell],
-    known: Decided,
-    progress: str,
-    size: Sequence[str],
-    sections: Sequence[str],
-) -> str:
-    """Write the page.
+def main_page(cells: Sequence[Cell], known: Decided, progress: str) -> list[str]:
+    """Return the blocks of the page with the answer.
 
     Args:
         cells: robots and colours with their agents.
         known: what the reports decide on them.
         progress: how much of the studies is done.
-        size: section on the size of the network.
-        sections: what follows the cost of training.
     """
     agents = [agent for cell in cells for agent in cell.agents.values()]
     tasks = [cell.task for cell in cells]
     parts = [
-        HEAD,
+        "# Does semantic knowledge help a robot arm to learn?",
         answer(known, tasks, len(faster_cells(cells)), list(map(title_of, tasks))),
         FIGURE,
         "\n".join(f"- {verdict(cell)}" for cell in cells),
@@ -87,21 +79,22 @@ def page(
             progress=progress,
         ),
     ]
-    parts += outcomes_section(known, tasks)
+    return [*parts, *outcomes_section(known, tasks), *anova_section(tasks), BOTTOM]
+
+
+def cells_page(cells: Sequence[Cell]) -> list[str]:
+    """Return the blocks of the page with a table per cell."""
+    count = len(faster_cells(cells)) or "none"
+    parts = ["# Every cell and agent", CELLS.format(count=count, cells=len(cells))]
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell)]
-    parts += [
-        *size,
-        *anova_section(tasks),
-        *cost_section(tasks),
-        *sections,
-        BOTTOM,
-    ]
-    return wrapped("\n\n".join(parts)) + "\n"
+    return [*parts, *cost_section([cell.task for cell in cells])]
 
 
-HEAD = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
-# Does semantic knowledge help a robot arm to learn?"""
+HEAD = "<!-- Written by scripts/build_answer.py from the packs; do not edit. -->\n"
+
+CELLS = """**`full` needs fewer steps to 80 % success than `bm` in {count} of {cells} cells.**
+Protocol, outcomes and controls: [answer](answer.md)."""
 
 TOP = """**Protocol.** {runs} runs with `fast`: 1.5 million steps, one process, up to {seeds}
 training seeds; studies `answer` (IRB120), `answer-tiago`, and `paper` (TIAGo with randomized
@@ -116,7 +109,10 @@ cell. Data: `answer-runs.csv`, `answer-comparisons.csv`.
 
 Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` has
 random numbers in place of each slot, `shuffled` a graph whose tails are permuted within each
-relation. An effect of what the knowledge says must exceed all of them."""
+relation. An effect of what the knowledge says must exceed all of them.
+
+Further pages: [every cell and agent](answer-cells.md), [the size of the network](answer-size.md),
+[the paper's algorithm](answer-a3c.md), [where the knowledge enters](answer-fusions.md)."""
 
 FIGURE = (
     "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
@@ -131,7 +127,8 @@ BOTTOM = """## What this cannot say
 - Interim evaluations are 50,000 steps apart: smaller differences are not seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps and the area can differ.
 
-Repeat: `knowarm study run` with these studies; pack them, then `python -m scripts.build_answer`."""
+Repeat: `knowarm study run` with the studies that these pages name; pack them, then `python -m
+scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -168,21 +165,27 @@ def main() -> None:
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
-        fusions = fusions_section(
-            folder["fusions"], folder["choose"], *shares, progress
-        )
+        pages = {
+            "-fusions": fusions_section(
+                folder["fusions"], folder["choose"], *shares, progress
+            )
+        }
         studies = [collect([folder[name]]) for name in STUDIES]
         cells = cells_of(studies)
         known = Decided.of(studies, [cell.task for cell in cells])
         states = dict.fromkeys(done(folder[name]) for name in STUDIES)
         progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
-        a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
-        tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        size = size_section(
+        a3c = [folder[name] for name in ("a3c", "a3c-tuned")]
+        pages["-a3c"] = a3c_page(*a3c, list(map(done, a3c)))
+        pages["-size"] = size_section(
             folder["size"], RESULTS / "size-speed.csv", done(folder["size"]), cells
         )
-        text = page(cells, known, progress, size, [*a3c, *tuned, *fusions])
-        given.out.write_text(text, encoding="utf-8")
+        pages["-cells"] = cells_page(cells)
+        pages[""] = main_page(cells, known, progress)
+        for end, blocks in pages.items():
+            text = HEAD + wrapped("\n\n".join(blocks)) + "\n"
+            path = given.out.with_stem(given.out.stem + end)
+            path.write_text(text, encoding="utf-8")
         write_runs(cells, given.out.with_name("answer-runs.csv"))
         write_comparisons(cells, given.out.with_name("answer-comparisons.csv"))
         write_changes(CHANGES, given.out.with_name("a3c-changes.csv"))

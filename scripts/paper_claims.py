@@ -42,7 +42,7 @@ def fast_claims(cells: Sequence[Cell], known: Decided) -> list[Row]:
             "No significant increase of computation (7)",
             "no figure",
             "`full`: {} to {} % of the steps per second of `bm`".format(*slower(tasks)),
-            "[does not hold](answer.md#cost-of-training)",
+            "[does not hold](answer-cells.md#cost-of-training)",
         ],
     ]
 

@@ -13,6 +13,12 @@ from knowarm.study.pack import unpack_study
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "answer.md"
+PAGES = [
+    PAGE.with_stem(f"answer{end}")
+    for end in ("", "-cells", "-size", "-a3c", "-fusions")
+]
+MOST_LETTERS = 8_000
+"""Letters of a page of the answer or of the lab notes; longer ones become several pages."""
 TABLES = [
     PAGE.with_name(f"{name}.csv")
     for name in ("answer-runs", "answer-comparisons", "a3c-changes")
@@ -30,13 +36,21 @@ def test_the_page_is_what_the_packs_say(tmp_path):
     out = tmp_path / "answer.md"
     command = [sys.executable, "-m", "scripts.build_answer", "--out", out]
     subprocess.run(command, check=True, cwd=ROOT)
-    for file in (PAGE, *TABLES):
+    for file in (*PAGES, *TABLES):
         assert out.with_name(file.name).read_text("utf-8") == file.read_text("utf-8")
+
+
+def test_answer_and_lab_notes_are_pages_and_no_scrolls():
+    notes = sorted((ROOT / "docs" / "lab-notes").glob("*.md"))
+    assert len(notes) > 9
+    for page in (*PAGES, *notes, ROOT / "docs" / "lab-notes.md"):
+        assert len(page.read_text("utf-8")) < MOST_LETTERS, page.name
+    assert "hidden" not in (ROOT / "docs/_static/site.js").read_text("utf-8")
 
 
 def agents_of(cell):
     """Return the seeds and the success of each agent from the table of a cell."""
-    section = PAGE.read_text("utf-8").split(f"\n## {cell}\n")[1].split("\n## ")[0]
+    section = PAGES[1].read_text("utf-8").split(f"\n## {cell}\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `(.+?)` \| (\d+) \| .+? \| (.+?) \|", section, re.M)
     return {name: (int(seeds), success) for name, seeds, success in rows}
 

@@ -611,7 +611,9 @@ SCENES = {
     "of one colour": ["mug_0,color,red", "mug_0,on,shelf", "mug_1,on,sink", "mug_1,color,blue"],
     "of kinds": ["o1,type,CoffeeMug", "CoffeeMug,subClassOf,Mug", "o1,state,dirty", "o2,type,Bowl"],
     "contradicting": ["mug,usedFor,drinking", "mug_0,notUsedFor,drinking", "bowl,usedFor,drinking"],
-    "on individuals": ["mug_0,on,desk_4", "desk_4,type,Desk", "bowl_0,on,desk_5", "desk_5,type,Desk"],
+    "on individuals": [
+        "mug_0,on,desk_4", "desk_4,type,Desk", "bowl_0,on,desk_5", "desk_5,type,Desk",
+    ],
     "of cameras": ["Mug|-00.5|+01.1,isLocatedIn,sink", "mug.001,isLocatedIn,shelf"],
 }  # fmt: skip
 
