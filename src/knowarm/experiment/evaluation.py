@@ -33,6 +33,7 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Columns
 from knowarm.perception.config import LEVEL, Unclear
+from knowarm.reading import read_toml
 from knowarm.seeding import derive_seed
 from knowarm.statistics import Interval, bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
@@ -353,16 +354,9 @@ class Played:
         return [paths[i] for i in rows]
 
 
-STEP_COLUMNS = {
-    "episode": ("int32", "index of the episode in the fixed list, from 0"),
-    "step": (
-        "int32",
-        "step of the episode, from 1; the row holds the values after the step",
-    ),
-    "distance_m": ("float32", "distance of gripper and grasp point [m]"),
-    "angle_deg": ("float32", "geodesic angle between gripper and grasp frame [deg]"),
-    "reward": ("float32", "reward of the step"),
-}
+MEASURED = read_toml(Path(__file__).with_name("evaluation.toml"))
+"""Columns, with type and meaning, and measures of evaluations."""
+STEP_COLUMNS: dict[str, tuple[str, str]] = MEASURED["columns"]["steps"]
 """Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
 
 

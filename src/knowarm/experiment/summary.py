@@ -14,7 +14,7 @@ from PIL import Image, ImageSequence
 
 from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import EvaluationConfig, share_of
+from knowarm.experiment.evaluation import MEASURED, EvaluationConfig, share_of
 from knowarm.fence import fenced
 from knowarm.measures import Columns, Measure
 from knowarm.reading import read_json, reading, replacing
@@ -76,99 +76,26 @@ def _asks(episodes: Columns) -> Interval:
     return share_of(episodes["visible_answers"] != 1)
 
 
-_failure: dict[str, Any] = {
-    "column": "distance_m",
-    "format": "number3",
-    "among": lambda episodes: ~episodes["success"],
-}
+def _failure_distance(statistic: str, episodes: Columns) -> Number | None:
+    """Return a statistic of the final distance of the episodes that failed."""
+    distances = episodes["distance_m"][~episodes["success"]]
+    return STATISTICS[statistic](distances) if len(distances) else None
 
-MEASURES = (
-    Measure("episodes", "episodes", "return", "count", format="integer"),
-    Measure("success", "success", "success", about="distance and angle at one step"),
-    Measure(
-        "success_wide", f"success, {WIDE_ANGLE_DEG:g}°", "success_wide", detail=True
-    ),
-    Measure("accuracy", "accuracy", "accurate", about="final distance only"),
-    Measure("return_mean", "mean return", "return", "mean", format="number1"),
-    Measure(
-        "return_std", "std of return", "return", "std", format="number1", detail=True
-    ),
-    Measure("length_mean", "steps", "length", "mean", format="number1"),
-    Measure(
-        "length_std", "std of steps", "length", "std", format="number1", detail=True
-    ),
-    Measure(
-        "failure_distance_mean", "failure dist. [m]", statistic="average", **_failure
-    ),
-    Measure(
-        "failure_distance_std", "its std [m]", statistic="std", detail=True, **_failure
-    ),
-    Measure(
-        "failure_distance_max", "its max [m]", statistic="max", detail=True, **_failure
-    ),
-    Measure(
-        "distance_mean",
-        "distance [m]",
-        "distance_m",
-        "average",
-        format="number3",
-        detail=True,
-    ),
-    Measure(
-        "angle_mean",
-        "angle [deg]",
-        "angle_deg",
-        "average",
-        format="number1",
-        detail=True,
-    ),
-    Measure("choice_chance", "chance", "chance", "average"),
-    Measure(
-        "choice_corrected",
-        "corrected for chance",
-        "chance",
-        compute=_choice_corrected,
-        detail=True,
-    ),
-    Measure(
-        "success_corrected",
-        "corrected for chance",
-        "chance",
-        compute=_success_corrected,
-        detail=True,
-    ),
-    Measure("chose_old_answer", "old answer", "chose_old_answer"),
-    Measure(
-        "switched",
-        "switched",
-        "chose_old_answer",
-        compute=_switched,
-        about="new of new and old answers",
-    ),
-    Measure("saw_no_answer", "saw no answer", "visible_answers", equals=0),
-    Measure(
-        "saw_several_answers", "saw several", "visible_answers", compute=_saw_several
-    ),
-    Measure("coverage", "right one among the candidates", "covered"),
-    Measure(
-        "questions", "asks", "covered", compute=_asks, about="not exactly one candidate"
-    ),
-    # A probe computes these; no column holds them.
-    Measure("difference", "agent minus this [points]", format="points"),
-    Measure(
-        "vision_gain",
-        "depends on vision [points]",
-        format="points",
-        detail=True,
-        about="success minus that of the better agent that sees nothing",
-    ),
-    Measure(
-        "binding",
-        "follows its question [points]",
-        format="points",
-        about="right choices, minus those when told the question of another visible object",
-    ),
-)
+
+COMPUTED: dict[str, Callable[[Columns], Any]] = {
+    "failure_distance_mean": partial(_failure_distance, "average"),
+    "failure_distance_std": partial(_failure_distance, "std"),
+    "failure_distance_max": partial(_failure_distance, "max"),
+    "choice_corrected": _choice_corrected,
+    "success_corrected": _success_corrected,
+    "switched": _switched,
+    "saw_several_answers": _saw_several,
+    "questions": _asks,
+}
+"""What computes a measure that is no statistic of a column."""
+MEASURES: list[Measure] = []
+for _name, _fields in MEASURED["measures"].items():
+    MEASURES.append(Measure(_name, compute=COMPUTED.get(_name), **_fields))
 """Measures of every evaluation, in the order in which they are stored and shown."""
 OF_QUERIES = ("episodes", "success", "choice")
 """Measures that are stored for every single query, of which there may be hundreds."""
@@ -314,39 +241,8 @@ class Summary:
             return from_dict(cls, values)
 
 
-EPISODE_COLUMNS = {
-    "episode": ("int32", "index of the episode in the fixed list, from 0"),
-    "evaluation_seed": ("int64", "seed from which the episode was drawn"),
-    "target": ("string", "target object"),
-    "facet": ("string", "object and colour, as object/colour"),
-    "return": ("float64", "sum of the rewards, not discounted"),
-    "length": ("int32", "steps until success or the time limit"),
-    "distance_m": ("float64", "distance of gripper and grasp point at the end [m]"),
-    "angle_deg": (
-        "float64",
-        "geodesic angle between gripper and grasp frame at the end [deg]",
-    ),
-    "success": ("bool", "distance and angle within the thresholds at the same step"),
-    "accurate": (
-        "bool",
-        "distance within the threshold at the end: the paper's accuracy",
-    ),
-    "success_wide": ("bool", "distance and the wider angle threshold met at some step"),
-}
+EPISODE_COLUMNS: Described = MEASURED["columns"]["episodes"]
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
-
-FURTHER_COLUMNS = {
-    "chose_old_answer": (
-        "bool",
-        "whether it answered the query before the graph was edited",
-    ),
-    "visible_answers": (
-        "int64",
-        "objects in the first image that answer, as the agent sees it",
-    ),
-    "covered": ("bool", "whether the right object is among those that may answer"),
-}
-"""Further columns of some evaluations; tasks and probes add their own."""
 
 FRAME_MS = 120
 """Display time of each image of a film [ms]."""
@@ -363,7 +259,7 @@ def episode_types(episodes: Columns, meanings: Mapping[str, str]) -> Described:
         episodes: the columns.
         meanings: of those that the task and the probes add.
     """
-    known = EPISODE_COLUMNS | FURTHER_COLUMNS
+    known = MEASURED["columns"]["episodes"] | MEASURED["columns"]["further"]
     kinds = {"b": "bool", "i": "int64", "f": "float64"}
     types = {}
     for name, values in episodes.items():

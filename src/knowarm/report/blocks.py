@@ -1,19 +1,17 @@
 """Building blocks of a report page: text, verdicts, figures, films, tables."""
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from knowarm.experiment.summary import find_measure
+from knowarm.reading import read_toml
 from knowarm.report.model import Evaluated, Reference, StudyData, TaskData
 from knowarm.statistics import Interval
 
 Row = dict[str, Any]
-TABLES: Row = tomllib.loads(
-    (Path(__file__).parent / "tables.toml").read_text(encoding="utf-8")
-)
+TABLES: Row = read_toml(Path(__file__).with_name("tables.toml"))
 
 
 @dataclass(frozen=True)

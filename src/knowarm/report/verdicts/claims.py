@@ -1,6 +1,5 @@
 """Claims, the differences between agents that a report decides on; findings they add up to."""
 
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from knowarm.arrays import Floats
 from knowarm.experiment.agents import Role, controls_of
+from knowarm.reading import read_toml
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.format import counted, ends, listed, p_value, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData
@@ -288,9 +288,7 @@ def scores(task: TaskData, group: Group, outcome: str) -> Floats:
     return np.array(areas)
 
 
-KINDS: dict[str, dict[str, str]] = tomllib.loads(
-    (Path(__file__).parent / "kinds.toml").read_text(encoding="utf-8")
-)
+KINDS: dict[str, dict[str, str]] = read_toml(Path(__file__).with_name("kinds.toml"))
 """What findings say, by kind."""
 
 
