@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.report.collect import collect
-from knowarm.report.model import TaskData, TestedGroup
+from knowarm.report.model import Group, TaskData
 from knowarm.statistics import holm, welch
 from scripts.answer_cells import FEWEST
 
@@ -30,9 +30,9 @@ def shares(values: Iterable[float]) -> str:
     return ", ".join(f"{100 * value:.1f}" for value in values)
 
 
-def found_on(task: TaskData, split: str) -> dict[str, TestedGroup]:
+def found_on(task: TaskData, split: str) -> dict[str, Group]:
     """Return the agents of a task with episodes of a split, by name."""
-    return {each.group.agent: each for each in task.splits.get(split, [])}
+    return {each.agent: each for each in task.splits.get(split, [])}
 
 
 def conclusion(how: str, right: Mapping[str, np.ndarray]) -> str:

@@ -243,13 +243,14 @@ TABLES: Mapping[str, Callable[[str], str]] = {".tex": latex, ".md": markdown}
 def _table(table: DataTable, caption: str, suffix: str) -> str:
     """Return a table below its caption, without columns that are empty."""
     escape = TABLES[suffix]
-    columns = []
+    columns = list(table.columns)
     for column in table.columns:
-        if any(row.get(column.key) is not None for row in table.rows):
-            columns.append(column)
+        if all(row.get(column.key) is None for row in table.rows):
+            columns.remove(column)
     rows = []
     for row in table.rows:
-        rows.append([escape(_text(column, row.get(column.key))) for column in columns])
+        texts = [_text(column, row.get(column.key)) for column in columns]
+        rows.append(map(escape, texts))
     return TEMPLATES.get_template(f"table{suffix}.j2").render(
         caption=escape(f"{caption} {table.title}."),
         heads=[escape(column.label) for column in columns],

@@ -58,10 +58,10 @@ class Evaluation:
             del rules[name]
         return json.dumps([self.summary["episodes"], rules], sort_keys=True)
 
-    def episodes(self, *further: str) -> dict[str, np.ndarray]:
-        """Read the columns of ``episodes.parquet``: `EPISODE_COLUMNS` and those given."""
+    def episodes(self) -> dict[str, np.ndarray]:
+        """Read the columns of ``episodes.parquet``, with all of `EPISODE_COLUMNS`."""
         path = self.folder / "episodes.parquet"
-        columns = _complete(path, {*EPISODE_COLUMNS, *further})
+        columns = _complete(path, EPISODE_COLUMNS.keys())
         if len(columns["episode"]) != self.summary["episodes"]:
             raise UserError(
                 f"{path} has another number of episodes than the summary. {AGAIN}"
@@ -201,7 +201,7 @@ class Group(Evaluated):
     """Runs of one agent on one task that differ in the training seed only.
 
     Its name has the settings that tell it from others of the same agent. Its evaluations are those
-    that the task compares.
+    that the task compares, or others by the same rules.
     """
 
     runs: tuple[RunData, ...]  # runs by seed, at least one
@@ -246,6 +246,16 @@ class Group(Evaluated):
         return self.config.knows.scope
 
     @property
+    def split(self) -> str:
+        """Name of the split of the queries; without one these are those of training."""
+        return self.evaluations[0].summary.config.split or next(iter(SPLITS))
+
+    @property
+    def chance(self) -> float:
+        """Share of right choices of an agent that chooses at random."""
+        return self.evaluations[0].summary["choice_chance"]
+
+    @property
     def best_run(self) -> RunData | None:
         """The run with the highest mean return after training, the paper's choice."""
         runs = evaluated_runs(self.runs, self.label)
@@ -260,23 +270,6 @@ class Group(Evaluated):
 def evaluated_runs(runs: Iterable[RunData], label: str) -> Runs:
     """Return the runs that have an evaluation."""
     return [run for run in runs if label in run.evaluations]
-
-
-@dataclass(frozen=True, eq=False)
-class TestedGroup(Evaluated):
-    """One agent in evaluations by the same rules."""
-
-    group: Group
-
-    @property
-    def split(self) -> str:
-        """Name of the split of the queries; without one these are those of training."""
-        return self.evaluations[0].summary.config.split or next(iter(SPLITS))
-
-    @property
-    def chance(self) -> float:
-        """Share of right choices of an agent that chooses at random."""
-        return self.evaluations[0].summary["choice_chance"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,26 +320,21 @@ class TaskData:
         return tuple(group for group in self.groups if group in most.values())
 
     @cached_property
-    def evaluation_sets(self) -> dict[tuple[str, str], dict[Group, TestedGroup]]:
+    def evaluation_sets(self) -> dict[tuple[str, str], dict[Group, Group]]:
         """Evaluations of the best models by label and rules, then by agent."""
-        sets: dict[tuple[str, str], dict[Group, TestedGroup]] = defaultdict(dict)
+        sets: dict[tuple[str, str], dict[Group, Group]] = defaultdict(dict)
         for group in self.groups:
             for run in group.runs:
                 for label, evaluation in run.evaluations.items():
                     is_other = label.endswith((UNTRAINED, LATEST))
                     if not is_other and not evaluation.is_solved:
                         agents = sets[label, evaluation.rules]
-                        agent = TestedGroup(
-                            name=group.name,
-                            colour=group.colour,
-                            evaluations=[],
-                            group=group,
-                        )
-                        agents.setdefault(group, agent).evaluations.append(evaluation)
+                        agent = agents.setdefault(group, replace(group, evaluations=[]))
+                        agent.evaluations.append(evaluation)
         return dict(sorted(sets.items(), key=lambda item: item[0][0]))
 
     @cached_property
-    def splits(self) -> dict[str, list[TestedGroup]]:
+    def splits(self) -> dict[str, list[Group]]:
         """Agents that chose between objects, by split; the most common episodes count."""
         most: Counter[str] = Counter()
         splits = {}

@@ -15,7 +15,7 @@ from knowarm.report.blocks import (
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
 from knowarm.report.diagrams import dot_panels
 from knowarm.report.format import facet
-from knowarm.report.model import TaskData, TestedGroup
+from knowarm.report.model import Group, TaskData
 from knowarm.report.pages.training import curve_figure
 from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, Finding
 
@@ -72,12 +72,12 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     return [*blocks, _by_type(task, agents)]
 
 
-def _row(agent: TestedGroup, *keys: str) -> Row:
+def _row(agent: Group, *keys: str) -> Row:
     row = row_of(agent, *keys) | {"split": agent.split, "chance": agent.chance}
     return row | {"_panel": _split_title(agent)}
 
 
-def _split_title(agent: TestedGroup) -> str:
+def _split_title(agent: Group) -> str:
     return f"{agent.split}: {SPLITS[agent.split]}"
 
 
@@ -89,7 +89,7 @@ def _figure(table: DataTable, key: str) -> Block:
     return Figure(table, panels, open_table=True)
 
 
-def _by_type(task: TaskData, agents: Sequence[TestedGroup]) -> Figure:
+def _by_type(task: TaskData, agents: Sequence[Group]) -> Figure:
     """Show the choice by the relations that a query names; draw it for the first split."""
     first = next(iter(task.splits))
     rows = []

@@ -19,7 +19,6 @@ from knowarm.report.model import (
     Evaluation,
     Group,
     TaskData,
-    TestedGroup,
 )
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks import report_tables
@@ -93,7 +92,7 @@ def _vision(task: TaskData) -> DataTable | None:
 
 def _solved(task: TaskData) -> DataTable | None:
     """Show what is solved for what a network sees, beside its policy on the same episodes."""
-    policies: dict[tuple[str, Group], TestedGroup] = {}
+    policies: dict[tuple[str, Group], Group] = {}
     for (_, rules), agents in task.evaluation_sets.items():
         for group, agent in agents.items():
             policies[rules, group] = agent

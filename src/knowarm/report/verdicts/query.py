@@ -7,7 +7,7 @@ import numpy as np
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import ends, listed, p_value, percent, points
-from knowarm.report.model import CONTROLS, Group, StudyData, TaskData, TestedGroup
+from knowarm.report.model import CONTROLS, Group, StudyData, TaskData
 from knowarm.report.verdicts.claims import (
     ALPHA,
     KINDS,
@@ -33,7 +33,7 @@ def query_findings(study: StudyData) -> list[Finding]:
     for task in study.tasks:
         for agents in task.splits.values():
             for agent in agents:
-                if agent.group.role == "knowledge" and agent.group.scope != "scene":
+                if agent.role == "knowledge" and agent.scope != "scene":
                     compared = _claims(task, agent, agents)
                     subjects.append((agent, compared, _p_value(compared)))
     adjusted = holm([p for *_, p in subjects if p is not None]).tolist()
@@ -44,17 +44,14 @@ def query_findings(study: StudyData) -> list[Finding]:
     return findings
 
 
-def _claims(
-    task: TaskData, subject: TestedGroup, agents: Sequence[TestedGroup]
-) -> list[Claim]:
+def _claims(task: TaskData, subject: Group, agents: Sequence[Group]) -> list[Claim]:
     """Compare an agent with chance, then with its controls, the best one first."""
-    group = subject.group
     split = subject.split
     right = subject.scores("choice")
     chance = np.full(len(right), subject.chance)
     above_chance = claim_of(
         task=task,
-        first=group,
+        first=subject,
         second=None,
         outcome=split,
         stage="query",
@@ -63,13 +60,13 @@ def _claims(
         test=paired,
     )
     claims = [above_chance]
-    controls = [agent for agent in agents if _is_control(agent.group, group)]
+    controls = [agent for agent in agents if _is_control(agent, subject)]
     controls.sort(key=lambda control: (-control.scores("choice").mean(), control.name))
     for control in controls:
         claim = claim_of(
             task=task,
-            first=group,
-            second=control.group,
+            first=subject,
+            second=control,
             outcome=split,
             stage="query",
             values=right,
@@ -103,9 +100,7 @@ def _p_value(claims: Claims) -> float | None:
     return max(comparison.p_value for comparison in compared)
 
 
-def _finding(
-    subject: TestedGroup, claims: list[Claim], adjusted_p: float | None
-) -> Finding:
+def _finding(subject: Group, claims: list[Claim], adjusted_p: float | None) -> Finding:
     chance, *controls = claims
     kind = _judge(chance, controls, adjusted_p)
     beaten = [control.against for control in controls if control.is_above]
@@ -117,7 +112,7 @@ def _finding(
     share = percent(float(subject.scores("choice").mean()))
     words = KINDS[kind]["query"].format(
         name=subject.name,
-        content_hint=hint("content_control", subject.group),
+        content_hint=hint("content_control", subject),
         few_seeds=few_seeds(min(claim.seeds for claim in claims)),
         chose=f"it chose the wanted object in {share} of the episodes",
         at_random=percent(subject.chance),
@@ -133,7 +128,7 @@ def _finding(
         notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
     return Finding(
         task=chance.task,
-        subject=subject.group,
+        subject=subject,
         outcome=subject.split,
         kind=kind,
         sentence=sentence,
