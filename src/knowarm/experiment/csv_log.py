@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,24 +36,21 @@ class CsvLog:
                 step = number_in(row, "step")
                 if step is not None and step <= last and step not in drop_steps:
                     rows.append(row)
-                    self._add_columns(row)
-            self._rewrite(rows)
+            self._rewrite(rows, *rows)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append one row and flush it."""
-        is_new = not self._columns
-        if self._add_columns(row):
-            self._rewrite([] if is_new else read_csv(self._path))
+        if not row.keys() <= set(self._columns):
+            self._rewrite(read_csv(self._path) if self._columns else [], row)
         with writing(self._path), _opened(self._path, "a") as file:
             self._writer(file).writerow(row)
 
-    def _add_columns(self, row: Iterable[str]) -> bool:
-        """Add the columns of a row that are missing; return whether there are some."""
-        count = len(self._columns)
-        self._columns = list(dict.fromkeys([*self._columns, *row]))
-        return len(self._columns) > count
-
-    def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def _rewrite(
+        self, rows: Sequence[Mapping[str, Any]], *further: Iterable[str]
+    ) -> None:
+        """Write a file of some rows that has the columns of ``further`` ones, too."""
+        columns = chain(self._columns, *further)
+        self._columns = list(dict.fromkeys(columns))
         with replacing(self._path, REMEDY) as path, _opened(path, "w") as file:
             if self._columns:
                 writer = self._writer(file)

@@ -64,13 +64,7 @@ class ExperimentGrid:
         parts = product(self.robots, colours, self.agents, self.algorithms)
         names = []
         for robot, colour, agent, algorithm in parts:
-            name = ExperimentName(
-                robot=robot,
-                task=self.task,
-                agent=agent,
-                colours=colour,
-                algorithm=algorithm,
-            )
+            name = ExperimentName(robot, self.task, agent, colour, algorithm)
             names.append(str(name))
         return names
 

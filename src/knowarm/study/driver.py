@@ -23,7 +23,6 @@ from knowarm.study.config import (
 from knowarm.study.executor import (
     LOG,
     Ended,
-    Executor,
     LocalExecutor,
     RunKey,
     Where,
@@ -49,6 +48,8 @@ UNFINISHED = ("waiting", "stalled", "stopped", "trained")
 
 Statuses = Sequence[RunStatus]
 OnStatus = Callable[[Statuses], None]
+Executor = LocalExecutor | RayExecutor
+"""Starts the workers of runs; the driver never starts more than its ``slots``."""
 
 
 def run_study(

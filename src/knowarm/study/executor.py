@@ -1,4 +1,4 @@
-"""Executors of a study: the interface, and one process per run on this machine."""
+"""Executor of a study with one process per run on this machine, and how workers are started."""
 
 import math
 import os
@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import psutil
 
@@ -101,26 +101,6 @@ def start_worker(
             env=os.environ | environment,
             **options,
         )
-
-
-class Executor(Protocol):
-    """Starts the workers of runs; the driver never starts more than ``slots``."""
-
-    @property
-    def slots(self) -> int:
-        """Workers at once."""
-
-    def start(self, run: RunKey) -> None:
-        """Start the worker of a run."""
-
-    def ended(self) -> list[Ended]:
-        """Return the workers that have ended since the last call."""
-
-    def stop(self) -> None:
-        """Ask all workers to save a checkpoint and end."""
-
-    def close(self) -> None:
-        """End all workers."""
 
 
 class LocalExecutor:

@@ -153,13 +153,12 @@ _SURROUNDINGS = f"""
   <worldbody>
     <geom name="floor" type="plane" size="10 10 0.1" rgba="0.60 0.61 0.63 1"
       contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>
-    {{table}}
     <light name="sun" type="directional" pos="0 0 3" dir="-0.3 0.35 -0.9"
       diffuse="0.45 0.45 0.45" ambient="0 0 0" specular="0 0 0" castshadow="false"/>
   </worldbody>
 </mujoco>
 """
-"""Floor, table and lights. Light comes from the camera and from above: edges are visible, and no
+"""Floor and lights. Light comes from the camera and from above: edges are visible, and no
 side of an object is black."""
 
 
@@ -170,10 +169,9 @@ def compose(
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
     """
-    table = ""
+    spec = mujoco.MjSpec.from_string(_SURROUNDINGS)
     if robot.table:
-        table = _table(robot.table)
-    spec = mujoco.MjSpec.from_string(_SURROUNDINGS.format(table=table))
+        _add_table(spec.worldbody, robot.table)
     spec.modelname = f"knowarm {robot.name}"
     spec.option.timestep = CONTROL_PERIOD_S / SUBSTEPS
     _add_camera(spec.worldbody, robot)
@@ -257,28 +255,32 @@ def roll(axes: Floats, degrees: float) -> Floats:
     return np.stack([right, up, axes[:, 2]], axis=1)
 
 
-def _table(table: Table) -> str:
-    """Return the geoms of a table: its top, on which things stand, and four legs."""
-    half_x, half_y = table.half_size_m
-    x, y = table.centre_m
-    half_thickness = 0.015
-    half_leg = 0.02
-    half_height = (table.height_m - 2 * half_thickness) / 2
-    to_leg_x = half_x - half_leg
-    to_leg_y = half_y - half_leg
-    geoms = (
-        f'<geom name="table" type="box" size="{half_x} {half_y} {half_thickness}" '
-        f'pos="{x} {y} {table.height_m - half_thickness}" rgba="0.52 0.54 0.57 1" '
-        f'contype="{SUPPORT_BIT}" conaffinity="{ROBOT_BIT}"/>'
+def _add_table(world: mujoco.MjsBody, table: Table) -> None:
+    """Add a table: its top, on which things stand, and four legs."""
+    thickness = 0.015  # half of each
+    width = 0.02
+    height = (table.height_m - 2 * thickness) / 2
+    size = np.array(table.half_size_m)
+    world.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[*size, thickness],
+        pos=[*table.centre_m, table.height_m - thickness],
+        rgba=[0.52, 0.54, 0.57, 1],
+        contype=SUPPORT_BIT,
+        conaffinity=ROBOT_BIT,
     )
-    for i, (sign_x, sign_y) in enumerate(product((-1, 1), repeat=2)):
-        geoms += (
-            f'<geom name="table_leg_{i}" type="box" '
-            f'size="{half_leg} {half_leg} {half_height}" '
-            f'pos="{x + sign_x * to_leg_x} {y + sign_y * to_leg_y} {half_height}" '
-            'rgba="0.35 0.36 0.38 1" contype="0" conaffinity="0"/>'
+    for i, signs in enumerate(product((-1, 1), repeat=2)):
+        corner = table.centre_m + np.array(signs) * (size - width)
+        world.add_geom(
+            name=f"table_leg_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[width, width, height],
+            pos=[*corner, height],
+            rgba=[0.35, 0.36, 0.38, 1],
+            contype=0,
+            conaffinity=0,
         )
-    return geoms
 
 
 # Shape, size [m] and height of the centre [m] of each distractor
