@@ -611,9 +611,7 @@ SCENES = {
     "of one colour": ["mug_0,color,red", "mug_0,on,shelf", "mug_1,on,sink", "mug_1,color,blue"],
     "of kinds": ["o1,type,CoffeeMug", "CoffeeMug,subClassOf,Mug", "o1,state,dirty", "o2,type,Bowl"],
     "contradicting": ["mug,usedFor,drinking", "mug_0,notUsedFor,drinking", "bowl,usedFor,drinking"],
-    "on individuals": [
-        "mug_0,on,desk_4", "desk_4,type,Desk", "bowl_0,on,desk_5", "desk_5,type,Desk",
-    ],
+    "on individuals": ["mug_0,on,desk_4", "desk_4,type,Desk", "bowl_0,on,desk_5"],
     "of cameras": ["Mug|-00.5|+01.1,isLocatedIn,sink", "mug.001,isLocatedIn,shelf"],
 }  # fmt: skip
 
@@ -636,7 +634,12 @@ def test_an_evaluation_asks_what_ask_answers_of_individuals(tmp_path, lines):
 
 
 def test_an_evaluation_asks_for_the_place_of_an_individual(tmp_path):
-    lines = ["mug_0,on,shelf", "mug,on,table", "bowl_0,on,table_7", "table_7,type,Table"]
+    lines = [
+        "mug_0,on,shelf",
+        "mug,on,table",
+        "bowl_0,on,table_7",
+        "table_7,type,Table",
+    ]
     lines += ["lamp,nextTo,mug_0"]
     changed = changed_by(tmp_path, "\n".join([*OTHERS, *lines]))
     table = asked(changed.env)
@@ -644,7 +647,13 @@ def test_an_evaluation_asks_for_the_place_of_an_individual(tmp_path):
     for query, satisfies in zip(table.queries, table.satisfies, strict=True):
         answers[str(query)] = {table.facets[f][0] for f in satisfies.nonzero()[0]}
     assert answers["on shelf"] == {"mug"}
-    assert answers["on table"] == {"book", "pot", "teapot", "lamp", "bowl"}  # no mug does
+    assert answers["on table"] == {
+        "book",
+        "pot",
+        "teapot",
+        "lamp",
+        "bowl",
+    }  # no mug does
     assert answers["on table_7"] == {"bowl"}
     assert "nextTo mug_0" not in answers  # a query never names an object
 

@@ -36,6 +36,22 @@ def facets_that_answer(graph, text, facets=FACETS):
     [
         ("usedFor", "notUsedFor"),
         ("usedFor", "isNotUsedFor"),
+        ("usedFor", "cannot_be_used_for"),
+        ("usedFor", "NOT_USED_FOR"),
+        ("usedFor", "unusedFor"),
+        ("usedFor", "usedForNot"),
+        ("usedFor", "!usedFor"),
+        ("usedFor", "~usedFor"),
+        ("usedFor", "¬usedFor"),
+        ("usedFor", "neg_usedFor"),
+        ("usedFor", "notToBeUsedFor"),
+        ("usedFor", "doNotUseFor"),
+        ("hasPart", "lacks"),
+        ("hasPart", "without"),
+        ("hasPart", "hasNo"),
+        ("hasPart", "doesNotHave"),
+        ("HasA", "isMissing"),
+        ("ableTo", "unableTo"),
         ("usedFor", "not_used_for"),
         ("isUsedFor", "never used for"),
         ("http://x.org/k#usedFor", "http://x.org/k#notUsedFor"),
@@ -83,6 +99,17 @@ def test_a_relation_that_denies_never_answers_what_it_denies(affirming, denying)
 def test_names_that_only_look_like_a_negation_deny_nothing(name):
     assert not stance(name).denies
     assert not negative_words([name.lower()])
+
+
+@pytest.mark.parametrize(
+    "denying", ["notSuitableFor", "unsuitableFor", "notGoodFor", "hasNoUseFor", "notUsableFor"]
+)  # fmt: skip
+def test_a_synonym_of_what_is_denied_does_not_block_what_is_stated(denying):
+    """The plain question is about the relation by which the graph states something."""
+    triples = [("mug", denying, "eating"), ("bowl", "usedFor", "eating")]
+    graph = graph_of(triples)
+    assert names(graph, "something for eating") == {"bowl"}
+    assert "mug" in names(graph, "something that is not for eating")
 
 
 def test_a_denial_is_named_by_what_it_denies():

@@ -38,7 +38,8 @@ class Relation:
     affirming: "Relation | None" = None
     """Of a relation that denies, the one that affirms the same."""
     is_narrow: bool = False
-    """Whether a broader relation of the graph says the same: locatedIn of storedIn."""
+    """Whether a broader relation of the graph says the same, as locatedIn of storedIn, or the graph
+    states nothing by it: suitableFor of notSuitableFor."""
     numbers: dict[int, float] = field(default_factory=dict)
     """The numbers that it states, by entity."""
 

@@ -158,11 +158,11 @@ class Vocabulary:
             return self._relation(other)
         by_key = dict(zip(map(name_key, words), words, strict=True))
         affirming = [by_key.get(key, key) for key in turned.subject]
-        if words[0] == "is":
+        if words[0] == "is" and affirming[0] != "has":
             affirming.insert(0, "is")
         first, *others = affirming
         name = first + "".join(map(str.capitalize, others))
-        return self._say(Relation(name, tuple(affirming)))
+        return self._say(Relation(name, tuple(affirming), is_narrow=True))
 
     def _learn(
         self, relation: Relation, tail: int, inner: Relation | None = None

@@ -29,7 +29,9 @@ _OPPOSING = frozenset[str](_ENGLISH["opposing"])
 _SILENT = frozenset[str](_ENGLISH["silent"])
 _PREFIXED = re.compile("|".join(_ENGLISH["prefixed"]))
 _SUFFIXED = re.compile(_ENGLISH["suffixed"])
-_WORDS = re.compile(r"[^\W_]+")
+_WORDS = re.compile(r"[^\W_]+|[!~¬]")
+_HAS = (("has",), ("has", "a"))
+"""What says no more than "has part", of which "lacks" speaks, too."""
 _STANDARD = (RDF, RDFS, "http://www.w3.org/2002/07/owl#")
 
 
@@ -107,7 +109,8 @@ def _stance(label: str) -> Stance:
     subject: list[str] = []
     denies = False
     has_none = False
-    for word in _WORDS.findall(label.replace("'", "").replace("’", "").casefold()):
+    text = re.sub(r"['’]|\bto be\b", "", label.casefold())
+    for word in _WORDS.findall(text):
         if word in _NEGATIONS:
             denies = not denies
             has_none = word == "no" and not subject
@@ -122,7 +125,11 @@ def _stance(label: str) -> Stance:
             if has_none and affirmed not in ("has", "have"):
                 subject.append("has")
             has_none = False
+            if affirmed.endswith("ed"):
+                affirmed = affirmed[:-1]  # "doNotUseFor" denies usedFor
             subject.append("has" if affirmed == "have" else name_key(affirmed))
+    if has_none or tuple(subject) in _HAS:
+        subject = ["has", "part"]
     return Stance(tuple(subject), denies)
 
 
