@@ -439,6 +439,18 @@ def test_a_gripper_that_cannot_lift_is_named_in_one_line(name: str) -> None:
     assert "\n" not in gripper.how
 
 
+@pytest.mark.parametrize(
+    ("name", "z"), [("suction", 0.07), ("a gripper of one piece", 0.063)]
+)
+def test_a_tool_without_joints_has_its_centre_point_at_its_end(
+    name: str, z: float
+) -> None:
+    text, _ = NO_FINGERS[name]
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.fields["tcp_position_m"] == pytest.approx((0, 0, z), abs=1e-6)
+    assert "TCP: at the end of the gripper" in gripper.how
+
+
 def test_fingers_that_open_by_metres_are_none() -> None:
     text = fingers((0.01, 1, "0 1", 0), (-0.01, -1, "0 1", 0))
     gripper = find_gripper(mujoco.MjModel.from_xml_string(text))

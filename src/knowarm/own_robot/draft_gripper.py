@@ -50,8 +50,9 @@ ASIDE_M = 0.03  # Farthest from the middle between fingers that a tool frame lie
 AHEAD_M = 0.06  # Farthest beyond their ends
 BEFORE = 0.1  # Share of a hand's length that the TCP lies before the fingers' ends
 FINGERTIP_M = 0.01  # Parts that end nearer to a finger's end are fingers too
+SUCTION = "it holds by suction"
 STILL = {
-    "suction|vacuum": "it holds by suction",
+    "suction|vacuum": SUCTION,
     "grip|finger|jaw|claw": "its gripper has no joints in the file",
 }
 """Why a hand without joints has no fingers, by words in the names of its bodies."""
@@ -159,6 +160,12 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
         if sites:
             elsewhere = ", ".join(repr(model.site(s).name) for s in sites)
             source += f", where {elsewhere} is not"
+    elif text:  # a tool that does not move
+        source = "at the end of the gripper"
+        if SUCTION not in text:
+            point = (
+                point - BEFORE * ((point - data.xanchor[last]) @ approach) * approach
+            )
     else:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"
