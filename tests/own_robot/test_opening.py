@@ -321,6 +321,10 @@ HINGES = {
         hinged((CLOSES, SPRING), (WIDE, SPRING), ALONG, more=MOTOR),
         (-0.3, -0.3),
     ),
+    "mimics with ranges of the other sign": (
+        hinged((CLOSES, 'range="-.9 0"'), (WIDE, 'range="-.9 0"'), ALONG + TIPS),
+        (-0.3, -0.3),
+    ),
     "a follower whose range ends before": (
         hinged((CLOSES, WIDE), ('range="-.15 .6"', WIDE), ALONG + TIPS),
         (-0.15, -0.15),

@@ -42,7 +42,8 @@ MOST_DRIVERS = 2  # Joints that move two fingers without being coupled
 STEPS = 20  # In which a joint is moved to its end
 ITERATIONS = 20  # Of Newton's method at each
 CLOSED_M = 1e-6  # Error of loops that are closed [m or rad]
-SLACK = 0.02  # Of a range, by which coupled joints may leave theirs
+LEAST_WAY = 0.25  # Share of a way from which ranges of coupled joints stop it
+SLACK = 0.02  # Of a range, by which they may leave theirs
 
 
 def _actuated(model: MjModel) -> set[int]:
@@ -116,41 +117,44 @@ class Motion:
     def pose(self, ends: Mapping[int, float]) -> Floats | None:
         """Return qpos where joints are at ends, or as near as the others' ranges allow.
 
-        None where the file's equalities hold nowhere on the way.
+        Ranges that stop them at once are those of a file that does not mean them, as of mimic
+        joints that turn the other way. None where the equalities hold nowhere on the way.
         """
-        model = self._model
-        data = self.data
-        moved = model.jnt_qposadr[[*ends]]
+        moved = self._model.jnt_qposadr[[*ends]]
         start = self._drawn[moved]
-        data.qpos = self._drawn
-        reached = None
+        self.data.qpos = self._drawn
+        inside = closed = None
         for share in np.linspace(0, 1, STEPS + 1):
-            data.qpos[moved] = start + share * (np.array([*ends.values()]) - start)
-            if self._close(self._followers):
-                reached = data.qpos.copy()
-        return reached
+            self.data.qpos[moved] = start + share * (np.array([*ends.values()]) - start)
+            if self._close():
+                closed = self.data.qpos.copy()
+                if self._is_inside():
+                    inside = closed
+                elif share < LEAST_WAY:
+                    inside = None
+        return closed if inside is None else inside
 
-    def _close(self, joints: Ids) -> bool:
-        """Move joints until the equalities hold; return whether they do, in the ranges."""
-        model = self._model
-        data = self.data
-        columns = model.jnt_dofadr[joints]
-        address = model.jnt_qposadr[joints]
+    def _close(self) -> bool:
+        """Move followers until the file's equalities hold; return whether they do."""
+        columns = self._model.jnt_dofadr[self._followers]
+        address = self._model.jnt_qposadr[self._followers]
         for _ in range(ITERATIONS):
             jacobian, errors = self._loops()
             jacobian = jacobian[:, columns]
-            errors = errors[jacobian.any(axis=1)]
-            if np.abs(errors).max(initial=0.0) < CLOSED_M:
-                break
-            change = np.linalg.pinv(jacobian[jacobian.any(axis=1)]) @ errors
-            data.qpos[address] -= change
-        else:
-            return False
-        low, high = model.jnt_range[joints].T
-        slack = SLACK * (high - low)
-        values = data.qpos[address]
-        is_inside = (values > low - slack - SAME_M) & (values < high + slack + SAME_M)
-        return bool((is_inside | (model.jnt_limited[joints] == 0)).all())
+            is_own = jacobian.any(axis=1)
+            if np.abs(errors[is_own]).max(initial=0.0) < CLOSED_M:
+                return True
+            self.data.qpos[address] -= np.linalg.pinv(jacobian[is_own]) @ errors[is_own]
+        return False
+
+    def _is_inside(self) -> bool:
+        """Return whether all followers are in their ranges."""
+        low, high = self._model.jnt_range[self._followers].T
+        slack = SLACK * (high - low) + SAME_M
+        values = self.data.qpos[self._model.jnt_qposadr[self._followers]]
+        is_inside = (values > low - slack) & (values < high + slack)
+        is_free = self._model.jnt_limited[self._followers] == 0
+        return bool((is_inside | is_free).all())
 
     def at(self, qpos: Floats) -> MjData:
         """Return the model at joint positions."""
