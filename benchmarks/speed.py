@@ -18,7 +18,7 @@ import tyro
 from torch.utils.flop_counter import FlopCounterMode
 
 from knowarm.cli.tables import check_output, print_table, write_json_table
-from knowarm.config import above_zero, at_least
+from knowarm.config import LEAST, MOST_INT, within
 from knowarm.cores import available_cores, processor, torch_threads
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
@@ -194,8 +194,8 @@ def measure_peak(cores: int, seconds: float) -> float:
 
 def measure_all(settings: SpeedConfig) -> dict[str, Any]:
     """Measure simulation, images, training and the processor's peak, and print a table."""
-    at_least(settings, 1, "num_envs")
-    above_zero(settings, "seconds")
+    within(settings, 1, MOST_INT, "num_envs")
+    within(settings, LEAST, MOST_INT, "seconds")
     config = experiment_config(settings.experiment)
     cores = available_cores()
     steps = config.total_steps

@@ -310,6 +310,17 @@ def test_a_robot_that_computes_without_end_is_one_line(tmp_path, name, second):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no FIFOs")
+def test_a_mesh_that_is_no_file_is_refused_at_once(tmp_path, second):
+    os.mkfifo(tmp_path / "a.stl")
+    mesh = "<asset><mesh file='a.stl'/></asset>"
+    body = "<worldbody><geom type='mesh' mesh='a'/></worldbody>"
+    path = tmp_path / "arm.xml"
+    path.write_text(f"<mujoco>{mesh}{body}</mujoco>")
+    with pytest.raises(UserError, match=r"a\.stl: it is a FIFO"):
+        read_mjcf(path, "Robot 'a'")
+
+
 def test_an_onnx_file_that_computes_without_end_is_one_line(tmp_path, second):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")

@@ -12,7 +12,9 @@ from types import SimpleNamespace
 import pytest
 
 import knowarm
+from knowarm.errors import DataWarning
 from knowarm.experiment.run_lock import StopRequest
+from knowarm.fence import Fence, _warn_of_no_limits, fenced
 from knowarm.learn import checkpoint
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.study import worker
@@ -92,6 +94,17 @@ def test_the_c_library_is_left_alone_where_it_is_not_glibc(monkeypatch, platform
         ctypes, "CDLL", lambda name: pytest.fail("loaded the C library")
     )
     keep_freed_memory()
+
+
+def test_where_nothing_can_be_fenced_one_line_says_so(monkeypatch):
+    monkeypatch.delattr(os, "fork")
+    monkeypatch.setattr(Fence, "is_inside", False)
+    _warn_of_no_limits.cache_clear()
+    with pytest.warns(DataWarning, match="limits neither time nor memory") as said:
+        assert [fenced(sum, [1, 2]), fenced(sum, [3])] == [3, 3]
+    assert len(said) == 1
+    assert "\n" not in str(said[0].message)
+    _warn_of_no_limits.cache_clear()
 
 
 def test_folders_are_not_opened_where_they_cannot_be(monkeypatch, tmp_path):

@@ -66,7 +66,7 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
         ),
         (
             lambda: InterimConfig(every_steps="a"),
-            "every_steps must be at least 1, got 'a'",
+            "every_steps must be of type int, got 'a'",
         ),
     ],
 )

@@ -31,38 +31,47 @@ TAGS = ("kind", "name")
 MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
-LEAST_FLOAT = 1e-12
+LEAST = 1e-12
 """Smallest size of a floating-point number that is not 0."""
-MOST = {
-    "total_steps": 1e12,
-    "every_steps": 1e12,
-    "steps": 1e6,
-    "num_envs": 1e5,
-    "envs_per_worker": 1e5,
-    "images": 1e9,
-    "episodes": 1e8,
-    "learning_rate": 10,
-    "learning_rate_final": 100,
-    "clip_range": 10,
-    "coef": 1e6,
-    "norm": 1e6,
-    "scale": 1e4,
-    "gain": 1e4,
-    "factor": 1e3,
-    "distance_m": 2,
-    "m": 1e3,
-    "rad": 100,
-    "deg": 360,
-    "s": 1e6,
-    "kg": 1e3,
-    "hz": 1e4,
-    "gib": 1e6,
-}
-"""Largest size of a number by the last words of its field: what it counts, or its unit."""
 MOST_INT = 1e5
-"""Largest size of other integers: sizes of networks, passes, processes."""
+"""Largest size of integers without an entry in `RANGES`."""
 MOST_FLOAT = 1e6
-"""Largest size of other floating-point numbers."""
+"""Largest size of such floating-point numbers."""
+_RANGES: dict[tuple[float, float], str] = {
+    (1, 1e12): "total_steps every_steps",
+    (1, 1e9): "images",
+    (1, 1e8): "episodes",
+    (0, 1e8): "blind_episodes",
+    (1, 1e6): "steps hidden",
+    (0, 1e6): "confirm_steps coef n3 threshold_decrease",
+    (
+        1,
+        1e5,
+    ): "num_envs envs_per_worker processes workers joints levels slots features dim "
+    "batch batch_size minibatches epochs evaluations negatives evaluate_every patience threads "
+    "objects objects_per_episode training_seeds trial cores at_once",
+    (0, 1e5): "start_joints knowledge_dim hops degree rounds retries",
+    (1, 1e3): "factor",
+    (0, 360): "light_angle_deg",
+    (0, 1): "share until gamma lambda learning_rate_final gpus",
+    (LEAST, 1e6): "s gib grad_norm eps following_steps",
+    (LEAST, 1e4): "hz gain reward_scale pixel_scale",
+    (LEAST, 1e3): "gripper_step_m",
+    (LEAST, 360): "angle_deg",
+    (LEAST, 100): "mpi_rad",
+    (LEAST, 10): "learning_rate clip_range",
+    (LEAST, 2): "distance_m",
+    (LEAST, 1): "success",
+    (-1e6, 1e6): "norm",
+    (-1e4, 1e4): "scale",
+    (-1e3, 1e3): "m kg",
+    (-360, 360): "deg",
+    (-100, 100): "rad",
+}
+"""Ranges of numbers by the last words of their field: what it counts, or its unit."""
+RANGES: dict[str, tuple[float, float]] = {}
+for _ends, _words in _RANGES.items():
+    RANGES |= dict.fromkeys(_words.split(), _ends)
 
 LARGEST_SHOWN = 1e300
 """Size above which Python may refuse to print an integer."""
@@ -77,7 +86,7 @@ _Reader = Callable[[Any, str], Any]
 def check_values(config: Any, *, where: str = "") -> None:
     """Check types and choices of a (nested) config, and that its numbers make sense.
 
-    They are finite and within `MOST`; a seed fits.
+    They are finite and within `RANGES`; a seed fits.
     """
     if isinstance(config, float):
         if not math.isfinite(config):
@@ -103,31 +112,44 @@ def check_values(config: Any, *, where: str = "") -> None:
 
 
 def _check_size(name: str, value: Any, path: str) -> None:
-    """Check that numbers of a field are of a size that makes sense, see `MOST`."""
+    """Check that numbers of a field are of a size that makes sense, see `RANGES`."""
     if isinstance(value, tuple | list):
         for item in value:
             _check_size(name, item, path)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or name == "seed":
+    if is_number and name != "seed":
+        most = MOST_FLOAT if isinstance(value, float) else MOST_INT
+        _check_range(value, _range(name) or (-most, most), path)
+
+
+def _check_range(value: Any, ends: tuple[float, float], path: str) -> None:
+    least, most = ends
+    is_tiny = 0 < abs(value) < LEAST
+    if least <= value <= most and not is_tiny:
         return
-    most = _most(name, MOST_FLOAT if isinstance(value, float) else MOST_INT)
-    if abs(value) > most:
-        given = f"{value}" if abs(value) < LARGEST_SHOWN else "a larger number"
-        raise UserError(f"{path} must be at most {most:g} in size, got {given}.")
-    if isinstance(value, float) and 0 < abs(value) < LEAST_FLOAT:
-        allowed = f"0, or at least {LEAST_FLOAT:g} in size"
-        raise UserError(f"{path} must be {allowed}, got {value}.")
+    if ends == (0, 1):
+        allowed = "between 0 and 1"
+    elif abs(value) > most:
+        allowed = f"at most {most:g} in size"
+    elif least == LEAST and value <= 0:
+        allowed = "larger than 0"
+    elif value < least:
+        allowed = f"at least {least:g}"
+    else:
+        allowed = f"0, or at least {LEAST:g} in size"
+    given = f"{value}" if abs(value) < LARGEST_SHOWN else "a larger number"
+    raise UserError(f"{path} must be {allowed}, got {given}.")
 
 
 @cache
-def _most(name: str, other: float) -> float:
-    """Return the entry of `MOST` with the most last words of a field's name."""
+def _range(name: str) -> tuple[float, float] | None:
+    """Return the entry of `RANGES` with the most last words of a field's name."""
     words = name.split("_")
     for first in range(len(words)):
-        most = MOST.get("_".join(words[first:]))
-        if most is not None:
-            return most
-    return other
+        ends = RANGES.get("_".join(words[first:]))
+        if ends is not None:
+            return ends
+    return None
 
 
 class _Field(NamedTuple):
@@ -164,21 +186,6 @@ def _is_plain(hint: Any) -> bool:
     if get_origin(hint) is Literal:
         return True
     return hint in (bool, int, float, str, type(None), Ellipsis)
-
-
-def at_least(config: Any, least: float, *names: str, where: str = "") -> None:
-    """Check that fields of a config, where they are not None, are numbers of at least ``least``."""
-    _check(config, names, where, f"at least {least}", lambda value: value >= least)
-
-
-def above_zero(config: Any, *names: str, where: str = "") -> None:
-    """Check that fields of a config, where they are not None, are larger than 0."""
-    _check(config, names, where, "larger than 0", lambda value: value > 0)
-
-
-def fraction(config: Any, *names: str, where: str = "") -> None:
-    """Check that fields of a config lie between 0 and 1."""
-    within(config, 0, 1, *names, where=where)
 
 
 def within(

@@ -7,7 +7,8 @@ from knowarm.errors import printable
 from knowarm.svg import escape
 
 _FORMULA = re.compile(
-    r"(^|[,;|\t\r\n])([\s\ufeff\u200b]*)(?=[=+\-@\uff1d\uff0b\uff0d\uff20])"
+    r"(^|[,;|\t\r\n])([\s\xad\ufeff\u200b-\u200f\u202a-\u202e\u2060-\u2064]*)"
+    r"(?=[=+\-@\uff1d\uff0b\uff0d\uff20])"
 )
 """Where a spreadsheet begins a cell, also with another separator than the comma, and a formula."""
 _NUMBER = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?")

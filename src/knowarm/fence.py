@@ -3,7 +3,7 @@
 A file that nests deep enough overflows the stack of a parser in C or Rust, another one lets it
 compute for ever or fill the memory. In a process of its own, each is an error in one line. A fork
 takes milliseconds, and shares the modules and graphs of this process. Windows cannot fork: there,
-nothing limits what is computed.
+nothing limits what is computed, which a warning says.
 """
 
 import gc
@@ -13,14 +13,14 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import closing
-from functools import partial
+from functools import cache, partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import BoundedSemaphore
 from typing import Any, NoReturn, TypeVar
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, warn
 from knowarm.private_apis import unlock_cached_properties
 
 SECONDS = 60.0
@@ -49,7 +49,7 @@ class Fence:
         size: of its input [bytes], which limits its time and memory.
     """
 
-    is_inside = not hasattr(os, "fork")
+    is_inside = False
     """Whether this process is fenced itself, or cannot be: functions are called in it."""
 
     def __init__(self, function: Callable[..., Any], *, size: int = 0) -> None:
@@ -66,6 +66,9 @@ class Fence:
             ParserError: it raises any other exception.
             ValueError: it crosses a limit; the process is a new one at the next call.
         """
+        if not hasattr(os, "fork"):
+            Fence.is_inside = True
+            _warn_of_no_limits()
         if Fence.is_inside:
             value, error = _outcome(self._function, arguments)
         else:
@@ -133,11 +136,19 @@ class Fence:
 
 def fenced(function: Callable[..., T], *arguments: Any, size: int = 0) -> T:
     """Call a function once in a process with limits; see `Fence`."""
-    if Fence.is_inside:
-        return Fence(function)(*arguments)
     fence = Fence(partial(function, *arguments), size=size)
+    if Fence.is_inside:
+        return fence()
     with _ROOM, closing(fence):
         return fence()
+
+
+@cache
+def _warn_of_no_limits() -> None:
+    warn(
+        "Windows limits neither time nor memory of what is parsed: a file of a stranger may crash "
+        "this process, or keep it busy for ever. Open files that you trust alone."
+    )
 
 
 def _outcome(

@@ -338,7 +338,7 @@ def test_evaluations_that_differ_have_folders_of_their_own():
         config = EvaluationConfig(test=tuple(test))
         assert config.folder == f"post-training-greedy-{label}"
         assert from_dict(EvaluationConfig, to_dict(config)) == config
-    with pytest.raises(UserError, match=r"damage\.seed must be at least 0"):
+    with pytest.raises(UserError, match=r"damage\.seed must lie between 0"):
         DamageTest(seed=-1)
 
 

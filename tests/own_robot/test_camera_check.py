@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from knowarm import fence
 from knowarm.cli.main import main
 from knowarm.deploy.driver import shrunk
 from knowarm.deploy.runner import Lens
@@ -418,3 +419,13 @@ def test_a_file_that_is_no_image_is_refused(tmp_path, capsys):
     assert "photograph" in capsys.readouterr().err
     assert main(["doctor", "--points", "points.csv"]) == 2
     assert "--camera" in capsys.readouterr().err
+
+
+def test_a_photograph_that_fills_the_memory_is_refused(tmp_path, capsys, monkeypatch):
+    photo = tmp_path / "photo.png"
+    Image.new("RGB", (6000, 6000)).save(photo)
+    monkeypatch.setattr(fence, "MEMORY", 2**24)
+    assert main(["doctor", "--camera", str(photo)]) == 2
+    error = capsys.readouterr().err
+    assert "MemoryError" in error
+    assert error.count("\n") == 1

@@ -27,7 +27,7 @@ from tests.robustness.packs import pack_readers
 from tests.tiny import short
 
 COMMANDS = {
-    "evaluate": ("evaluate", "run", "--episodes", "2", "--probes"),
+    "evaluate": ("evaluate", "run", "--episodes", "2", "--blind-episodes", "0"),
     "report": ("report", "run", "--out", "out/report.html"),
     "export": ("export", "run", "--to", "out"),
     "record": ("record", "zero", "--to", "out", "--episodes", "2"),
@@ -93,10 +93,11 @@ def _kill(
             yield "a process is left"
         if running.returncode not in (0, -9):
             yield f"ends with {running.returncode}: {running.stderr[-300:]}"
-        if running.returncode == 0:  # new folders are written once
+        files = _files(folder)
+        yield from _damage(files, *wholes)
+        if wholes[0].keys() <= files.keys():  # new files and folders are written once
             shutil.rmtree(folder)
             shutil.copytree(inputs, folder)
-        yield from _damage(_files(folder), *wholes)
     done = _start(name, folder, environment)
     done.ended(600)
     if done.returncode:

@@ -15,7 +15,6 @@ from knowarm.benchmark.policies import entrant, is_safe
 from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import check_output, print_table
-from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation import EvaluationConfig, SplitTest
 from knowarm.knowledge.queries.splits import Split
@@ -85,7 +84,6 @@ class FreezeSuite:
 
     def run(self) -> None:
         """Draw, play the references and write."""
-        at_least(self, 1, "episodes", "training_seeds", "control_episodes")
         env = EnvConfig(
             robot=self.robot,
             task=find_task(self.task),
@@ -154,7 +152,6 @@ class RunSuite:
         if self.trial is None:
             check_output(self.out, "--out")  # before minutes of playing
         else:
-            at_least(self, 1, "trial")
             cells = {}
             for key, cell in suite.cells.items():
                 cells[key] = replace(cell, episodes=cell.episodes[: self.trial])

@@ -11,7 +11,6 @@ from tyro.conf import Positional, arg
 from knowarm.cli.arguments import parse_options, take_option
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
-from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError, shell_command
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
@@ -86,8 +85,6 @@ class View:
 
     def run(self) -> None:
         """Play the episodes and show or record them."""
-        at_least(self, 1, "episodes")
-        above_zero(self, "angle_deg")
         page = self.page
         if not any((page, self.video, self.strip, self.rrd)):
             page = PAGE

@@ -12,7 +12,7 @@ import tyro
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.cli.tables import FilePath
-from knowarm.config import at_least, file_name
+from knowarm.config import file_name
 from knowarm.deploy.contract import Deployment, deployment, export, tcp_position
 from knowarm.deploy.driver import Driver, Safety, Topics
 from knowarm.deploy.record import record
@@ -152,7 +152,6 @@ class Record:
 
     def run(self) -> None:
         """Play, write and say how many episodes succeeded."""
-        at_least(self, 1, "episodes")
         if self.camera:
             file_name(self, "camera")
         trained = None if is_scripted(self.agent) else load_agent(self.agent)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from knowarm.arrays import Floats, Mask
-from knowarm.config import above_zero, at_least, check_values
+from knowarm.config import check_values
 from knowarm.deploy.runner import Runner, Start
 from knowarm.deploy.watch import ImageWatch, SourceWatch
 from knowarm.errors import UserError
@@ -56,10 +56,6 @@ class Safety:
 
     def __post_init__(self) -> None:
         check_values(self)
-        above_zero(self, "max_age_s", "patience_s", "wait_s", "following_steps")
-        above_zero(self, "gripper_step_m")
-        at_least(self, 0, "confirm_steps")
-        at_least(self, 1, "max_steps")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import at_least, check_values, file_name, registered
+from knowarm.config import check_values, file_name, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
@@ -35,7 +35,7 @@ class InterimConfig:
     """Episodes per evaluation; always the same ones."""
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "every_steps", "episodes", where="interim.")
+        check_values(self, where="interim")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,7 @@ class StopWhen:
     """Consecutive interim evaluations with at least that success that end the training."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.success <= 1:
-            raise UserError(
-                f"stop_when.success must lie above 0 and up to 1, got {self.success}."
-            )
-        at_least(self, 1, "evaluations", where="stop_when.")
+        check_values(self, where="stop_when")
 
     def met_at(self, curve: Iterable[tuple[int, float]]) -> int | None:
         """Return the step at which a curve of step and success meets the rule, or None."""
@@ -103,7 +99,6 @@ class ExperimentConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "total_steps", "checkpoint_every_steps")
         file_name(self, "name")
         if not fits(self.knows, self.env.task):
             raise UserError(

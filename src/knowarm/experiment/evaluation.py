@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Mask
 from knowarm.config import (
-    above_zero,
-    at_least,
+    MOST_INT,
     check_values,
     file_name,
-    fraction,
     registered,
+    within,
 )
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
@@ -206,8 +205,7 @@ class DamageTest(BaseTest):
     """Complete the graph by link prediction with this graph embedding, after the damage."""
 
     def __post_init__(self) -> None:
-        at_least(self, 0, "seed", where="damage.")
-        fraction(self, "share", where="damage.")
+        check_values(self, where="damage")
 
     @property
     def label(self) -> str:
@@ -404,9 +402,6 @@ class BlindProbe(BaseProbe):
     episodes: int = 200
     """Number of episodes, from the first."""
 
-    def __post_init__(self) -> None:
-        at_least(self, 1, "episodes", where="blind.")
-
     def measure(self, played: Played, findings: Findings) -> None:
         """Add the group ``blind`` and the numbers ``vision_gain`` and ``binding``.
 
@@ -524,8 +519,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "episodes", "seeds")
-        above_zero(self, "distance_m", "angle_deg")
+        within(self, 1, MOST_INT, "seeds")
         file_name(self, "label")
         has_graph = any(isinstance(condition, GraphTest) for condition in self.test)
         if has_graph and self.split not in (None, "S1"):

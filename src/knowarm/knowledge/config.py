@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
-from knowarm.config import at_least, check_values, fraction, registered
+from knowarm.config import check_values, registered
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.placebos import Zeros
@@ -74,9 +74,6 @@ class KnowledgeConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "dim")
-        at_least(self, 0, "hops", "max_degree")
-        fraction(self, "colour_share")
 
     @property
     def scope(self) -> Scope:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from knowarm.config import above_zero, at_least, check_values, fraction
+from knowarm.config import MOST_FLOAT, check_values, within
 from knowarm.errors import UserError
 
 PRIVILEGED_OPTIONS = {
@@ -61,8 +61,6 @@ class ScheduleConfig(AlgorithmConfig):
 
     def __post_init__(self) -> None:
         check_values(self)
-        above_zero(self, "learning_rate")
-        fraction(self, "learning_rate_final")
 
     def learning_rate_at(self, progress: float) -> float:
         """Return the learning rate after a fraction ``progress`` of the training, cut to 0..1."""
@@ -91,8 +89,7 @@ class ThresholdConfig:
     """Decrease of the factor per update in which most episodes succeed, down to 1."""
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "threshold_factor")
-        at_least(self, 0, "threshold_decrease")
+        check_values(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,10 +105,6 @@ class PrivilegedConfig(ThresholdConfig):
     progress_coef: float = 0.0
     """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
     90 degrees), added to the task's reward; 0: none."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        at_least(self, 0, "auxiliary_coef", "progress_coef")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,10 +141,6 @@ class MinibatchConfig(ScheduleConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(
-            self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes"
-        )
-        above_zero(self, "max_grad_norm")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "
@@ -189,12 +178,6 @@ class PPOConfig(MinibatchConfig):
     """Factor of every reward in learning; reported returns are not scaled."""
     privileged: PrivilegedConfig = field(default_factory=PrivilegedConfig)
     """What training takes from the simulator besides images and rewards; nothing by default."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        above_zero(self, "clip_range", "reward_scale")
-        fraction(self, "gamma", "gae_lambda")
-        at_least(self, 0, "vf_coef", "ent_coef")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,9 +222,7 @@ class DistilConfig(MinibatchConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 0, "auxiliary_coef")
-        at_least(self, SHORTEST_WAY, "way_limit")
-        fraction(self, "stay_share", "practice_until", "glimpse_until")
+        within(self, SHORTEST_WAY, MOST_FLOAT, "way_limit")
 
     def practice_share_at(self, progress: float) -> float:
         """Return the share of practice starts after a fraction ``progress`` of the training."""
@@ -307,14 +288,7 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
     """Environment steps, summed over all workers, between two rows of metrics."""
 
     def __post_init__(self) -> None:
-        ScheduleConfig.__post_init__(self)
-        ThresholdConfig.__post_init__(self)
-        at_least(
-            self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps"
-        )
-        at_least(self, 0, "vf_coef", "ent_coef")
-        above_zero(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
-        fraction(self, "gamma", "gae_lambda")
+        check_values(self)
         if self.schedule == "fixed" and self.envs_per_worker > 1:
             raise UserError(
                 f"envs_per_worker is {self.envs_per_worker}, and workers on the fixed schedule "

@@ -13,6 +13,7 @@ from PIL import Image, ImageOps
 from knowarm.arrays import Floats
 from knowarm.check import Check
 from knowarm.errors import packages_of
+from knowarm.fence import fenced
 from knowarm.own_robot.camera_fit import (
     FOVY,
     LEAST_POINTS,
@@ -41,6 +42,8 @@ MAX_MOVED = 0.4
 """Largest motion of the policy's pixels by a wrong camera, root mean square [px]; 1 cm or 1 degree
 moves them by .5 to 1.5 of 64, and costs a third of the success."""
 
+PHOTO = "Give a photograph as PNG or JPEG."
+
 CAMERAS = 100  # Fitted to redrawn clicks
 CONFIDENCE = 0.95
 
@@ -53,8 +56,8 @@ def check_camera(
     ``points`` is a CSV file with ``point`` (a name of `named_points`, or "x y z" [m]), ``x`` and
     ``y``, its pixel from the upper left corner of the photograph; None fits nothing.
     """
-    with reading(photo, "Give a photograph as PNG or JPEG."):
-        image = ImageOps.exif_transpose(Image.open(photo)).convert("RGB")
+    with reading(photo, PHOTO):
+        image = fenced(_decode, photo)
     scene = scene_of(config)
     data = scene.at(scene.home)
     view = draw_large(scene, config, data, resting_colours(scene, 1), SIDE)
@@ -67,6 +70,11 @@ def check_camera(
     pixels, places = _read_points(points, named_points(scene, data))
     aspect = image.width / image.height
     return [drawn, *_compare(scene, config, aspect, pixels / image.height, places)]
+
+
+def _decode(photo: Path) -> Image.Image:
+    with reading(photo, PHOTO), Image.open(photo) as image:
+        return ImageOps.exif_transpose(image).convert("RGB")
 
 
 def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:

@@ -71,14 +71,8 @@ def as_mjcf(
     ros = _Packages(path, packages)
     name = path.with_suffix("").stem + ".xml"
     with TemporaryDirectory() as temporary:
-        try:
+        with reading(path, "It cannot be converted: correct it."):
             note = fenced(_convert, ros, arguments, Path(temporary) / name)
-        except UserError:
-            raise
-        except ValueError as error:
-            raise UserError(
-                f"{path} cannot be converted: {one_line(error)}. Correct it."
-            ) from None
         if not note:
             return path, ""
         if folder.exists():

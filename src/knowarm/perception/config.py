@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_values
+from knowarm.config import MOST_INT, check_values, within
 from knowarm.errors import UserError
 from knowarm.perception.looks import look_of
 from knowarm.questions import ObjectColour
@@ -53,17 +53,12 @@ class GroundingConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "images", "batch", where="GroundingConfig.")
-        above_zero(self, "learning_rate", where="GroundingConfig.")
-        least = 0 if self.shared_rounds > 0 else 1
-        at_least(self, least, "rounds", where="GroundingConfig.")
+        if self.shared_rounds == 0:
+            within(self, 1, MOST_INT, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
             raise UserError(
                 f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ..."
             )
-        at_least(
-            self, 0, "naming_coef", "shared_rounds", "seed", where="GroundingConfig."
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

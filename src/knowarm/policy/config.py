@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
-from knowarm.config import above_zero, at_least
+from knowarm.config import check_values, within
 from knowarm.errors import Argument, UserError, unknown_name
 
 if TYPE_CHECKING:
@@ -95,12 +95,7 @@ class PolicyConfig:
     def __post_init__(self) -> None:
         if self.fusion not in FUSIONS:
             raise unknown_name("fusion", self.fusion, FUSIONS)
-        at_least(self, 1, "features")
-        above_zero(self, "pixel_scale", "actor_gain")
-        if isinstance(self.hidden, int) and self.hidden < 1:
-            raise UserError(
-                f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}."
-            )
+        check_values(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,9 +118,8 @@ class PolicyShape:
     """Number of equally wide parts (slots) that make up the knowledge vector."""
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "joints", "levels", "knowledge_slots")
-        at_least(self, 0, "knowledge_dim")
-        at_least(self, 20, "image_size")  # for the two convolutions
+        check_values(self)
+        within(self, 20, 4096, "image_size")  # for the two convolutions
 
 
 def hidden_size(config: PolicyConfig, shape: PolicyShape) -> int:

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import psutil
 
-from knowarm.config import above_zero, at_least, fraction
+from knowarm.config import check_values
 from knowarm.cores import available_cores, limited_to
 from knowarm.errors import UserError
 
@@ -46,10 +46,7 @@ class Where:
     """Runs at once; None follows from cores, free memory and GPUs."""
 
     def __post_init__(self) -> None:
-        at_least(self, 1, "cores", "at_once", where="where.")
-        at_least(self, 0, "retries", where="where.")
-        fraction(self, "gpus", where="where.")
-        above_zero(self, "memory_gib", where="where.")
+        check_values(self, where="where")
 
 
 class Ended(NamedTuple):

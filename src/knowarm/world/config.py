@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from knowarm.config import above_zero, at_least, check_values, within
+from knowarm.config import check_values, within
 from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.objects import find_targets
@@ -83,9 +83,6 @@ class EnvConfig:
         for name, value in derived.items():
             object.__setattr__(self, name, value)
         check_values(self)
-        thresholds = ("success_distance_m", "success_angle_deg", "mpi_rad")
-        above_zero(self, *thresholds, where="EnvConfig.")
-        at_least(self, 1, "max_episode_steps", where="EnvConfig.")
         within(self, 1, MAX_IMAGE_SIZE, "image_size", where="EnvConfig.")
         if len(set(self.targets)) != len(self.targets):
             raise UserError(

@@ -22,7 +22,7 @@ from knowarm.cli.tables import (
     is_terminal,
     print_table,
 )
-from knowarm.config import at_least, check_values
+from knowarm.config import check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
@@ -73,7 +73,6 @@ class Queries(ObjectOptions, TableCommand):
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "objects_per_episode", "most_objects")
 
     def result(self) -> Values:
         """Read the graph, make the tables and print them."""

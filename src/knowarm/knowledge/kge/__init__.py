@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from knowarm.config import above_zero, at_least, check_values
+from knowarm.config import check_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,3 @@ class KgeConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
-        at_least(self, 1, "dim", "epochs", "batch_size", "negatives")
-        at_least(self, 1, "evaluate_every", "patience", "threads")
-        above_zero(self, "learning_rate")
-        at_least(self, 0, "n3")

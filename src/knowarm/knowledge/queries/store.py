@@ -55,7 +55,7 @@ class GraphStore:
 
 
 LOCK = RLock()
-"""Held while a store is made, read or changed, since threads share it, and so does a forked process."""
+"""Held while a store is made, read or changed, since threads and forked processes share it."""
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=LOCK.acquire,

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.config import above_zero, at_least
+from knowarm.config import LEAST, check_values, within
 from knowarm.errors import UserError
 from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
@@ -81,8 +81,8 @@ class Lift(Skill):
     """Consecutive steps at this height between both fingers that count as success."""
 
     def __post_init__(self) -> None:
-        above_zero(self, "height_m", where="task.")
-        at_least(self, 1, "hold_steps", where="task.")
+        check_values(self, where="task")
+        within(self, LEAST, 1.0, "height_m", where="task.")
 
     def check(self, asked: Asking) -> None:
         """Refuse parts: a solid object is one target."""
