@@ -15,11 +15,11 @@ from knowarm.errors import UserError, shell_command
 from knowarm.fence import fenced
 from knowarm.reading import (
     digest,
-    one_line,
     read_bytes,
     read_json,
     read_text,
     read_toml,
+    reading,
     write_json,
 )
 from knowarm.world.cache import cache_file
@@ -152,12 +152,8 @@ def _model_files(path: Path) -> list[Path]:
     mjcf = _normal(_mjcf(read_toml(path), path))
     import mujoco  # most who read descriptions need no simulator
 
-    try:
+    with reading(mjcf, f"{str(path)!r} names it: correct it there, or in the model."):
         names = fenced(mujoco.mju_getXMLDependencies, str(mjcf))
-    except ValueError as error:
-        raise UserError(
-            f"{str(path)!r}: cannot read {mjcf}: {one_line(error)}."
-        ) from error
     return [_normal(Path(name)) for name in names]
 
 

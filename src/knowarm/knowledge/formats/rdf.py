@@ -75,6 +75,8 @@ TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
 """Syntaxes whose parser goes on behind a malformed term."""
 
 
+NESTED = (RdfFormat.JSON_LD, RdfFormat.RDF_XML)
+"""Syntaxes that are parsed with limits of time and stack first."""
 CONFIDENCES = frozenset(
     map(name_key, ("confidence", "probability", "certainty", "weight"))
 )
@@ -104,10 +106,10 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
-        if syntax == RdfFormat.JSON_LD:
+        if syntax in NESTED:
             with open_bytes(path) as file, suppress(ParserError):
                 data = file.read()
-                fenced(_parse_json_ld, data, size=len(data))
+                fenced(_parse, data, syntax, size=len(data))
         opened = partial(open_bytes, path)
         if syntax == RdfFormat.RDF_XML:
             with suppress(SyntaxError):
@@ -165,9 +167,9 @@ def _translated(text: str, syntax: Any) -> bytes:
     return ontology.save_to_string("owl").encode()
 
 
-def _parse_json_ld(data: bytes) -> None:
-    """Parse JSON-LD, which overflows the stack if it nests deep enough."""
-    deque(parse(data, format=RdfFormat.JSON_LD, lenient=True), maxlen=0)
+def _parse(data: bytes, syntax: RdfFormat) -> None:
+    """Parse what overflows the stack, or takes the square of its time, if it nests deep enough."""
+    deque(parse(data, format=syntax, lenient=True), maxlen=0)
 
 
 def _read(
