@@ -50,7 +50,7 @@ _RANGES: dict[tuple[float, float], str] = {
     ): "num_envs envs_per_worker processes workers joints levels slots features dim "
     "batch batch_size minibatches epochs evaluations negatives evaluate_every patience threads "
     "objects objects_per_episode training_seeds trial cores at_once",
-    (0, 1e5): "start_joints knowledge_dim hops degree rounds retries",
+    (0, 1e5): "start_joints knowledge_dim hops degree rounds retries scene scenes",
     (1, 1e3): "factor",
     (0, 360): "light_angle_deg",
     (0, 1): "share until gamma lambda learning_rate_final gpus",

@@ -2,7 +2,7 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import islice
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from knowarm.asking.asker import in_words
 from knowarm.asking.tidying import Tidied, Tidying, join_scenes, scenes_to_tidy
 from knowarm.cli.tables import FilePath, TableCommand, print_table
-from knowarm.config import at_least
 from knowarm.errors import UserError, printable
 from knowarm.experiment.evaluation import Places, told_places
 from knowarm.experiment.load import TrainedAgent, load_agent
@@ -87,9 +86,6 @@ class Tidy(TableCommand):
     """Where objects belong by the agent: by the "graph", or controls: by the "shuffled" one, or
     "unknown"."""
 
-    def __post_init__(self) -> None:
-        at_least(self, 0, "scene", "scenes")
-
     def result(self) -> dict[str, Any]:
         """Tidy, and print what was done, or counts."""
         later = _later(self.after)
@@ -104,13 +100,12 @@ class Tidy(TableCommand):
 
     def _graph(self, trained: TrainedAgent) -> KnowledgeGraph:
         """Return the graph that says where things belong."""
+        env = trained.config.env
+        graph = env.task.asked.answering_graph(facets_of(env))
         if self.graph is not None:
             graph = read_graph(self.graph)
-        else:
-            env = trained.config.env
-            graph = env.task.asked.answering_graph(facets_of(env))
-            if graph is None:
-                graph = read_graph(STANDARD)
+        elif graph is None:
+            graph = read_graph(STANDARD)
         return edited(graph, self.edit)
 
     def _tell(
@@ -118,7 +113,7 @@ class Tidy(TableCommand):
         trained: TrainedAgent,
         graph: KnowledgeGraph,
         known: KnowledgeGraph | None,
-        later: Mapping[int, Sequence[str]],
+        later: dict[int, list[str]],
     ) -> dict[str, Any]:
         """Tidy one scene, and tell it step by step."""
         scenes = _take(trained, self.seed, self.scene + 1)
@@ -140,7 +135,7 @@ class Tidy(TableCommand):
                 story.tell(after, film[::EVERY])
                 film.clear()
                 brought += not tidying.is_left(0, which)
-                edits = later.pop(brought, ())
+                edits = later.pop(brought, [])
                 if edits:
                     graph = edited(graph, edits)
                     tidying.graph = edited(tidying.graph or graph, edits)
@@ -189,7 +184,7 @@ class Tidy(TableCommand):
             ),
         }
         rows = []
-        values = {}
+        values: dict[str, float] = {}
         for name, is_so in counts.items():
             share = wilson(int(is_so.sum()), len(is_so))
             values |= share.named(name.replace(" ", "_"))

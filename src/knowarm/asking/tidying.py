@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import torch
@@ -23,12 +24,14 @@ from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.guides import Sight
+from knowarm.world.tasks.skills.lift.model import LiftScene
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.place.guide import ReturningGuide
 from knowarm.world.tasks.skills.place.tray import centres_m
 from knowarm.world.tasks.skills.sort.belongings import belongings, true_belongings
 from knowarm.world.tasks.skills.sort.looking import trays_by_colour
 from knowarm.world.tasks.skills.sort.sort import Sort
-from knowarm.world.tasks.state import nearest_levels
+from knowarm.world.tasks.state import EpisodeState, nearest_levels
 
 DRAWN = 4_000
 """Episodes of the task among which scenes to tidy are looked for."""
@@ -76,7 +79,7 @@ class Tidied:
     def is_tidy(self) -> Mask:
         """Whether all of them do in a scene, (n,)."""
         is_out = (self.belongs >= 0) & ~self.in_place
-        return ~is_out.any(axis=1)
+        return np.asarray(~is_out.any(axis=1))
 
     @property
     def wrong_tray(self) -> Mask:
@@ -86,7 +89,7 @@ class Tidied:
     @property
     def disturbed(self) -> Mask:
         """Whether an object that should stay has moved, in each scene, (n,)."""
-        return (self.moved & (self.belongs < 0)).any(axis=1)
+        return np.asarray((self.moved & (self.belongs < 0)).any(axis=1))
 
 
 class Tidying:
@@ -119,12 +122,16 @@ class Tidying:
         self._trained = trained
         self.env = ArmVectorEnv(config, len(scenes))
         self.env.reset(options={"episodes": scenes})
-        state = self.env.running
+        assert trained.network is not None
+        self._network = trained.network
+        state = self._state
         self._rows = np.arange(len(scenes))
         self._start = state.positions
+        scene = self.env.scene
+        assert isinstance(scene, LiftScene)
         self._guide = ReturningGuide(
-            self.env.scene,
-            float(joint_increments(self.env.scene.robot, config).max()),
+            scene,
+            float(joint_increments(scene.robot, config).max()),
             config.success_angle_deg,
             config.ignore_roll,
         )
@@ -160,10 +167,15 @@ class Tidying:
             is_next = (tray >= 0) & ~is_taken & ~self._is_done[:, which]
             self._tray[is_next, which] = tray[is_next]
 
+    @property
+    def _state(self) -> EpisodeState[LiftSimulator]:
+        """The scenes as they are."""
+        return cast(EpisodeState[LiftSimulator], self.env.running)
+
     def instruction(self, scene: int) -> str:
         """Return what is told of a scene, as "the red tray is the kitchen"."""
-        state = self.env.running
-        return self._skill.instruct(state, state.task.asked, scene)
+        asked = self.env.config.task.asked
+        return self._skill.instruct(self._state, asked, scene)
 
     def close(self) -> None:
         """Close the scenes."""
@@ -212,8 +224,7 @@ class Tidying:
 
     def facet(self, scene: int, which: int) -> ObjectColour:
         """Return the object that the network names, by its number in `step`."""
-        assert self._trained.network is not None
-        return self._trained.network.spec.facets[self._seen.facets[scene, which]]
+        return self._network.spec.facets[self._seen.facets[scene, which]]
 
     def is_left(self, scene: int, which: int) -> bool:
         """Return whether an object was last seen where it was."""
@@ -221,7 +232,7 @@ class Tidying:
 
     def judge(self, graph: KnowledgeGraph) -> Tidied:
         """Tell how the scenes stand, by where a graph says that the objects belong."""
-        state = self.env.running
+        state = self._state
         simulator = state.simulator
         belongs = self._wanted(graph, state.objects, self._true_number())
         stands = []
@@ -285,7 +296,7 @@ class Tidying:
         )
         way = self._guide.way(sight)
         nobody = np.zeros(len(self._rows), bool)
-        actions = np.zeros(self.env.action_space.shape, np.int64)
+        actions = np.zeros((len(self._rows), self.env.scene.num_joints), np.int64)
         for _ in range(MOST_STEPS):
             targets = self.env.running.joint_targets[ids]
             actions[ids] = nearest_levels(way.error(targets))
@@ -302,10 +313,10 @@ class Tidying:
         """See whether objects of scenes (k,) are still where they were."""
         seen = self._seen
         facets = seen.facets[ids, which]
-        wanted = np.zeros((len(ids), len(self._trained.network.spec.facets)))
+        wanted = np.zeros((len(ids), len(self._network.spec.facets)))
         wanted[np.arange(len(ids)), facets] = 1.0
         answers = torch.from_numpy(wanted.astype(np.float32))
-        recognition = AnswerGrounding(self._trained.network, answers)
+        recognition = AnswerGrounding(self._network, answers)
         with torch.inference_mode():
             look = recognition.see(self._images()[ids], answers)
         thresholds = self._trained.thresholds(LEVEL)
