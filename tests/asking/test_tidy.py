@@ -4,17 +4,22 @@ import json
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
+from threading import Thread
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 
 import knowarm
-from knowarm.asking.tidying import Tidying, apart, join_scenes, scenes_to_tidy
+from knowarm.asking.asker import Asker
+from knowarm.asking.page import make_server
+from knowarm.asking.tidying.tidier import Tidying, join_scenes, scenes_to_tidy
 from knowarm.cli.main import main
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.world.config import facets_of
 from knowarm.world.tasks.skills.sort.belongings import true_belongings
+from knowarm.world.tasks.skills.sort.chores import apart
 
 ZOO = Path(__file__).parents[2] / "zoo"
 RUN = ZOO / "tiago-choose-sort-answers-seen"
@@ -40,9 +45,7 @@ def tidying(trained, scenes):
 def test_scenes_have_one_object_for_each_tray(trained, scenes, tidying):
     env = trained.config.env
     known = true_belongings(env.task.asked, facets_of(env), env.task.skill.relation)
-    for objects, places in zip(
-        scenes.objects, tidying.told["tray_places"], strict=True
-    ):
+    for objects, places in zip(scenes.objects, tidying.told["places"], strict=True):
         belongs = known.of(objects, np.tile(places, (len(objects), 1)))
         assert belongs.sum(axis=0).tolist() == [1, 1]
         assert belongs.sum(axis=1).max() == 1
@@ -80,7 +83,7 @@ def test_objects_are_brought_one_after_the_other(tidying):
     end = tidying.judge(graph)
     assert end.in_place.sum() >= 2 * SCENES - 1
     assert end.is_tidy.sum() >= SCENES - 1
-    assert not end.wrong_tray.any()
+    assert not end.wrong_place.any()
     assert not end.disturbed.all()
 
 
@@ -177,8 +180,8 @@ def test_command_tells_plan_and_end(tmp_path, capsys):
     )
     assert plan < printed.index("The arm looks again: the cyan basket is gone")
     assert "The graph changes: - bell isLocatedIn classroom." in printed
-    assert "The cyan basket: stands on the tray of its place." in printed
-    assert "The green bell: stays where it was." in printed
+    assert "The cyan basket stands on the tray of its place." in printed
+    assert "The green bell stays where it was." in printed
     assert page.read_text(encoding="utf-8").count("<img ") == 2
     told = json.loads(values.read_text(encoding="utf-8"))
     assert told["tidy"] is True
@@ -196,11 +199,14 @@ def test_command_counts_with_a_control(capsys):
     ("arguments", "words"),
     [
         (["zoo/irb120-choose-answers-fast"], "needs an agent that sorts"),
-        ([str(RUN), "--after", "bell"], "--after takes the number"),
+        ([str(RUN), "--after", "bell"], "number of objects that were brought away"),
         ([str(RUN), "--scene", "-1"], "scene must be"),
-        ([str(RUN), "--scene", "9999"], "only"),
+        ([str(RUN), "--scene", "9999"], "Only"),
         ([str(RUN), "--page", "tidy.txt"], ".html"),
         ([str(RUN), "--edit", "bell"], "bell"),
+        ([str(RUN), "--after", "2: - cow isLocatedIn garden"], "cow"),
+        ([str(RUN), "--places", "shuffled"], "--scenes"),
+        ([str(RUN), "--scenes", "2", "--after", "1: - a b c"], "leave out"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, capsys):
@@ -209,3 +215,29 @@ def test_mistakes_are_one_line(arguments, words, capsys):
     assert words in error
     assert "Traceback" not in error
     assert len(error.strip().splitlines()) <= 2
+
+
+def test_page_has_a_view_that_tidies(trained):
+    with closing(Asker(trained)) as asker:
+        server = make_server(asker, "")
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}"
+
+        def get(path):
+            with urlopen(address + path) as answer:
+                return answer.read().decode()
+
+        try:
+            assert 'href="/tidy"' in get("/")
+            empty = get("/tidy")
+            assert 'name="after"' in empty
+            assert "Plan:" not in empty
+            assert "is a number from 0 on" in get("/tidy?scene=x")
+            done = get("/tidy?scene=0&after=1:%20-%20bell%20isLocatedIn%20classroom")
+            assert "The cyan basket stands on the tray of its place." in done
+            assert "The graph changes: - bell isLocatedIn classroom." in done
+            assert done.count("data:image/webp") == 2
+        finally:
+            server.shutdown()
+            server.server_close()

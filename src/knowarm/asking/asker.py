@@ -196,7 +196,7 @@ class Asker:
             assert graph is not None  # of an agent with a grounding network
         if not isinstance(graph, KnowledgeGraph):
             graph = read_graph(graph)
-        self._graph = graph
+        self.graph = graph
         self._env = ArmVectorEnv(trained.config.env, 1)
         self._playing = Lock()  # of the environment, which threads share
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
@@ -207,6 +207,12 @@ class Asker:
 
     def _named(self, indices: np.ndarray) -> tuple[ObjectColour, ...]:
         return tuple(self.facets[index] for index in indices)
+
+    @cached_property
+    def has_chores(self) -> bool:
+        """Whether the agent can tidy."""
+        task = self._env.config.task
+        return task.skill.chores(self._env.running, task.asked) is not None
 
     def close(self) -> None:
         """Close the environment."""
@@ -239,7 +245,7 @@ class Asker:
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
-        return answer(edited(self._graph, edit), self.facets, question, self._names)
+        return answer(edited(self.graph, edit), self.facets, question, self._names)
 
     @cached_property
     def thresholds(self) -> torch.Tensor:
@@ -259,7 +265,7 @@ class Asker:
     @cached_property
     def words(self) -> Words:
         """What can be asked: by relation and value, the objects that scenes show."""
-        return words(self._graph, self._facets_shown, self._names)
+        return words(self.graph, self._facets_shown, self._names)
 
     @cached_property
     def examples(self) -> list[str]:

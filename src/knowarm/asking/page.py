@@ -18,7 +18,9 @@ from markupsafe import Markup
 from knowarm.asking.asker import SCENES, Asked, Asker, in_words
 from knowarm.asking.judgements import Judgement
 from knowarm.asking.quotes import condition
+from knowarm.asking.tidying.story import Story, read_later, tell
 from knowarm.errors import UserError
+from knowarm.knowledge.graph.edits import edited
 from knowarm.local_server import ADDRESS, LocalHandler, listen, refusal
 from knowarm.perception.config import Unclear
 from knowarm.pictures import animation, data_uri, encode
@@ -154,6 +156,7 @@ def page(
         "problem": problem,
         "style": Markup(style_sheet()),
         "scene": scene,
+        "sorts": asker is not None and asker.has_chores,
     }
     if asked is not None:
         values.update(
@@ -209,11 +212,15 @@ def make_server(
                 self.send_error(403, reason)
                 return
             url = urlsplit(self.path)
-            if url.path != "/":
+            pages = {"/": self._page}
+            if asker.has_chores:
+                pages["/tidy"] = self._tidy_page
+            if url.path not in pages:
                 self.send_error(404)
                 return
             with answering:
-                body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
+                fields = parse_qs(url.query, keep_blank_values=True)
+                body = pages[url.path](fields).encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))
@@ -228,7 +235,7 @@ def make_server(
                 text, typed, wanted = (
                     fields.get(name, [""])[0].strip() for name in ("q", "edit", "scene")
                 )
-                lines = tuple(filter(None, map(str.strip, typed.splitlines())))
+                lines = _lines(typed)
                 number = None
                 if wanted.isdecimal() and len(wanted) < 10:
                     number = int(wanted)
@@ -242,6 +249,18 @@ def make_server(
                 number = None
             return page(asked, text, lines, asker=asker, scene=number, problem=problem)
 
+        def _tidy_page(self, fields: dict[str, list[str]]) -> str:
+            names = ("scene", "edit", "after")
+            form = {name: fields.get(name, [""])[0].strip() for name in names}
+            story = Story()
+            problem = ""
+            if fields:
+                try:
+                    _tidy(asker, story, **form)
+                except UserError as error:
+                    problem = str(error)
+            return story.page(form, problem)
+
         def log_message(self, format: str, *arguments: Any) -> None:
             pass
 
@@ -254,6 +273,24 @@ def make_server(
     server.server_name = ADDRESS
     server.server_port = listener.getsockname()[1]
     return server
+
+
+def _tidy(asker: Asker, story: Story, scene: str, edit: str, after: str) -> None:
+    """Tidy a scene as a form says.
+
+    Raises:
+        UserError: a field does not fit.
+    """
+    number = "0" if scene == "" else scene
+    if not number.isdecimal() or len(number) > 6:
+        raise UserError(f"The scene is a number from 0 on, got {scene!r}.")
+    graph = edited(asker.graph, _lines(edit))
+    later = read_later(_lines(after))
+    tell(asker.trained, graph, int(number), later=later, story=story)
+
+
+def _lines(text: str) -> tuple[str, ...]:
+    return tuple(filter(None, map(str.strip, text.splitlines())))
 
 
 def _pictures(asked: Asked) -> dict[str, str]:

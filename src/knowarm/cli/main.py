@@ -57,7 +57,7 @@ DOORS = {
         "answer a question about objects by a graph alone",
     ),
     "tidy": (
-        "asking.tidy_command:Tidy",
+        "asking.tidying.command:Tidy",
         "let a trained agent bring things to where a graph says they belong",
     ),
     "export": (

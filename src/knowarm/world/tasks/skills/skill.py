@@ -16,6 +16,7 @@ from knowarm.world.scene.scene import Floats32, Scene, build_scene, target_place
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
+from knowarm.world.tasks.skills.chores import Chores
 from knowarm.world.tasks.skills.guides import Guide, Sight, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
 from knowarm.world.tasks.state import EpisodeState, Frames, Indices, NamedArrays
@@ -138,6 +139,10 @@ class Skill(BaseTaskPart):
     def result(self, state: EpisodeState, asked: Asking, env_id: int) -> str:
         """Say what became of the object of one episode; empty where reaching it is all."""
         return ""
+
+    def chores(self, state: EpisodeState, asked: Asking) -> Chores | None:
+        """Return what there is to do with all objects of scenes that start, or None."""
+        return None
 
     def solved(self, state: EpisodeState, asked: Asking, graph: KnowledgeGraph) -> Mask:
         """Return which episodes are solved by what a graph states, in place of the task's, (n,)."""

@@ -36,6 +36,7 @@ from knowarm.world.tasks.skills.sort.belongings import (
     belongings,
     true_belongings,
 )
+from knowarm.world.tasks.skills.sort.chores import SortChores
 from knowarm.world.tasks.skills.sort.looking import trays_by_colour
 from knowarm.world.tasks.state import Indices, NamedArrays
 
@@ -195,6 +196,10 @@ class Sort(Place):
         destination = centres[np.argmax(is_right, axis=1)]
         is_told = np.asarray(belongs.any(axis=1))
         return sight._replace(destination=destination, decided=is_told)
+
+    def chores(self, state: State, asked: Asking) -> SortChores:
+        """Bring an object to each tray where one belongs."""
+        return SortChores(self, state, asked)
 
     def solved(self, state: State, asked: Asking, graph: KnowledgeGraph) -> Mask:
         """Return which objects stand on the tray of a place where they belong by a graph, (n,)."""

@@ -1,0 +1,1 @@
+"""Tidying: a plan from a graph and from what a network sees, and its command."""

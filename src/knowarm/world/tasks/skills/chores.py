@@ -1,0 +1,93 @@
+"""Chores: what there is to do with all objects of a scene, where a skill does it with one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers, Mask
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.world.tasks.skills.guides import Guide
+from knowarm.world.tasks.state import NamedArrays
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tidied:
+    """How n scenes with m objects stand."""
+
+    belongs: Integers
+    """Number of the place where each object belongs, or -1, (n, m)."""
+    stands: Integers
+    """Number of the place where it stands, or -1, (n, m)."""
+    moved: Mask
+    """Whether it has moved by 3 cm, toppled or fallen, (n, m)."""
+
+    @property
+    def in_place(self) -> Mask:
+        """Whether each object that belongs somewhere stands there, (n, m)."""
+        return (self.belongs >= 0) & (self.belongs == self.stands)
+
+    @property
+    def is_tidy(self) -> Mask:
+        """Whether all of them do in a scene, (n,)."""
+        is_out = (self.belongs >= 0) & ~self.in_place
+        return np.asarray(~is_out.any(axis=1))
+
+    @property
+    def wrong_place(self) -> Mask:
+        """Whether each object stands at another place than its own, (n, m)."""
+        return (self.stands >= 0) & (self.stands != self.belongs)
+
+    @property
+    def disturbed(self) -> Mask:
+        """Whether an object that should stay has moved, in each scene, (n,)."""
+        return np.asarray((self.moved & (self.belongs < 0)).any(axis=1))
+
+
+class Chores:
+    """n scenes, in which objects belong at places, one at each; see `Skill.chores`.
+
+    Attributes:
+        relation: of the graph that says where objects belong.
+        told: what an agent is told of the scenes, (n, K) names: the ``places`` and their
+            ``marks``.
+        spots: where objects are put down, x and y of each place, (K, 2) [m].
+        guide: solves the way of one object to its spot and back.
+    """
+
+    relation: str
+    told: NamedArrays
+    spots: Floats
+    guide: Guide
+
+    def seen(self, images: NDArray[np.uint8]) -> Integers:
+        """Return the number of the place of each mark that is told, (n, K), by the images."""
+        raise NotImplementedError
+
+    def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
+        """Return at which of the places that are told objects belong, (n, m, K)."""
+        raise NotImplementedError
+
+    def fits(self) -> Mask:
+        """Return in which scenes one object belongs at each place, and others at none, (n,)."""
+        raise NotImplementedError
+
+    def judge(self, graph: KnowledgeGraph) -> Tidied:
+        """Tell how the scenes stand, by where a graph says that objects belong."""
+        raise NotImplementedError
+
+    def instruct(self, scene: int) -> str:
+        """Return what is told of a scene in words, as "the red tray is the kitchen"."""
+        raise NotImplementedError
+
+
+def only(belongs: Mask, numbers: Integers) -> Integers:
+    """Return the number of the place of each object, -1 where it is none or several, (n, m).
+
+    Args:
+        belongs: (n, m, K), as `Chores.belongs`.
+        numbers: of these places, (n, K).
+    """
+    which = belongs.argmax(axis=2)
+    number = np.take_along_axis(numbers, which, axis=1)
+    return np.where(belongs.sum(axis=2) == 1, number, -1)

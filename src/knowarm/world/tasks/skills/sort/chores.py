@@ -1,0 +1,123 @@
+"""Chores of sorting: bring an object to each of the trays where one belongs."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers, Mask
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.world.tasks.asked.asked import Asking
+from knowarm.world.tasks.skills.chores import Chores, Tidied, only
+from knowarm.world.tasks.skills.lift.lift import State
+from knowarm.world.tasks.skills.lift.model import LiftScene
+from knowarm.world.tasks.skills.place.guide import ReturningGuide
+from knowarm.world.tasks.skills.place.tray import centres_m
+from knowarm.world.tasks.skills.sort.belongings import belongings, true_belongings
+from knowarm.world.tasks.skills.sort.looking import trays_by_colour
+from knowarm.world.tasks.state import NamedArrays
+
+APART_M = 0.025
+MOVED_M = 0.03  # Way after which an object that should stay counts as moved
+
+
+class Sorting(Protocol):
+    """What chores ask of the skill; see `Sort`."""
+
+    @property
+    def relation(self) -> str:
+        """Relation that says where objects belong."""
+
+    def facts(self, state: State, asked: Asking) -> NamedArrays:
+        """Return which tray is which place."""
+
+    def instruct(self, state: State, asked: Asking, env_id: int) -> str:
+        """Return the same in words."""
+
+    def trays(self, state: State, objects: Integers) -> Integers:
+        """Return on which tray objects (n,) stand, or -1, (n,)."""
+
+
+class SortChores(Chores):
+    """n scenes with trays that stand for places; see `Chores`.
+
+    Args:
+        skill: sorting.
+        state: the scenes as they start; what the methods say is of their state then.
+        asked: what is asked, by whose graph the trays of places were drawn.
+    """
+
+    def __init__(self, skill: Sorting, state: State, asked: Asking) -> None:
+        scene = state.scene
+        assert isinstance(scene, LiftScene)
+        self._skill = skill
+        self._state = state
+        self._asked = asked
+        self._start = state.positions
+        self._centres = centres_m(scene.robot, least=2)
+        facts = skill.facts(state, asked)
+        self.relation = skill.relation
+        self.told = {"places": facts["tray_places"], "marks": facts["tray_colours"]}
+        self.spots = apart(self._centres)
+        limit = float(state.limits[1])
+        largest_step = float(state.increments.max())
+        self.guide = ReturningGuide(scene, largest_step, limit, state.ignore_roll)
+
+    def seen(self, images: NDArray[np.uint8]) -> Integers:
+        """See `Chores.seen`."""
+        scene = self._state.scene
+        return trays_by_colour(scene, images, self._centres, self.told["marks"])
+
+    def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
+        """See `Chores.belongs`."""
+        places = self.told["places"]
+        if graph is None:
+            return np.zeros((*objects.shape, places.shape[1]), bool)
+        facets = tuple((target.name, "") for target in self._state.scene.targets)
+        known = belongings(graph, facets, self.relation)
+        return np.stack([known.of(some, places) for some in objects.T], axis=1)
+
+    def fits(self) -> Mask:
+        """See `Chores.fits`."""
+        known = true_belongings(self._asked, self._state.facets, self.relation)
+        places = self.told["places"]
+        objects = self._state.objects.T
+        belongs = np.stack([known.of(some, places) for some in objects], axis=1)
+        is_one_each = (belongs.sum(axis=1) == 1).all(axis=1)
+        return np.asarray(is_one_each & (belongs.sum(axis=2) <= 1).all(axis=1))
+
+    def judge(self, graph: KnowledgeGraph) -> Tidied:
+        """See `Chores.judge`."""
+        state = self._state
+        count = len(self._centres)
+        # What is told is in the order of the places.
+        numbers = np.argsort(state.memory["tray_places"][:, :count], axis=1)
+        stands = []
+        moved = []
+        starts = self._start.transpose(1, 0, 2)
+        for objects, places in zip(state.objects.T, starts, strict=True):
+            stands.append(self._skill.trays(state, objects))
+            moved.append(state.simulator.displacement(objects, places) > MOVED_M)
+        return Tidied(
+            belongs=only(self.belongs(graph, state.objects), numbers),
+            stands=np.stack(stands, axis=1),
+            moved=np.stack(moved, axis=1),
+        )
+
+    def instruct(self, scene: int) -> str:
+        """See `Chores.instruct`."""
+        return self._skill.instruct(self._state, self._asked, scene)
+
+
+def apart(centres: Floats) -> Floats:
+    """Return where objects are put on trays (K, 2): `APART_M` from their middle.
+
+    Away from the nearest other tray, so that the gripper does not touch what stands there.
+    """
+    offset = centres[:, None] - centres
+    distance = np.linalg.norm(offset, axis=2)
+    np.fill_diagonal(distance, np.inf)
+    rows = np.arange(len(centres))
+    nearest = distance.argmin(axis=1)
+    away = offset[rows, nearest] / distance[rows, nearest, None]
+    return centres + APART_M * away
