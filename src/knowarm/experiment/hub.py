@@ -10,10 +10,12 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment
+
 from knowarm.errors import UserError, packages_of
 from knowarm.escapes import markdown
 from knowarm.experiment.run_folder import POLICY_FILES, RUN_FILES, RunFolder
-from knowarm.reading import one_line, read_bytes
+from knowarm.reading import one_line, read_bytes, read_text
 
 FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a grounding network, a packed study."""
@@ -120,35 +122,14 @@ def _card(repo_id: str, text: str) -> str:
 
 def _run_text(folder: RunFolder) -> str:
     """Describe a run, with success and controls of every stored evaluation."""
+    path = Path(__file__).with_name("model_card.md.j2")
+    environment = Environment(trim_blocks=True, lstrip_blocks=True)
     config = folder.experiment()
-    robot = Path(config.env.robot).stem
-    lines = [
-        f"Policy {markdown(config.name)}, training seed {config.seed}: robot "
-        f"{markdown(robot)}, task {markdown(config.env.task.name)}, algorithm "
-        f"{markdown(config.learner)}, {folder.steps_trained:,} steps. "
-        "One training seed: no claim about the agent.",
-        "",
-        "| evaluation | episodes | success % | open-loop % | black images % |",
-        "|---|---|---|---|---|",
-    ]
-    for summary in folder.summaries():
-        success = summary.interval("success")
-        low = _percent(success.low)
-        high = _percent(success.high)
-        cells = [
-            markdown(summary.label),
-            f"{summary['episodes']:,.0f}",
-            f"{_percent(success.estimate)} [{low}, {high}]",
-        ]
-        for control in ("open-loop", "blind"):
-            cell = "-"
-            if summary.of("blind", control):
-                blind = summary.interval("success", "blind", control)
-                cell = _percent(blind.estimate)
-            cells.append(cell)
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
+    text = environment.from_string(read_text(path, remedy="Install KnowArm again."))
+    return text.render(
+        config=config,
+        robot=Path(config.env.robot).stem,
+        steps=folder.steps_trained,
+        summaries=folder.summaries(),
+        markdown=markdown,
+    ).rstrip("\n")
