@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from knowarm.report.blocks import Block, Page, TaskPart, Text
+from knowarm.report.blocks import TABLES, Block, Page, TaskPart, Text
 from knowarm.report.model import StudyData
 from knowarm.report.pages import (
     behaviour,
@@ -39,74 +39,25 @@ def build_pages(study: StudyData) -> list[Page]:
             parts.insert(0, Text(intro))
         return parts
 
-    pages = (
-        Page(
-            "summary",
-            "Summary",
-            "All sentences are generated from the intervals below.",
-            runs.summary_blocks(study, decided, understood),
+    contents = {
+        "summary": runs.summary_blocks(study, decided, understood),
+        "inputs": per_task(inputs.input_blocks),
+        "training": per_task(training.training_blocks),
+        "results": per_task(results.result_blocks),
+        "query": per_task(query.query_blocks, understood, intro=query.EXPLANATION),
+        "knowledge": per_task(
+            knowledge.knowledge_blocks, decided, intro=knowledge.EXPLANATION
         ),
-        Page(
-            "inputs",
-            "Network inputs",
-            "All agents receive the same image and differ in the vector.",
-            per_task(inputs.input_blocks),
+        "differences": per_task(
+            differences.difference_blocks, decided, intro=differences.EXPLANATION
         ),
-        Page(
-            "training",
-            "Training",
-            "Interim evaluations on fixed episodes, with training thresholds.",
-            per_task(training.training_blocks),
-        ),
-        Page(
-            "results",
-            "Results",
-            "The best model of every run on the same new episodes.",
-            per_task(results.result_blocks),
-        ),
-        Page(
-            "query",
-            "Was the query understood?",
-            "Agents that receive it, against their controls.",
-            per_task(query.query_blocks, understood, intro=query.EXPLANATION),
-        ),
-        Page(
-            "knowledge",
-            "Does the knowledge matter?",
-            "Each control lacks one property of the vector.",
-            per_task(knowledge.knowledge_blocks, decided, intro=knowledge.EXPLANATION),
-        ),
-        Page(
-            "differences",
-            "Are the differences significant?",
-            "The unit is the training seed.",
-            per_task(
-                differences.difference_blocks, decided, intro=differences.EXPLANATION
-            ),
-        ),
-        Page(
-            "paper",
-            "Comparison with the paper",
-            "Published: one seed per agent, A3C, 70 M steps.",
-            paper.paper_blocks(study),
-        ),
-        Page(
-            "joints",
-            "Joint angles",
-            "All steps of the evaluation, of the best run of each agent.",
-            per_task(behaviour.joint_blocks),
-        ),
-        Page(
-            "episodes",
-            "Episodes",
-            "Agents on the same episode, in the images the policy received.",
-            per_task(behaviour.film_blocks),
-        ),
-        Page(
-            "runs",
-            "Runs and sources",
-            "All numbers of this report are computed from these folders.",
-            runs.run_blocks(study),
-        ),
-    )
-    return [page for page in pages if page.blocks]
+        "paper": paper.paper_blocks(study),
+        "joints": per_task(behaviour.joint_blocks),
+        "episodes": per_task(behaviour.film_blocks),
+        "runs": runs.run_blocks(study),
+    }
+    pages = []
+    for name, blocks in contents.items():
+        if blocks:
+            pages.append(Page(name, **TABLES["pages"][name], blocks=blocks))
+    return pages
