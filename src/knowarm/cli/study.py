@@ -351,8 +351,8 @@ class Unpack:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(TableCommand):
-    """Write one self-contained HTML report, and its numbers as JSON and CSV."""
+class RunsCommand:
+    """Command on runs."""
 
     runs: Annotated[
         tuple[Path, ...],
@@ -360,6 +360,12 @@ class Report(TableCommand):
         arg(metavar="RUN...", help_behavior_hint="(required)"),
     ]
     """Run folders, or folders that contain them at any depth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(RunsCommand, TableCommand):
+    """Write one self-contained HTML report, and its numbers as JSON and CSV."""
+
     out: Path = Path("runs/report.html")
     """HTML file; the JSON and CSV files are written to the same folder."""
 
@@ -375,15 +381,9 @@ class Report(TableCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperFigure:
+class PaperFigure(RunsCommand):
     """Write a figure or table of runs for a paper, with the verdict of their report as caption."""
 
-    runs: Annotated[
-        tuple[Path, ...],
-        Positional,
-        arg(metavar="RUN...", help_behavior_hint="(required)"),
-    ]
-    """Run folders, or folders that contain them at any depth."""
     out: Path = Path("runs/figure.pdf")
     """A drawing (.pdf, .svg or .png), or a table (.tex or .md)."""
     kind: Kind | None = None
