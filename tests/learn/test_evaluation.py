@@ -85,7 +85,7 @@ def test_training_with_background_evaluations_keeps_the_same_best_policy(
         trainer.train(96 * 4)
         best.append(
             (
-                trainer._best.step,
+                trainer._best_step,
                 read_checkpoint(store.folder / "best").facts["return_mean"],
             )
         )

@@ -61,22 +61,6 @@ class TrainingResult:
     """Step of the best interim evaluation."""
 
 
-@dataclass
-class BestEvaluation:
-    """The interim evaluation with the largest mean return so far."""
-
-    value: float | None = None
-    step: int | None = None
-
-    def update(self, step: int, value: float) -> bool:
-        """Take a result; return whether it is better than all before."""
-        if self.value is not None and value <= self.value:
-            return False
-        self.value = value
-        self.step = step
-        return True
-
-
 class Trainer(ABC):
     """Base class of the trainers.
 
@@ -119,7 +103,8 @@ class Trainer(ABC):
         self.policy = policy
         self.seed = seed
         self.step = 0
-        self._best = BestEvaluation()
+        self._best_return: float | None = None
+        self._best_step: int | None = None
         self._evaluated_step: int | None = None  # of the latest interim evaluation
         self.pending_evaluations: dict[int, np.ndarray] = {}
         self.hooks = hooks or Hooks()
@@ -166,8 +151,8 @@ class Trainer(ABC):
         return TrainingResult(
             step=self.step,
             reason=reason,
-            best_return=self._best.value,
-            best_step=self._best.step,
+            best_return=self._best_return,
+            best_step=self._best_step,
         )
 
     def resume(self) -> None:
@@ -181,8 +166,9 @@ class Trainer(ABC):
         facts = checkpoint.facts
         self.policy.load_state_dict(to_tensors(checkpoint.policy))
         self.step = facts["step"]
-        self._best = BestEvaluation(facts["best_return"], facts["best_step"])
-        self._evaluated_step = facts.get("evaluated_step", self._best.step)
+        self._best_return = facts["best_return"]
+        self._best_step = facts["best_step"]
+        self._evaluated_step = facts.get("evaluated_step", self._best_step)
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
             self.pending_evaluations = {
@@ -205,8 +191,8 @@ class Trainer(ABC):
         facts = {
             "step": self.step,
             **checkpoint.facts,
-            "best_return": self._best.value,
-            "best_step": self._best.step,
+            "best_return": self._best_return,
+            "best_step": self._best_step,
             "evaluated_step": self._evaluated_step,
         }
         # The checkpoint may be older than this moment, and so than an evaluation.
@@ -265,7 +251,11 @@ class Trainer(ABC):
     def _take_evaluations(self, *, timeout_s: float = 0.0) -> None:
         """Report completed evaluations to the hooks and save the best policy."""
         for step, values, results in self._evaluations.completed(timeout_s=timeout_s):
-            is_best = self._best.update(step, results["return_mean"])
+            mean = results["return_mean"]
+            is_best = self._best_return is None or mean > self._best_return
+            if is_best:
+                self._best_return = mean
+                self._best_step = step
             if is_best and self.checkpoints is not None:
                 parameters = unflatten_parameters(self.policy, values)
                 facts = {"step": step, **results}
