@@ -90,11 +90,8 @@ OUTCOMES = {
 of the best model, and the evaluation whose thresholds its fixed list of actions is searched for.
 Within 10 cm at any angle an episode of that list ends, so its success is its accuracy."""
 
-OUTCOMES_TEXT = """[Declared before the first
-run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run), for
-complete cells: the accuracy at 10 cm of the best model, minus that of the best fixed list of
-actions, on the same 1,000 new episodes; success stands beside it. The step of the best model is no
-outcome."""
+OUTCOMES_TEXT = """Outcomes were [declared before the first
+run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run)."""
 
 ANOVA = """30 evaluation seeds of 100 episodes of each network, success, as the paper's. F compares
 two trained networks. It cannot tell the knowledge from the training seed: two seeds of one and the
