@@ -335,10 +335,9 @@ def cost_section(tasks: Sequence[TaskData]) -> list[str]:
         base = np.array([*costs(groups["bm"], processor)])
         for name in ("bm", "full"):
             own = np.array([*costs(groups[name], processor)])
-            size = groups[name].runs[0].provenance.parameter_counts["total"]
             rows.append(
                 [
-                    *(title_of(task), f"`{name}`", f"{size:,}"),
+                    *(title_of(task), f"`{name}`"),
                     *(f"{np.median(own[:, 0]):,.0f}", f"{own[:, 1].mean():,.0f}"),
                     ""
                     if name == "bm"
@@ -348,7 +347,6 @@ def cost_section(tasks: Sequence[TaskData]) -> list[str]:
     columns = [
         "cell",
         "agent",
-        "parameters",
         "steps/s",
         "s to 80 %",
         "against `bm` [s]",

@@ -104,8 +104,7 @@ def size_section(
                 signed(welch(each.area, base.area).difference, 100, 1)
                 if differs
                 else "",
-                *(f"{rate:,.0f}", f"{each.steps.mean() / rate:,.0f}"),
-                signed(seconds(each, base, rates), 1) if differs else "",
+                f"{rate:,.0f}",
             ]
         )
     columns = [
@@ -115,8 +114,6 @@ def size_section(
             "area",
             "against 128 [points]",
             "steps/s",
-            "s to 80 %",
-            "against 128 [s]",
         ),
     ]
     sizes = np.concatenate(
