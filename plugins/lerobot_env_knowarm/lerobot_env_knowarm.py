@@ -122,15 +122,16 @@ class KnowArmEnv(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        cells = self.cells()
-        joints = {}
+        suite, cells = find_cells(str(self.task))
+        by_shape: dict[tuple[int, ...], list[str]] = {}
         for cell in cells:
-            joints[cell.env.robot] = cell.episodes.joint_offsets.shape[1:]
-        shape, *others = set(joints.values())
-        if others:
+            shape = cell.episodes.joint_offsets.shape[1:]
+            by_shape.setdefault(shape, []).append(f"{suite.name}/{cell.name}")
+        if len(by_shape) > 1:
+            fitting = " or ".join(names[0] for names in by_shape.values())
             raise UserError(
-                f"env.task {self.task!r} names cells of {' and '.join(joints)}, whose joints "
-                "differ; name one robot, such as reach-v1/irb120."
+                f"env.task {self.task!r} names cells of robots with different numbers of joints; "
+                f"name one robot's, such as {fitting}."
             )
         size = cells[0].env.image_size
         self.features = {

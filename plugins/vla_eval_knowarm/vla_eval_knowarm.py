@@ -32,13 +32,17 @@ class KnowArmBenchmark(StepBenchmark):
         frozen, cells = find_cells(suite)
         self._suite = frozen.name
         self._cells = {cell.name: cell for cell in cells}
-        joints = {scene_of(cell.env).joint_names for cell in cells}
-        if len(joints) > 1:
+        by_joints: dict[tuple[str, ...], list[str]] = {}
+        for cell in cells:
+            joints = scene_of(cell.env).joint_names
+            by_joints.setdefault(joints, []).append(f"{frozen.name}/{cell.name}")
+        if len(by_joints) > 1:
+            fitting = " or ".join(names[0] for names in by_joints.values())
             raise UserError(
-                f"suite={suite!r} names cells of robots with different joints; name one robot, "
-                "such as reach-v1/irb120."
+                f"suite={suite!r} names cells of robots with different joints; name one robot's, "
+                f"such as {fitting}."
             )
-        self._joints = len(joints.pop())
+        self._joints = len(*by_joints)
         self._arm: ArmEnv | None = None
 
     @classmethod

@@ -1,7 +1,7 @@
 """The LeRobot plugin under the real LeRobot, in an environment of its own (Python 3.12).
 
 python3.12 -m venv lerobot && lerobot/bin/pip install 'lerobot>=0.6' . plugins/lerobot_env_knowarm
-KNOWARM_LEROBOT_ENV_PYTHON=$PWD/lerobot/bin/python pytest tests/plugins
+KNOWARM_LEROBOT_ENV_PYTHON=$PWD/lerobot/bin/python pytest tests/benchmark/test_lerobot_env.py
 """
 
 import json
@@ -9,10 +9,18 @@ import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from knowarm.benchmark import freezing
+from knowarm.benchmark.suites import read_suite
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.world.agents.scripted import ZeroAgent
+from knowarm.world.config import EnvConfig, facets_of
 
 CODE = '''
 import json
+import sys
 import numpy as np
 import torch
 from torch import nn
@@ -65,10 +73,11 @@ def main():
         to_output=transition_to_policy_action,
     )
     found = {}
-    for task in ("reach-v1/irb120-fixed", "choose-v1/tiago-S1"):
+    own = sys.argv[1]
+    for task in ("reach-v1/irb120-fixed", "choose-v1/tiago-S1", f"{own}/mine"):
         config = make_env_config("knowarm", task=task)
         features = {name: list(each.shape) for name, each in env_to_policy_features(config).items()}
-        suite, cell = task.split("/")
+        suite, cell = task.rsplit("/", 1)
         ((_, cells),) = make_env(config, n_envs=N).items()
         policy = Oracle(solved(read_suite(suite).cells[cell]))
         done = rollout(cells[0], policy, none, none, none, action, seeds=list(range(N)))
@@ -85,11 +94,16 @@ def main():
         for _ in range(3):
             infos = cells[0].step(policy.targets.numpy())[-1]
             found[task]["infos"].append(infos["is_success"].tolist())
-    found["asynchronous"] = list(make_env(config, n_envs=2, use_async_envs=True))
-    try:
-        make_env_config("knowarm", task="reach-v1")
-    except Exception as error:
-        found["error"] = str(error)
+    found["asynchronous"] = []
+    for task in ("choose-v1/tiago-S1", f"{own}/mine"):
+        config = make_env_config("knowarm", task=task)
+        found["asynchronous"] += make_env(config, n_envs=2, use_async_envs=True)
+    found["errors"] = []
+    for task in ("reach-v1", own, f"{own}/nobody", f"{own}-gone/mine", ""):
+        try:
+            make_env_config("knowarm", task=task)
+        except Exception as error:
+            found["errors"].append(str(error))
     print(json.dumps(found))
 
 
@@ -99,7 +113,24 @@ if __name__ == "__main__":  # LeRobot's processes import this file
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
+def own(tmp_path_factory):
+    """A suite of one's own, frozen in a folder with a space: cells of two robots."""
+    folder = tmp_path_factory.mktemp("suites") / "my suite"
+    cells = []
+    with pytest.MonkeyPatch.context() as patch:
+        still = np.full((50, 1), 3)
+        patch.setattr(freezing, "search_open_loop", lambda env: still)
+        patch.setattr(freezing, "OpenLoopAgent", lambda listed: ZeroAgent())
+        for name, robot in (("mine", "irb120"), ("other", "tiago")):
+            env = EnvConfig(robot=robot, targets=("mug", "kettle"))
+            how = EvaluationConfig(episodes=8)
+            cells.append(freezing.freeze_cell(name, env, how, episodes=8))
+    freezing.write_suite(folder, "Mugs and kettles", cells)
+    return read_suite(folder.as_posix())
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory, own):
     """What a Python with LeRobot prints after it ran the plugin."""
     python = os.environ.get("KNOWARM_LEROBOT_ENV_PYTHON")
     if python is None:
@@ -111,7 +142,7 @@ def found(tmp_path_factory):
     environment = os.environ | {"HF_HUB_OFFLINE": "1"}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(
-        [python, str(script)],
+        [python, str(script), own.name],
         capture_output=True,
         text=True,
         env=environment,
@@ -138,9 +169,6 @@ def test_a_rollout_of_lerobot_plays_the_frozen_episodes(found, task, joints):
 
 
 def test_the_query_is_the_task_description(found):
-    from knowarm.benchmark.suites import read_suite
-    from knowarm.world.config import facets_of
-
     cell = read_suite("choose-v1").cells["tiago-S1"]
     assert found["choose-v1/tiago-S1"]["task"] == cell.episodes.question[:4].tolist()
     cell = read_suite("reach-v1").cells["irb120-fixed"]
@@ -150,9 +178,25 @@ def test_the_query_is_the_task_description(found):
     ]
 
 
-def test_environments_in_processes_and_cells_of_two_robots(found):
-    assert found["asynchronous"] == ["choose-v1"]
-    assert "name one robot" in found["error"]
+def test_a_suite_of_one_s_own_is_played_as_a_shipped_one(found, own):
+    played = found[f"{own.name}/mine"]
+    assert played["success"] == [True] * 4
+    assert played["state"] == [4, 6]
+    names = own.cells["mine"].episodes.names[:4, 0]
+    assert [task.split()[-1] for task in played["task"]] == names.tolist()
+
+
+def test_environments_in_processes_and_cells_of_two_robots(found, own):
+    assert found["asynchronous"] == ["choose-v1", own.name]
+    shipped, mine, cell, gone, nothing = found["errors"]
+    fitting = "name one robot's, such as reach-v1/irb120-fixed or reach-v1/tiago-fixed."
+    assert shipped.endswith(fitting)
+    assert mine.endswith(f"such as {own.name}/mine or {own.name}/other.")
+    assert cell == f"{own.name} has no cell 'nobody'; it has mine, other."
+    for error in (gone, nothing):
+        assert "Unknown suite" in error
+        assert "benchmark freeze" in error
+    assert not any("\n" in error for error in found["errors"])
 
 
 def test_the_package_has_the_prefix_that_lerobot_looks_for():

@@ -61,7 +61,10 @@ def test_an_episode_is_played_as_by_knowarm():
 
 
 def test_wrong_actions_and_suites_are_refused_in_one_line():
-    with pytest.raises(UserError, match="different joints; name one robot"):
+    with pytest.raises(
+        UserError,
+        match="different joints; name one robot's, such as reach-v1/irb120-fixed or reach-v1/tiago",
+    ):
         KnowArmBenchmark("reach-v1")
     with pytest.raises(UserError, match="has no cell 'nobody'"):
         KnowArmBenchmark("reach-v1/nobody")
