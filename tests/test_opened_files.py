@@ -37,7 +37,6 @@ WITHOUT = {
     "cli/tables.py": "an output",
     "cores.py": "/proc",
     "deploy/driver.py": "images of messages, in memory",
-    "deploy/record.py": "the dataset that it has just written",
     "deploy/runner.py": "without KnowArm; regular files only",
     "experiment/csv_log.py": "its log, which it has read before",
     "fence.py": "/proc",

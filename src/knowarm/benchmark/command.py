@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
 from knowarm.benchmark.freezing import EPISODES, freeze_cell, write_suite
 from knowarm.benchmark.leaderboard import left_out, read_rows, write_leaderboard
@@ -22,7 +22,7 @@ from knowarm.reading import write_json
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import find_task
 
-Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")]
+Policies = Annotated[tuple[str, ...], arg(metavar="POLICY...")]
 
 REFERENCES = ("oracle", "open-loop", "chance")
 """Scores of a suite that stand beside its cells."""
@@ -57,11 +57,11 @@ class ShowSuites:
 class FreezeSuite:
     """Freeze a suite of your own: draw episodes of a task, and store all that decides a score."""
 
-    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
+    task: Annotated[Positional[str], arg(metavar="TASK")]
     """Name of a task, or package.module:Name of your own."""
-    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    robot: Annotated[Positional[str], arg(metavar="ROBOT")]
     """Name of a robot, or the TOML file of your own."""
-    to: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    to: Annotated[Path, arg(metavar="FOLDER")]
     """New folder of the suite."""
     targets: tuple[str, ...] = ()
     """Objects, names or TOML files. Default: the task's."""
@@ -126,13 +126,13 @@ class FreezeSuite:
 class RunSuite:
     """Play a suite with a policy and its controls, and write a row."""
 
-    suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
+    suite: Annotated[Positional[str], arg(metavar="SUITE")]
     """Name of a suite: see `knowarm benchmark show`; or the folder of one of `freeze`."""
     policy: Policies
     """Run folders of the training seeds of one agent, seen:RUN, a folder of `knowarm export`, ONNX
     files, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent. All
     but run folders and scripted agents must come from people whose code you would run."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("row.json")
+    out: Annotated[Path, arg(metavar="FILE")] = Path("row.json")
     """File of the row."""
     name: str | None = None
     """Name of the row. Default: the policy."""
@@ -173,7 +173,7 @@ class RunSuite:
 class VerifyRow:
     """Check the figures of a row, play it again and compare every episode."""
 
-    row: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
+    row: Annotated[Positional[Path], arg(metavar="ROW")]
     """File of a row."""
     policy: Policies = ()
     """Where the policies are on this machine. Default: as in the row, if that names run folders or
@@ -213,9 +213,9 @@ class VerifyRow:
 class WriteTable:
     """Write a leaderboard, as HTML and as Markdown, from a folder of rows."""
 
-    rows: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    rows: Annotated[Positional[Path], arg(metavar="DIR")]
     """Folder of rows."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("leaderboard.html")
+    out: Annotated[Path, arg(metavar="FILE")] = Path("leaderboard.html")
     """File of the page."""
 
     def run(self) -> None:

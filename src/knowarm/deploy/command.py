@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import tyro
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.cli.tables import FilePath
@@ -29,7 +30,7 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 class OfRun:
     """Command on the policy of a run."""
 
-    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Run folder, such as runs/irb120-full-fast/0."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
@@ -49,7 +50,7 @@ class OfRun:
 class Export(OfRun):
     """Write a trained policy as ONNX, with its contract and a runner without PyTorch."""
 
-    to: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("exported")
+    to: Annotated[Path, arg(metavar="DIR")] = Path("exported")
     """Folder to write."""
 
     def run(self) -> None:
@@ -103,7 +104,7 @@ class Ros(OfRun):
 
     knowledge: str | None = None
     """Row of the knowledge table, such as "usedFor drinking"; not needed where it never changes."""
-    safety: Annotated[Safety, tyro.conf.OmitArgPrefixes] = field(default_factory=Safety)
+    safety: Annotated[Safety, OmitArgPrefixes] = field(default_factory=Safety)
     """What must hold before a joint target is sent."""
     resize: bool = False
     """Average the central square of larger images to the policy's size."""
@@ -128,9 +129,9 @@ class Ros(OfRun):
 class Record:
     """Record episodes as a LeRobotDataset v3: Parquet files with PNG images."""
 
-    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
+    agent: Annotated[Positional[str], arg(metavar="AGENT")]
     """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
-    to: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    to: Annotated[Path, arg(metavar="DIR")]
     """New folder of the dataset."""
     episodes: int = 100
     """Number of episodes."""

@@ -29,8 +29,8 @@ Pixels = NDArray[np.uint8]
 EARLIEST = 0.8  # Shortest time between two targets, in control periods
 SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
 JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
-ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8")
-"""Encodings of ROS that are read; they begin with the order of a pixel's channels."""
+ENCODINGS = {"rgb8": "RGB", "bgr8": "BGR", "rgba8": "RGBX", "bgra8": "BGRX"}
+"""Encodings of ROS that are read, and Pillow's names of a pixel's bytes; alpha is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,12 +397,11 @@ def decoded(
         if "mono" in encoding:
             why = "is grey, and the policy sees colours; publish"
         return f"of the encoding {encoding!r} {why} {', '.join(ENCODINGS)}"
-    size = len(encoding) - 1  # bytes per pixel
-    if not 0 < size * width <= step or not 0 < len(data) == height * step:
+    pixel = ENCODINGS[encoding]
+    if not 0 < len(pixel) * width <= step or not 0 < len(data) == height * step:
         return f"has {len(data)} bytes, which are not {height} rows of {step}"
-    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : size * width]
-    channels = [encoding.index(colour) for colour in "rgb"]
-    return rows.reshape(height, width, size)[..., channels].copy()
+    size = (width, height)
+    return np.array(Image.frombytes("RGB", size, data, "raw", pixel, step))
 
 
 def decompressed(data: bytes) -> Pixels | str:

@@ -103,7 +103,7 @@ def record(
 
 
 class _Writer:
-    """Writes a dataset file by file; only one file's frames are in memory."""
+    """Writes a dataset file by file; only the images of one file are in memory."""
 
     def __init__(
         self, env: ArmVectorEnv, folder: Path, image: str, joint_map: Path | None
@@ -122,6 +122,7 @@ class _Writer:
         self.colours = np.zeros((3, 256), np.int64)
         self.tasks: dict[str, int] = {}
         self.rows: list[_Columns] = []
+        self.numbers: dict[str, list[Any]] = defaultdict(list)
         self.frames = 0
         self.successes = 0
         self._describe_columns()
@@ -235,6 +236,7 @@ class _Writer:
             values = np.asarray(columns[name])
             stats[name] = statistics(values)
             arrays[name] = values.tolist()
+            self.numbers[name].append(values.astype(_COLUMNS[name]))
         for name, figures in stats.items():
             for key, figure in figures.items():
                 row[f"stats/{name}/{key}"] = figure
@@ -250,7 +252,10 @@ class _Writer:
         tasks = pa.table({"task_index": [*self.tasks.values()], "task": [*self.tasks]})
         tasks = tasks.replace_schema_metadata({"pandas": TASKS_FRAME})
         pq.write_table(tasks, self.folder / "meta/tasks.parquet")
-        write_json(self.folder / "meta/stats.json", self._statistics())
+        stats = {self.image: image_statistics(self.colours, self.frames)}
+        for name, episodes in self.numbers.items():
+            stats[name] = statistics(np.concatenate(episodes))
+        write_json(self.folder / "meta/stats.json", stats)
         info = {
             "codebase_version": VERSION,
             "robot_type": self.env.scene.robot.name,
@@ -267,18 +272,6 @@ class _Writer:
             "features": self.features,
         }
         write_json(self.folder / "meta/info.json", info)
-
-    def _statistics(self) -> dict[str, _Columns]:
-        """Compute the statistics of the whole dataset from its files."""
-        stats = {self.image: image_statistics(self.colours, self.frames)}
-        for name in _COLUMNS:
-            table = pq.read_table(self.folder / "data", columns=[name])
-            column = table[name].combine_chunks()
-            if name in self.vectors:
-                column = column.flatten()
-            array = column.to_numpy(zero_copy_only=False)
-            stats[name] = statistics(array.reshape(self.frames, -1))
-        return stats
 
 
 def statistics(values: NDArray[Any]) -> _Columns:

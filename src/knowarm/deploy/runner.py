@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 FORMAT = "knowarm-contract-2"
 RESTING_RAD = 0.05  # how far beyond its limit a resting joint may lie
@@ -23,8 +24,8 @@ SAMPLES = 8  # Along each side of a pixel of a rectified image
 MOST_CROPPED = 0.1  # Offset of a principal point, in heights of the image
 RESTING_M = 0.005  # how far beyond their limits fingers may rest
 Contract = Mapping[str, Any]  # the content of contract.json, or a part of it
-Arrays = Mapping[str, np.ndarray]
-Model = Callable[[Arrays], Sequence[np.ndarray]]  # named inputs to outputs in order
+Arrays = Mapping[str, ndarray]
+Model = Callable[[Arrays], Sequence[ndarray]]  # named inputs to outputs in order
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,13 @@ class JointMap:
                 "joints.real has names twice, or numbers that are not finite or 0"
             )
 
-    def to_real(self, angles: Any) -> np.ndarray:
+    def to_real(self, angles: Any) -> ndarray:
         """Convert the policy's joint angles (..., J) [rad] to values of the real arm (..., R)."""
         values = np.tile(self._offset, (*np.shape(angles)[:-1], 1))
         values[..., self._columns] += self._scale * angles
         return values.clip(self._lower, self._upper)
 
-    def from_real(self, values: Any) -> np.ndarray:
+    def from_real(self, values: Any) -> ndarray:
         """Convert values of the real arm (..., R) to the policy's joint angles (..., J) [rad]."""
         scaled = np.asarray(values, float) - self._offset
         return scaled[..., self._columns] / self._scale
@@ -93,9 +94,9 @@ class Lens:
         self._distortion[: len(camera["distortion"])] = camera["distortion"]
         height = 2 * self._size
         self.shape = (height, round(2 * height * self._intrinsics[2]), 3)
-        self._rows_columns: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
+        self._rows_columns: dict[Any, tuple[ndarray, ndarray]] = {}
 
-    def problem(self, images: np.ndarray) -> str:
+    def problem(self, images: ndarray) -> str:
         """Say why images are not whole ones of the camera, (n, H, W, 3) uint8; '' if they are."""
         if images.ndim == 4 and images.shape[3] == 3 and images.dtype == np.uint8:
             height, width = images.shape[1:3]
@@ -108,7 +109,7 @@ class Lens:
             f"the camera's lens: not cropped or shrunk; got {images.shape} {images.dtype}"
         )
 
-    def rectified(self, images: np.ndarray) -> np.ndarray:
+    def rectified(self, images: ndarray) -> ndarray:
         """Return what the policy's camera sees of whole images (n, H, W, 3) uint8; black beside.
 
         Raises `ValueError` for other images.
@@ -125,7 +126,7 @@ class Lens:
         coarse = fine.reshape(blocks).mean(axis=(2, 4))
         return coarse.round().astype(np.uint8)
 
-    def _pixels(self, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    def _pixels(self, height: int, width: int) -> tuple[ndarray, ndarray]:
         """Return rows and columns of an image that each sample sees, after OpenCV's model."""
         if (height, width) not in self._rows_columns:
             samples = self._size * SAMPLES
@@ -160,7 +161,7 @@ class Runner:
     def __init__(
         self,
         contract: Contract,
-        knowledge: np.ndarray,
+        knowledge: ndarray,
         policy: Model,
         recognition: Model | None = None,
     ) -> None:
@@ -268,7 +269,7 @@ class Runner:
         self._first = True
         self.is_started = True
 
-    def _knowledge_rows(self, batch: Any, episodes: int) -> np.ndarray:
+    def _knowledge_rows(self, batch: Any, episodes: int) -> ndarray:
         """Return the row of the knowledge table for each episode."""
         rows = self.contract["knowledge"]["rows"]
         if len(rows) == 1:
@@ -283,7 +284,7 @@ class Runner:
             raise ValueError(f"{episodes} episodes start, and {len(names)} have names")
         return np.array([rows.index(name) for name in names])
 
-    def act(self, observations: Arrays) -> np.ndarray:
+    def act(self, observations: Arrays) -> ndarray:
         """Return levels (n, J) for the images (n, H, W, 3) uint8, and add them to `targets`.
 
         Images have the contract's size; whole ones of a camera with a `lens` are rectified.
@@ -319,14 +320,14 @@ class Runner:
         self.targets = targets.clip(self.lower, self.upper)
         return levels
 
-    def closed(self, targets: np.ndarray) -> np.ndarray:
+    def closed(self, targets: ndarray) -> ndarray:
         """Return how far joint targets (..., J) close the gripper, from 0 (open) to 1 (closed)."""
         if self.fingers is None:
             raise ValueError("this policy moves no gripper")
         share = targets[..., self.fingers] / self._closed_m
         return share.clip(0.0, 1.0)
 
-    def _check_outputs(self, levels: np.ndarray, h: np.ndarray, c: np.ndarray) -> None:
+    def _check_outputs(self, levels: ndarray, h: ndarray, c: ndarray) -> None:
         """Raise `ValueError` for outputs of the policy by which nothing should move."""
         if levels.shape != self.targets.shape or levels.dtype.kind not in "iu":
             raise ValueError(f"the policy gives levels {levels.shape} {levels.dtype}")
@@ -363,7 +364,7 @@ def _load_model(folder: Path, name: str, contract: Contract) -> Model:
         )
     names = [tensor.name for tensor in session.get_inputs()]
 
-    def model(inputs: Arrays) -> Sequence[np.ndarray]:
+    def model(inputs: Arrays) -> Sequence[ndarray]:
         return list(session.run(None, {name: inputs[name] for name in names}))
 
     return model

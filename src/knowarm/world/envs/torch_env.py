@@ -88,7 +88,6 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         self.privileged_columns = privileged_columns(self.running)
         self.report_final_observations = True
         self.report_privileged_state = False
-        self._teacher: Teacher | None = None
 
     @cached_property
     def observation_space(self) -> spaces.Box:  # type: ignore[override]
@@ -119,15 +118,14 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
     @property
     def has_teacher(self) -> bool:
         """Whether the teacher is in use."""
-        return self._teacher is not None
+        return "teacher" in vars(self)
 
-    @property
+    @cached_property
     def teacher(self) -> Teacher:
         """Solves the episodes by inverse kinematics, for training only; made on first use."""
-        if self._teacher is None:
-            self._teacher = self.config.task.skill.teacher(self.running)
-            self.running.change_episodes = self._teacher.practice
-        return self._teacher
+        teacher = self.config.task.skill.teacher(self.running)
+        self.running.change_episodes = teacher.practice
+        return teacher
 
     def teach(self) -> tuple[Tensor, Tensor]:
         """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.

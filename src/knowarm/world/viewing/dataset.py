@@ -2,19 +2,22 @@
 
 import io
 from collections import Counter
-from itertools import cycle, repeat
+from collections.abc import Iterator
+from itertools import cycle, islice, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from markupsafe import Markup
 from PIL import Image
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.pictures import animation, data_uri
 from knowarm.reading import read_json, reading
-from knowarm.svg import drawing, element, escape, path
+from knowarm.svg import drawing, element, path
 from knowarm.world.viewing.record import write_html
 
 INFO = "meta/info.json"
@@ -23,6 +26,7 @@ REMEDY = "Record or download the dataset again."
 WIDTH = 360  # of the drawing of joint angles [px]
 HEIGHT = 120
 LAST_MS = 1_500  # display time of a film's last image
+OUTCOMES = {True: ", reached", False: ", failed", None: ""}
 COLOURS = ("blue", "orange", "green", "purple", "teal", "pink", "gold", "brown")
 """Classes of the joints' lines, in order."""
 
@@ -44,92 +48,72 @@ def write_dataset_page(folder: Path, page: Path, most: int) -> int:
         images = [name for name in features if features[name]["dtype"] == "image"]
         joints = list(features[STATE]["names"])
         units = features[STATE].get("units") or list(repeat("", len(joints)))
-        counts = f"{info['total_episodes']:,} episodes, {info['total_frames']:,} frames"
-        pace = float(info["fps"])
+        counts = (info["total_episodes"], info["total_frames"])
+        pace_ms = round(1000 / float(info["fps"]))
     if not images:
         raise UserError(
             f"{folder} has no images in its Parquet files, only videos or none: record it by "
             "`knowarm record`."
         )
-    tasks = _read(folder / "meta/tasks.parquet")
+    columns = {images[0], STATE, "task_index", "episode_index"}
+    tasks = _read(folder / "meta/tasks.parquet").to_pydict()
     texts = dict(zip(tasks["task_index"], tasks["task"], strict=True))
-    episodes = _episodes(
-        folder, [images[0], STATE, "task_index", "episode_index"], most
-    )
-    asked = Counter(texts[frames["task_index"][0]] for frames in episodes)
-    body = [f"<p>{counts}, robot {escape(str(info.get('robot_type')))}.</p>"]
-    body.append(
-        _table(
-            "Questions of the episodes below", ("question", "episodes"), asked.items()
-        )
-    )
+    episodes = list(islice(_episodes(folder, columns), most))
+    if not episodes:
+        raise UserError(f"{folder} holds no episodes. {REMEDY}")
     states = np.concatenate([np.array(frames[STATE]) for frames in episodes])
     low = states.min(axis=0)
     high = states.max(axis=0)
-    ranges = zip(joints, units, low.tolist(), high.tolist(), strict=True)
-    body.append(_table("Joints", ("joint", "unit", "smallest", "largest"), ranges))
+    asked: Counter[str] = Counter()
+    films = []
     for frames in episodes:
+        question = texts[frames["task_index"][0]]
+        asked[question] += 1
         with reading(folder, REMEDY):
             film = [_image(cell["bytes"]) for cell in frames[images[0]]]
-        moving = data_uri("WEBP", animation(film, round(1000 / pace), LAST_MS))
         angles = (np.array(frames[STATE]) - low) / np.maximum(high - low, 1e-9)
-        caption = (
-            f"Episode {frames['episode_index'][0]}: {texts[frames['task_index'][0]]}"
+        films.append(
+            {
+                "number": frames["episode_index"][0],
+                "question": question,
+                "outcome": OUTCOMES[frames.get("next.success", [None])[-1]],
+                "steps": len(film),
+                "film": data_uri("WEBP", animation(film, pace_ms, LAST_MS)),
+                "lines": Markup(_lines(angles)),
+            }
         )
-        if "next.success" in frames:
-            caption += ", reached" if frames["next.success"][-1] else ", failed"
-        caption = escape(f"{caption}, after {len(film)} steps", quote=True)
-        body.append(
-            f'<figure><img src="{moving}" alt="{caption}" width="256"/>{_lines(angles)}'
-            f"<figcaption>{caption}; joint angles over time, each in its own range"
-            "</figcaption></figure>"
-        )
-    write_html(page, f"Dataset {folder.resolve().name}", "".join(body))
+    write_html(
+        page,
+        "dataset.html.j2",
+        title=f"Dataset {folder.resolve().name}",
+        counts=counts,
+        robot=info.get("robot_type"),
+        asked=asked.items(),
+        joints=zip(joints, units, low.tolist(), high.tolist(), strict=True),
+        episodes=films,
+    )
     return len(episodes)
 
 
-def _episodes(
-    folder: Path, columns: list[str], most: int
-) -> list[dict[str, list[Any]]]:
-    """Return columns of the first episodes, a list of frames each."""
-    episodes: dict[int, dict[str, list[Any]]] = {}
+def _episodes(folder: Path, columns: set[str]) -> Iterator[dict[str, list[Any]]]:
+    """Yield the frames of each episode, a list per column."""
     for file in sorted(folder.glob("data/chunk-*/file-*.parquet")):
         frames = _read(file)
         with reading(file, REMEDY):
-            missing = [name for name in columns if name not in frames]
+            missing = columns.difference(frames.column_names)
             if missing:
                 raise ValueError(f"it lacks the columns {', '.join(missing)}")
-        for row, number in enumerate(frames["episode_index"]):
-            if number not in episodes and len(episodes) == most:
-                return list(episodes.values())
-            episode = episodes.setdefault(number, {name: [] for name in frames})
-            for name, values in episode.items():
-                values.append(frames[name][row])
-    if not episodes:
-        raise UserError(f"{folder} holds no episodes. {REMEDY}")
-    return list(episodes.values())
+        for number in frames["episode_index"].unique():
+            yield frames.filter(pc.field("episode_index") == number).to_pydict()
 
 
-def _read(file: Path) -> dict[str, list[Any]]:
+def _read(file: Path) -> Any:
     with reading(file, REMEDY):
-        return pq.read_table(file).to_pydict()
+        return pq.read_table(file)
 
 
 def _image(data: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
-
-
-def _table(title: str, heads: tuple[str, ...], rows: Any) -> str:
-    """Return a table; numbers have three decimals."""
-    lines = ["".join(f"<th>{head}</th>" for head in heads)]
-    for row in rows:
-        cells = [
-            f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row
-        ]
-        lines.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    table = f'<div class="scroll"><table>{body}</table></div>'
-    return f'<div class="table-block"><h3>{title}</h3>{table}</div>'
 
 
 def _lines(angles: Floats) -> str:

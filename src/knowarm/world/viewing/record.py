@@ -5,15 +5,18 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.pictures import animation, check_suffix, data_uri
 from knowarm.reading import replacing
-from knowarm.svg import escape, style_sheet
+from knowarm.svg import style_sheet
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.base import Images
@@ -23,6 +26,7 @@ from knowarm.world.tasks.sampling import Episodes
 
 # Frames per second of the video: one per step, the speed of the real robot
 FRAMES_PER_S = 10
+FRAME_MS = 1000 // FRAMES_PER_S
 _LAST_FRAMES = 10
 _LAST_MS = 1_500  # Display time of the last image of a page's film [ms]
 _MARGIN = 8
@@ -182,39 +186,29 @@ def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
 
 def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> None:
     """Write a self-contained HTML page with a film per episode, which a browser repeats."""
-    films = ""
-    for number, frames in enumerate(episodes, start=1):
-        films += _film(f"Episode {number}", frames)
-    write_html(path, title, films)
+    films = []
+    for frames in episodes:
+        images = list(map(_side_by_side, frames))
+        last = frames[-1]
+        film = {
+            "source": data_uri("WEBP", animation(images, FRAME_MS, _LAST_MS)),
+            "goal": last.goal,
+            "outcome": "reached" if last.success else "failed",
+            "steps": last.step,
+        }
+        films.append(film)
+    write_html(path, "films.html.j2", title=title, films=films)
 
 
-def write_html(path: Path, title: str, body: str) -> None:
-    """Write a self-contained HTML page; its body is markup."""
+def write_html(path: Path, template: str, **values: Any) -> None:
+    """Write a self-contained HTML page of a template of this folder."""
     check_page(path)
-    heading = escape(title)
-    page = (
-        '<!doctype html>\n<html lang="en">'
-        f'<head><meta charset="utf-8"/><title>{heading}</title>'
-        f"<style>{style_sheet()}</style></head>"
-        f"<body><main><h2>{heading}</h2>{body}</main></body></html>\n"
-    )
+    loader = PackageLoader(__package__)
+    pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    style = Markup(style_sheet())
+    text = pages.get_template(template).render(values, style=style)
     with replacing(path, "Name another file.") as temporary:
-        temporary.write_text(page, encoding="utf-8")
-
-
-def _film(name: str, frames: Sequence[Frame]) -> str:
-    """Return the figure of an episode: its film above its goal and outcome."""
-    images = [_side_by_side(frame) for frame in frames]
-    source = data_uri("WEBP", animation(images, 1000 // FRAMES_PER_S, _LAST_MS))
-    last = frames[-1]
-    goal = f": {last.goal}" if last.goal else ""
-    outcome = "reached" if last.success else "failed"
-    caption = f"{name}{goal}, {outcome} after {last.step} steps"
-    alt = escape(caption, quote=True)
-    return (
-        f'<figure><img src="{source}" alt="{alt}" style="max-width: 100%"/>'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _side_by_side(frame: Frame) -> Images:
