@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from knowarm.arrays import Floats, Mask
 from knowarm.config import check_values
@@ -411,5 +411,7 @@ def decompressed(data: bytes) -> Pixels | str:
             if image.mode not in ("RGB", "RGBA"):
                 return f"of the mode {image.mode!r} is not RGB; publish colours"
             return np.array(image.convert("RGB"))
+    except UnidentifiedImageError:  # its text names an object in memory
+        return "is no JPEG or PNG"
     except Exception as error:  # Pillow raises many types
         return f"is no JPEG or PNG: {one_line(error)}"
