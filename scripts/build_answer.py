@@ -175,8 +175,9 @@ def main() -> None:
         known = Decided.of(studies, [cell.task for cell in cells])
         states = dict.fromkeys(done(folder[name]) for name in STUDIES)
         progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
-        a3c = [folder[name] for name in ("a3c", "a3c-tuned")]
-        pages["-a3c"] = a3c_page(*a3c, list(map(done, a3c)))
+        paper = folder["a3c"]
+        tuned = folder["a3c-tuned"]
+        pages["-a3c"] = a3c_page(paper, tuned, [done(paper), done(tuned)])
         pages["-size"] = size_section(
             folder["size"], RESULTS / "size-speed.csv", done(folder["size"]), cells
         )

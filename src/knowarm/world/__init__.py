@@ -52,7 +52,7 @@ class _IdSpec(EnvSpec):
     The task is imported when the limit is read, since it imports the simulator.
     """
 
-    @property  # type: ignore[override]
+    @property
     def max_episode_steps(self) -> int:
         """Steps after which Gymnasium truncates an episode."""
         _, task = _ids()[self.id]
