@@ -125,7 +125,8 @@ class Reader:
             yield state.then(number="= 1", weak=())
         yield from self.values(state)
         for match in self.words.matches[state.position]:
-            if match.length > 1 and match.far <= INFLECTED:
+            is_one = match.length > 1 and not match.entry.inner
+            if is_one and match.far <= INFLECTED:
                 return  # the "living room" is no room where something lives
         yield from self.superlatives(state, word)
         if word in EXTREMES and state.is_unsaid:
@@ -247,7 +248,10 @@ class Reader:
                 weak = state.weak
                 if noun:
                     weak = ()
-                yield state.then(strong=both, noun=noun, weak=weak)
+                cost = state.cost
+                if word in BESIDE:  # rather what the image shows than `nextTo`
+                    cost += OTHER_THAN_NAME
+                yield state.then(strong=both, noun=noun, weak=weak, cost=cost)
             is_location = word == "used" and after in WORDS.used_at
             if state.is_unsaid and (last in said or is_location):
                 yield state.then()  # "round shape", "red in colour", "used in the kitchen"
@@ -278,7 +282,7 @@ class Reader:
                 yield state.then()
         elif word == "whose" and not self.vocabulary.said(after):
             return  # "whose cover is red" is not red
-        elif word == "can" and self.words.matches[start]:
+        elif word in WORDS.nouns and self.words.matches[start]:
             return
         elif word in IGNORED or word in WORDS.able:
             if word in WORDS.able and not state.weak:

@@ -15,6 +15,7 @@ from knowarm.asking.lexicon import (
     WORDS,
     Family,
     near,
+    tokens,
     verbs_of,
 )
 from knowarm.knowledge.graph.denials import opposed, stance
@@ -71,7 +72,9 @@ class Relation:
         return near(word, self.family.strong, INFLECTED) or self.is_named_by(word)
 
     def is_named_by(self, word: str) -> bool:
-        """Return whether a word is one of its own."""
+        """Return whether a word is one of its own, or its name: "nearestto" of nextTo."""
+        if word in BESIDE:
+            return tokens(self.name.replace("_", " ")) == [word]
         words = set(self.words) - _EMPTY
         return any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
 

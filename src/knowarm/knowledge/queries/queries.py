@@ -90,9 +90,10 @@ class QueryGraph:
             self._starts.append(len(self._seen_as))
             self._seen_as += may_be(graph, self._meant[name], colour)
         self._told_by = defaultdict[int, set[int]](set)
-        for entity in set(self._seen_as) - {None}:
-            for teller in chain.from_iterable(self._tellers.of(entity, ())):
-                self._told_by[teller].add(entity)
+        for entity in set(self._seen_as):
+            if entity is not None:
+                for teller in chain.from_iterable(self._tellers.of(entity, ())):
+                    self._told_by[teller].add(entity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -103,11 +104,11 @@ class QueryGraph:
         """
         graph = self.graph
         individuals = set[int]()
-        objects = set[int | None]()
+        of_objects = set[int | None]()
         for described in self._meant.values():
             individuals.update(described.individuals)
-            objects.add(described.entity)
-        objects |= individuals
+            of_objects.add(described.entity)
+        of_objects |= individuals
         stated = set[Condition]()
         for teller, told in self._told_by.items():
             for index, tail in self._tellers.stated(teller):
@@ -119,7 +120,7 @@ class QueryGraph:
                     condition = Condition(relation, graph.names.short(value))
                     is_unnamed = graph.names[value].startswith(('"', "_:"))
                     is_seen = condition._replace(relation=local_name(relation)).is_seen
-                    if not (is_unnamed or is_seen or value in objects):
+                    if not (is_unnamed or is_seen or value in of_objects):
                         stated.add(condition)
         whole = set(map(object_of, self.objects)).difference(self.objects)
         colours = {Condition(COLOUR_RELATION, colour) for _, colour in self.facets}
