@@ -150,6 +150,7 @@ def direction(generator) -> np.ndarray:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("robot", ["irb120", "tiago"])
 @pytest.mark.parametrize(
     ("changes", "noise_px", "least", "most"),
     [
@@ -162,11 +163,12 @@ def direction(generator) -> np.ndarray:
     ids=["right .5", "right 1", "right 2", "3 cm", "3 degrees"],
 )
 def test_right_cameras_are_accepted_and_wrong_ones_refused_in_nineteen_of_twenty_tries(
-    scene, few_cameras, changes, noise_px, least, most
+    few_cameras, robot, changes, noise_px, least, most
 ) -> None:
+    scene = scene_of(EnvConfig(robot=robot))
     generator = np.random.default_rng(1)
     share = verdicts(
-        scene, lambda g: real_camera(scene, **changes(g)), noise_px, 60, generator
+        scene, lambda g: real_camera(scene, **changes(g)), noise_px, 200, generator
     )
     assert least <= share <= most
 

@@ -124,12 +124,14 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
             names = [model.body(body).name for body in opening.bodies]
             fingers = {"fingers": names, "held_joints": opening.joints}
             text = f"; fingers: {' and '.join(names)}, open by {100 * opening.gap_m:.1f} cm"
-            ahead = (opening.tip - data.xanchor[last]) @ approach
-            point = opening.tip - BEFORE * ahead * approach
+            point = opening.tip
         else:
             text = _still(model, inside)
     except UserError as error:
         text = f"; no fingers: {error}"
+    if text and SUCTION not in text:  # fingers grasp a little before their ends
+        ahead = (point - data.xanchor[last]) @ approach
+        point = point - BEFORE * ahead * approach
     bodies = inside
     if outer:
         bodies = fixed_to(model, [hand])
@@ -162,10 +164,6 @@ def _tcp_fields(data: MjData, last: int, hand: int) -> tuple[Fields, str]:
             source += f", where {elsewhere} is not"
     elif text:  # a tool that does not move
         source = "at the end of the gripper"
-        if SUCTION not in text:
-            point = (
-                point - BEFORE * ((point - data.xanchor[last]) @ approach) * approach
-            )
     else:
         point = point + TOOL_M * approach
         source = f"{TOOL_M} m in front of the last body"
@@ -316,9 +314,7 @@ def _approach(
         approach = axis * np.sign(along)
     along_centres = centres @ approach
     end = max(along_centres.max(), extent(data, geoms, approach))
-    if fingers:  # which grasp a little before their ends
-        end -= BEFORE * (end - origin @ approach)
-    else:
+    if not fingers:
         middle = origin
     if len(fingers) == 1 and len(geoms):
         start = data.xpos[fingers[0]] @ approach

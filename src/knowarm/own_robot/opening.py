@@ -73,39 +73,35 @@ class Motion:
         self._model = model
         self._drawn = drawn.qpos.copy()
         self.joints = [j for j in joints if model.jnt_type[j] in MOVABLE]
-        free = self._independent()
+        self._followers = self._dependent()
+        free = [j for j in self.joints if j not in self._followers]
         driven = [j for j in free if j in _actuated(model)] or free
         self.drivers = [j for j in driven if model.jnt_limited[j]]
-        self._followers = [j for j in self.joints if j not in free]
 
-    def _independent(self) -> Ids:
-        """Return joints that determine all others of the gripper; those that can drive first."""
+    def _dependent(self) -> Ids:
+        """Return joints that all others determine, those that can drive last."""
         model = self._model
         is_pair = model.eq_type == mjtEq.mjEQ_JOINT
-        followers = model.eq_obj1id[is_pair]
+        mimics = model.eq_obj1id[is_pair]
         leaders = model.eq_obj2id[is_pair]
         actuated = _actuated(model)
-        jacobian, _ = self._loops()
-        rest = [*self.joints]
 
-        def rank(joints: Ids) -> int:
-            return int(matrix_rank(np.pad(jacobian[:, model.jnt_dofadr[joints]], 1)))
-
-        def preference(joint: int) -> tuple[bool, ...]:
+        def aptness(joint: int) -> tuple[bool | int, ...]:
             return (
-                not model.jnt_limited[joint],
-                joint in followers,
-                joint not in leaders,
-                joint not in actuated,
+                model.jnt_limited[joint],
+                joint not in mimics,
+                joint in leaders,
+                joint in actuated,
+                -joint,
             )
 
-        independent = []
-        for joint in sorted(rest, key=preference):
-            others = [j for j in rest if j != joint]
-            if rank(others) == rank(self.joints):
-                rest = others
-                independent.append(joint)
-        return independent
+        jacobian, _ = self._loops()
+        followers: Ids = []
+        for joint in sorted(self.joints, key=aptness):
+            columns = model.jnt_dofadr[[*followers, joint]]
+            if matrix_rank(np.pad(jacobian[:, columns], 1)) > len(followers):
+                followers.append(joint)
+        return followers
 
     def _loops(self) -> tuple[Floats, Floats]:
         """Return Jacobian (E, V) and errors (E,) of the file's equalities."""
