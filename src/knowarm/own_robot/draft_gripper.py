@@ -258,8 +258,9 @@ def _open_fingers(
             f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "
             f"URDF has no closed loops: {names}"
         )
-    least = reach[pair].min() - FINGERTIP_M
-    ends = [k for members in sides.values() for k in members if reach[k] > least]
+    is_end = reach > reach[pair].min() - FINGERTIP_M
+    is_moved = (np.abs(shifts) > SAME_M).any(axis=0)
+    ends = np.flatnonzero(is_end & is_moved)
     count = len({motion.root(groups[k]) for k in ends})
     if count > 2:
         raise UserError(f"{count} of them close, and lifting moves two")
