@@ -112,6 +112,25 @@ def test_a_synonym_of_what_is_denied_does_not_block_what_is_stated(denying):
     assert "mug" in names(graph, "something that is not for eating")
 
 
+@pytest.mark.parametrize(
+    ("denying", "question", "read"),
+    [
+        ("notUsedFor", "something for water", "usedFor water"),
+        ("isNotUsedFor", "something for water", "isUsedFor water"),
+        ("lacks", "something with water", "hasPart water"),
+        ("doesNotContain", "something that contains water", "contain water"),
+    ],
+)
+def test_what_is_denied_alone_is_asked_by_a_name_without_the_negation(
+    denying, question, read
+):
+    graph = graph_of([("mug", denying, "water"), ("bowl", "weighs", "much")])
+    with pytest.raises(
+        UserError, match=f"No object .* '{read}'.*against it: mug {denying} water"
+    ):
+        answer(graph, FACETS, question)
+
+
 def test_a_denial_is_named_by_what_it_denies():
     assert denial("usedFor") == "notUsedFor"
     assert denial("http://x.org/k#usedFor") == "http://x.org/k#notUsedFor"

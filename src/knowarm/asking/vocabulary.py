@@ -156,7 +156,11 @@ class Vocabulary:
         """Return the relation that affirms what another one denies: ``usedFor``."""
         for other in opposed(self.graph, self.graph.relation_names[index]):
             return self._relation(other)
-        by_key = dict(zip(map(name_key, words), words, strict=True))
+        by_key = {}
+        for word in words:
+            subject, denies = stance(word)
+            if len(subject) == 1 and not denies:
+                by_key[subject[0]] = word
         affirming = [by_key.get(key, key) for key in turned.subject]
         if words[0] == "is" and affirming[0] != "has":
             affirming.insert(0, "is")
