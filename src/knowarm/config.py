@@ -127,7 +127,7 @@ def _check_range(value: Any, ends: tuple[float, float], path: str) -> None:
     is_tiny = 0 < abs(value) < LEAST
     if least <= value <= most and not is_tiny:
         return
-    if ends == (0, 1):
+    if least == 0 and most == 1:
         allowed = "between 0 and 1"
     elif abs(value) > most:
         allowed = f"at most {most:g} in size"

@@ -199,7 +199,10 @@ def test_draw(capsys, tmp_path):
             "objects_per_episode must be at least 1",
         ),
         (("queries", "--seed", "-1"), "Queries.seed must lie between 0"),
-        (("subgraph", "--objects", "mug", "--max-degree", "-1"), "max_degree is -1"),
+        (
+            ("subgraph", "--objects", "mug", "--max-degree", "-1"),
+            "max_degree must be at least 0",
+        ),
         (("fit", "--seed", "-1"), "seed must lie between 0"),
         (("fit", "--batch-size", "0"), "batch_size must be at least 1"),
         (("sho",), "Did you mean 'show'"),
