@@ -93,7 +93,10 @@ def _to_integer(word: str) -> int:
 
 
 def parse_options(
-    command: type[Command], prog: str, arguments: Sequence[str], **options: Any
+    command: type[Command],
+    prog: str,
+    arguments: Sequence[str],
+    **options: Any,
 ) -> Command:
     """Make a command, a dataclass, from its options; ``options`` are those of `tyro.cli`."""
     for name, count in Counter(map(_option_of, arguments)).items():
@@ -374,7 +377,9 @@ def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str
 
 
 def take_option(
-    arguments: Sequence[str], flag: str, example: str
+    arguments: Sequence[str],
+    flag: str,
+    example: str,
 ) -> tuple[list[str], str | None]:
     """Take an option such as `--source analogy` out of arguments; return the others and its value.
 

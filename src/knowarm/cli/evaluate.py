@@ -288,7 +288,10 @@ class Evaluate(TableCommand):
 
 
 def parse_with_task(
-    command: type[Command], prog: str, arguments: Sequence[str], **missing: Any
+    command: type[Command],
+    prog: str,
+    arguments: Sequence[str],
+    **missing: Any,
 ) -> Command:
     """Make a command with the fields ``agent`` and ``env``; ``missing`` are those without default.
 

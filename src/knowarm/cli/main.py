@@ -142,7 +142,10 @@ def _run_command(arguments: list[str]) -> int:
 
 
 def _show_warning(
-    show: Callable[..., None], message: Any, category: Any, *where: Any
+    show: Callable[..., None],
+    message: Any,
+    category: Any,
+    *where: Any,
 ) -> None:
     """Print a warning of a user's file on one line, and any other as Python does."""
     if category is DataWarning:

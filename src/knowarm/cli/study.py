@@ -85,7 +85,9 @@ def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
 
 
 def status_tables(
-    study: StudyConfig, statuses: Sequence[RunStatus], room: int
+    study: StudyConfig,
+    statuses: Sequence[RunStatus],
+    room: int,
 ) -> list[Table | Text]:
     """Return title, table and summary: one row per experiment and one column per seed."""
     left = seconds_left(statuses)

@@ -58,7 +58,9 @@ def print_meeting(meeting: Mapping[str, Sequence[str]]) -> None:
 
 
 def print_table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],
 ) -> None:
     """Print a table; numbers are right-aligned, floats have three decimals, from 10 one.
 
@@ -73,7 +75,9 @@ def print_table(
 
 
 def lay_out(
-    columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int
+    columns: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    room: int,
 ) -> list[Table]:
     """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
     laid_out = []

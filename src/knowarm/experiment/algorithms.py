@@ -73,7 +73,10 @@ def _make_synchronous(
 
 
 def _make_a3c(
-    config: A3CConfig, policy: "Policy", make_env: "MakeEnv", **options: Any
+    config: A3CConfig,
+    policy: "Policy",
+    make_env: "MakeEnv",
+    **options: Any,
 ) -> "Trainer":
     from knowarm.learn import A3CTrainer, FixedScheduleA3CTrainer
 
@@ -83,7 +86,10 @@ def _make_a3c(
 
 
 def _make_untrained(
-    config: SeenConfig, policy: "Policy", make_env: "MakeEnv", **options: Any
+    config: SeenConfig,
+    policy: "Policy",
+    make_env: "MakeEnv",
+    **options: Any,
 ) -> "Trainer":
     from knowarm.learn.untrained import UntrainedTrainer
 

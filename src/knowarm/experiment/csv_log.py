@@ -46,7 +46,9 @@ class CsvLog:
             self._writer(file).writerow(row)
 
     def _rewrite(
-        self, rows: Sequence[Mapping[str, Any]], *further: Iterable[str]
+        self,
+        rows: Sequence[Mapping[str, Any]],
+        *further: Iterable[str],
     ) -> None:
         """Write a file of some rows that has the columns of ``further`` ones, too."""
         columns = chain(self._columns, *further)

@@ -17,7 +17,10 @@ EVALUATION = EvaluationConfig(episodes=200, label="demo")
 
 
 def demo(
-    folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]
+    folder: Path,
+    *,
+    steps: int = STEPS,
+    should_stop: Callable[[], bool],
 ) -> list[Path] | None:
     """Train, resume and evaluate both agents; return the run folders, or None if stopped."""
     # Imports torch, which takes seconds

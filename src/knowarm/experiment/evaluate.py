@@ -232,7 +232,10 @@ def _loaded(
 
 
 def _subject(
-    trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder: bool
+    trained: TrainedAgent | None,
+    env: EnvConfig | None,
+    *,
+    own_folder: bool,
 ) -> Subject:
     """Return what is evaluated before the conditions of the test apply."""
     if trained is None:

@@ -436,7 +436,10 @@ class BlindProbe(BaseProbe):
             self._measure_binding(played, first, findings)
 
     def _measure_binding(
-        self, played: Played, episodes: Episodes, findings: Findings
+        self,
+        played: Played,
+        episodes: Episodes,
+        findings: Findings,
     ) -> None:
         """Play the episodes with the questions of other visible objects."""
         questions = other_questions(played.env, episodes, played.seed)

@@ -65,7 +65,10 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
 
 
 def pull_from_hub(
-    repo_id: str, *, revision: str | None = None, to: Path | None = None
+    repo_id: str,
+    *,
+    revision: str | None = None,
+    to: Path | None = None,
 ) -> Path:
     """Download a repository, or take it from the cache; return its folder.
 

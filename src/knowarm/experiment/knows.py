@@ -77,7 +77,11 @@ class Knowledge:
         return replace(self, table=self.table[:, :0])
 
     def make_env(
-        self, config: EnvConfig, num_envs: int, num_threads: int = 0, **options: Any
+        self,
+        config: EnvConfig,
+        num_envs: int,
+        num_threads: int = 0,
+        **options: Any,
     ) -> "TorchArmVectorEnv":
         """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
         from knowarm.perception.agent import PerceivingVectorEnv

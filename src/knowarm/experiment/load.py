@@ -317,7 +317,10 @@ def _knowing(
 
 
 def from_pretrained(
-    repo_id: str, *, revision: str | None = None, **options: Any
+    repo_id: str,
+    *,
+    revision: str | None = None,
+    **options: Any,
 ) -> TrainedAgent:
     """Load a trained agent from the Hub; ``options`` are those of `load_agent`."""
     return load_agent(pull_from_hub(repo_id, revision=revision), **options)

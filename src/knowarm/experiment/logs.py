@@ -95,7 +95,10 @@ class TrainingProgress:
             self.line(", ".join(filter(None, figures)))
 
     def evaluation(
-        self, step: int, results: Mapping[str, float], is_best: bool
+        self,
+        step: int,
+        results: Mapping[str, float],
+        is_best: bool,
     ) -> None:
         """Print the result of an interim evaluation."""
         success = f"success {100 * results['success']:.0f} %"

@@ -222,7 +222,10 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
 
 
 def override_experiment(
-    config: ExperimentConfig, overrides: Mapping[str, Any], *, where: str = ""
+    config: ExperimentConfig,
+    overrides: Mapping[str, Any],
+    *,
+    where: str = "",
 ) -> ExperimentConfig:
     """Return a config with other fields.
 

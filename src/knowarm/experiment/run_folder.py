@@ -285,7 +285,9 @@ class RunFolder:
 
 
 def network_for_training(
-    config: ExperimentConfig, resumed: RunFolder | None, file: Path | str | None
+    config: ExperimentConfig,
+    resumed: RunFolder | None,
+    file: Path | str | None,
 ) -> GroundingNetwork | None:
     """Return the grounding network of a run, of a file or in a folder to resume, or None."""
     network = None if file is None else given_network(config, file)
@@ -304,7 +306,9 @@ def network_for_training(
 
 
 def check_network(
-    config: ExperimentConfig, network: GroundingNetwork, table: np.ndarray
+    config: ExperimentConfig,
+    network: GroundingNetwork,
+    table: np.ndarray,
 ) -> None:
     """Check that a given network compares the places of an image with an agent's vectors.
 

@@ -67,7 +67,10 @@ class LessonRecorder(PrivilegedRecorder):
 
 
 def minibatch_loss(
-    config: DistilConfig, network: TrainingNetwork, batch: Rollout, targets: Targets
+    config: DistilConfig,
+    network: TrainingNetwork,
+    batch: Rollout,
+    targets: Targets,
 ) -> Terms:
     """Compute the loss of imitation, and the auxiliary one, over a minibatch."""
     logits, _, features = network(batch)

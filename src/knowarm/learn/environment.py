@@ -42,7 +42,10 @@ class TorchVectorEnv(Protocol):
         """What the policy knows in each running episode, (n, K) float32; K may be 0."""
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Tensor, Infos]:
         """Start new episodes; return images (n, H, W, 3) uint8 and infos."""
 
@@ -145,7 +148,10 @@ class NumpyToTorch:
         return self._table[rows]
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Tensor, Infos]:
         """As `TorchVectorEnv.reset`."""
         images, infos = self.env.reset(seed=seed, options=options)

@@ -54,7 +54,12 @@ class FiniteGuard:
         self.check(terms, step, rollout.tensors())
 
     def check_update(
-        self, policy: nn.Module, loss: Terms, norm: Tensor, step: int, rollout: Rollout
+        self,
+        policy: nn.Module,
+        loss: Terms,
+        norm: Tensor,
+        step: int,
+        rollout: Rollout,
     ) -> None:
         """Raise an error naming the loss term or parameter if a gradient step is not finite.
 
@@ -85,7 +90,12 @@ class HealthMonitor:
         self._warned: set[str] = set()
 
     def watch(
-        self, *, step: int, entropy: float, values: Tensor, rewards: Tensor
+        self,
+        *,
+        step: int,
+        entropy: float,
+        values: Tensor,
+        rewards: Tensor,
     ) -> None:
         """Check one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
         self._largest_reward = max(self._largest_reward, float(rewards.abs().max()))

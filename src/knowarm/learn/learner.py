@@ -54,7 +54,10 @@ class TrainingNetwork(nn.Module):
     """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
 
     def __init__(
-        self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0
+        self,
+        policy: Policy,
+        auxiliary_targets: int = 0,
+        seed: int = 0,
     ) -> None:
         super().__init__()
         self.policy = policy
@@ -80,7 +83,11 @@ class TrainingNetwork(nn.Module):
         return logits, values, features
 
     def add_auxiliary(
-        self, terms: Terms, features: Tensor, targets: Targets, coefficient: float
+        self,
+        terms: Terms,
+        features: Tensor,
+        targets: Targets,
+        coefficient: float,
     ) -> Terms:
         """Add the mean squared error of the head, if there is one, to the terms of a loss."""
         if self.head is None:
@@ -279,7 +286,11 @@ class Learner:
                 self._workers = []
 
     def infer(
-        self, rollout: Rollout, t: int, image: Tensor, state: State
+        self,
+        rollout: Rollout,
+        t: int,
+        image: Tensor,
+        state: State,
     ) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
         if self.processes == 1:

@@ -94,7 +94,10 @@ def ppo_loss(
 
 
 def distil_loss(
-    logits: Tensor, teacher_actions: Tensor, weights: Tensor, stay_share: float
+    logits: Tensor,
+    teacher_actions: Tensor,
+    weights: Tensor,
+    stay_share: float,
 ) -> Tensor:
     """Compute the weighted mean cross-entropy per joint to the teacher's actions [nat].
 
@@ -123,7 +126,10 @@ def next_values(
 
 
 def n_step_returns(
-    rewards: Tensor, following: Tensor, done: Tensor, gamma: float
+    rewards: Tensor,
+    following: Tensor,
+    done: Tensor,
+    gamma: float,
 ) -> Tensor:
     """Compute n-step returns: discounted rewards until episode or rollout ends, then the value.
 

@@ -28,7 +28,10 @@ class Float32Muon(torch.optim.Optimizer):
     """
 
     def __init__(
-        self, parameters: Iterable[nn.Parameter], lr: float, iterations: int = 5
+        self,
+        parameters: Iterable[nn.Parameter],
+        lr: float,
+        iterations: int = 5,
     ) -> None:
         super().__init__(parameters, {"lr": lr})
         self._iterations = iterations

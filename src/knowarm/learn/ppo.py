@@ -210,7 +210,10 @@ class MinibatchTrainer(SynchronousTrainer):
 
 
 def minibatch_loss(
-    config: PPOConfig, network: TrainingNetwork, batch: Rollout, targets: Targets
+    config: PPOConfig,
+    network: TrainingNetwork,
+    batch: Rollout,
+    targets: Targets,
 ) -> Terms:
     """Compute PPO's loss, and the auxiliary one, over a minibatch."""
     logits, values, features = network(batch)

@@ -313,7 +313,11 @@ class Collector:
         return self._image
 
     def _add_final_values(
-        self, rollout: Rollout, t: int, cut: Tensor, infos: Infos
+        self,
+        rollout: Rollout,
+        t: int,
+        cut: Tensor,
+        infos: Infos,
     ) -> None:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
         ids = cut.nonzero().squeeze(1)

@@ -29,7 +29,10 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(
-        self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None
+        self,
+        env: VectorEnv[Any, Any, Any],
+        *,
+        seed: int | None = None,
     ) -> None:
         if not isinstance(env, VectorEnv):
             raise UserError(

@@ -87,7 +87,10 @@ class ImageEncoder(nn.Module):
     channels = 32
 
     def __init__(
-        self, image_size: int, pixel_shift: float = 0.0, pixel_scale: float = 1.0
+        self,
+        image_size: int,
+        pixel_shift: float = 0.0,
+        pixel_scale: float = 1.0,
     ) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 16, SIDE, stride=STRIDE)
@@ -161,7 +164,11 @@ class ImageEncoder(nn.Module):
 
     @torch.no_grad()
     def gradients(
-        self, patches: Tensor, hidden: Tensor, features: Tensor, gradient: Tensor
+        self,
+        patches: Tensor,
+        hidden: Tensor,
+        features: Tensor,
+        gradient: Tensor,
     ) -> dict[str, Tensor]:
         """Compute the gradients of the parameters, by name, from that of the features.
 

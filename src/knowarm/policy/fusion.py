@@ -48,7 +48,12 @@ class Concatenation(Fusion):
     """Concatenate the knowledge to the inputs of ``layers``."""
 
     def __init__(
-        self, features: int, knowledge: int, slots: int, *, layers: tuple[Layer, ...]
+        self,
+        features: int,
+        knowledge: int,
+        slots: int,
+        *,
+        layers: tuple[Layer, ...],
     ) -> None:
         super().__init__(features, knowledge, slots)
         self.layers = layers

@@ -182,7 +182,10 @@ class MaskedLSTM(nn.Module):
         return zeros, zeros.clone()
 
     def step(
-        self, x: Tensor, state: State, episode_start: Tensor
+        self,
+        x: Tensor,
+        state: State,
+        episode_start: Tensor,
     ) -> tuple[Tensor, State]:
         """Advance by one step from inputs (B, inputs) and the state after the previous step.
 
@@ -195,7 +198,10 @@ class MaskedLSTM(nn.Module):
         return self._advance(self._project(x), state, keep)
 
     def forward(
-        self, x: Tensor, state: State, episode_start: Tensor
+        self,
+        x: Tensor,
+        state: State,
+        episode_start: Tensor,
     ) -> tuple[Tensor, State]:
         """Advance by T steps; equals T calls of `step`, on the CPU with a faster backward pass.
 
@@ -217,7 +223,10 @@ class MaskedLSTM(nn.Module):
         return torch.stack(outputs), state
 
     def _advance(
-        self, projected: Tensor, state: State, keep: Tensor
+        self,
+        projected: Tensor,
+        state: State,
+        keep: Tensor,
     ) -> tuple[Tensor, State]:
         """Advance by one step from the input part of the gates (B, 4H) and a mask (B, 1)."""
         h = state[0] * keep

@@ -53,7 +53,11 @@ class Policy(nn.Module):
     """
 
     def __init__(
-        self, config: PolicyConfig, shape: PolicyShape, *, seed: int = 0
+        self,
+        config: PolicyConfig,
+        shape: PolicyShape,
+        *,
+        seed: int = 0,
     ) -> None:
         super().__init__()
         self.config = config
@@ -140,7 +144,11 @@ class Policy(nn.Module):
             )
 
     def step(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self,
+        image: Tensor,
+        knowledge: Tensor,
+        state: State,
+        episode_start: Tensor,
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by one step.
 
@@ -162,13 +170,21 @@ class Policy(nn.Module):
         return logits, value, state
 
     def unroll(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self,
+        image: Tensor,
+        knowledge: Tensor,
+        state: State,
+        episode_start: Tensor,
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by T steps; see `unroll_with_features`."""
         return self.unroll_with_features(image, knowledge, state, episode_start)[:3]
 
     def unroll_with_features(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self,
+        image: Tensor,
+        knowledge: Tensor,
+        state: State,
+        episode_start: Tensor,
     ) -> tuple[Tensor, Tensor, State, Tensor]:
         """Advance every environment by T steps, for training.
 

@@ -259,7 +259,10 @@ def histograms(samples: Sequence[Floats]) -> tuple[Floats, list[Floats]]:
 
 
 def density_chart(
-    samples: Mapping[str, Floats], colours: Mapping[str, str], name: str, x_title: str
+    samples: Mapping[str, Floats],
+    colours: Mapping[str, str],
+    name: str,
+    x_title: str,
 ) -> str:
     """Draw distributions, (n_i,) samples by name, as filled steps with a line at each mean."""
     edges, heights = histograms(list(samples.values()))

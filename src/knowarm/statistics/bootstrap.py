@@ -192,7 +192,9 @@ def mean_band(table: Floats, repetitions: int) -> tuple[Floats, Floats]:
 
 
 def _percentiles(
-    samples: Sequence[Floats], statistic: Callable[..., Any], repetitions: int
+    samples: Sequence[Floats],
+    statistic: Callable[..., Any],
+    repetitions: int,
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
     numbers = sum(map(np.size, samples))

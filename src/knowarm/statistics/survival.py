@@ -125,7 +125,9 @@ def area_under_curve(steps: Floats, values: Floats, until: float) -> float:
 
 
 def first_crossing(
-    steps: Floats, values: Floats, threshold: float
+    steps: Floats,
+    values: Floats,
+    threshold: float,
 ) -> tuple[float, bool]:
     """Find the first evaluation at or above a threshold.
 

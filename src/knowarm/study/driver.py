@@ -196,7 +196,11 @@ class _Driver:
     """One pass over a study: starts runs, seed by seed, until nothing is left to do."""
 
     def __init__(
-        self, study: StudyConfig, out: Path, executor: Executor, on_status: OnStatus
+        self,
+        study: StudyConfig,
+        out: Path,
+        executor: Executor,
+        on_status: OnStatus,
     ) -> None:
         self._study = study
         self._out = out

@@ -73,7 +73,10 @@ def folder_of(out: Path, run: RunKey) -> Path:
 
 
 def start_worker(
-    out: Path, run: RunKey, environment: Mapping[str, str], **options: Any
+    out: Path,
+    run: RunKey,
+    environment: Mapping[str, str],
+    **options: Any,
 ) -> "subprocess.Popen[bytes]":
     """Start the worker of a run; it saves and ends when this process ends, however it ends.
 

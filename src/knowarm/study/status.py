@@ -84,7 +84,9 @@ def study_status(study: StudyConfig, out: Path) -> list[RunStatus]:
 
 
 def run_status(
-    config: ExperimentConfig, evaluations: Evaluations, out: Path
+    config: ExperimentConfig,
+    evaluations: Evaluations,
+    out: Path,
 ) -> RunStatus:
     """Return the status of one run; damage to its files is a state of its own."""
     folder = RunFolder(run_path(out, config))

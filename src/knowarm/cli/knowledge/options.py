@@ -76,7 +76,9 @@ class ObjectOptions(GraphOptions):
 
 
 def _colours_in(
-    graph: KnowledgeGraph, name: str, relation: str = COLOUR_RELATION
+    graph: KnowledgeGraph,
+    name: str,
+    relation: str = COLOUR_RELATION,
 ) -> tuple[str, ...]:
     """Return the colours that a graph states of an object, or "" alone."""
     return tuple(colour for _, colour in graph_facets([name], graph, relation))

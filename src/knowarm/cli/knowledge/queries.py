@@ -175,7 +175,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _print_rows(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
 ) -> None:
     """Print the first rows of a table, and say how many more there are."""
     print_table(title, columns, rows[:MOST_ROWS])
@@ -323,7 +325,9 @@ class Subgraph(SelectionOptions, TableCommand):
         return {"triples": len(graph), "entities": len(graph.nodes), **printed}
 
     def _print_answers(
-        self, columns: Sequence[str], answers: Sequence[Sequence[str]]
+        self,
+        columns: Sequence[str],
+        answers: Sequence[Sequence[str]],
     ) -> Values:
         if self.out is not None:
             raise UserError(
@@ -368,7 +372,9 @@ def _print_statistics(graph: KnowledgeGraph) -> Values:
 
 
 def _print_counts(
-    title: str, columns: Sequence[str], counts: Iterable[tuple[str, int]]
+    title: str,
+    columns: Sequence[str],
+    counts: Iterable[tuple[str, int]],
 ) -> None:
     """Print a table of entities or relations with a count of each."""
     rows = [(local_name(name), count) for name, count in counts]

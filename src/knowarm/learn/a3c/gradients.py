@@ -47,7 +47,11 @@ class WorkerGradients:
         self.gradients: Tensors = {}
 
     def infer(
-        self, rollout: Rollout, t: int, image: Tensor, state: State
+        self,
+        rollout: Rollout,
+        t: int,
+        image: Tensor,
+        state: State,
     ) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`."""
         policy = self.policy
@@ -120,7 +124,11 @@ class WorkerGradients:
                 hook.remove()
 
     def _tap_linear(
-        self, name: str, layer: nn.Linear, args: tuple[Any, ...], y: Tensor
+        self,
+        name: str,
+        layer: nn.Linear,
+        args: tuple[Any, ...],
+        y: Tensor,
     ) -> None:
         def add(gradient: Tensor) -> None:
             of_outputs = self._by_worker(gradient)

@@ -32,7 +32,10 @@ class A3CWorker:
     """Repeatedly reads the shared parameters, collects a rollout, and updates them."""
 
     def __init__(
-        self, args: A3CWorkerArgs, shared: SharedTensors, connection: Connection
+        self,
+        args: A3CWorkerArgs,
+        shared: SharedTensors,
+        connection: Connection,
     ) -> None:
         config = args.config
         self.args = args
@@ -139,7 +142,9 @@ class A3CWorker:
 
 
 def run_a3c_worker(
-    args: A3CWorkerArgs, shared: SharedTensors, connection: Connection
+    args: A3CWorkerArgs,
+    shared: SharedTensors,
+    connection: Connection,
 ) -> None:
     """Entry point of a worker process: train until the last state is requested."""
     A3CWorker(args, shared, connection).run()

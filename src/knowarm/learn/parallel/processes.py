@@ -67,7 +67,9 @@ def process_context(*preload: str) -> BaseContext:
 
 
 def _run_child(
-    run: Callable[..., None], arguments: tuple[Any, ...], connection: Connection
+    run: Callable[..., None],
+    arguments: tuple[Any, ...],
+    connection: Connection,
 ) -> None:
     # Signals are left to the parent process
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -119,7 +121,11 @@ class ChildProcess:
 
     @classmethod
     def start(
-        cls, context: BaseContext, name: str, run: Callable[..., None], *arguments: Any
+        cls,
+        context: BaseContext,
+        name: str,
+        run: Callable[..., None],
+        *arguments: Any,
     ) -> "ChildProcess":
         """Start ``run(*arguments, connection)`` in a new process.
 

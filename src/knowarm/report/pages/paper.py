@@ -47,7 +47,9 @@ def published_result(task: TaskData, agent: str) -> Mapping[str, float] | None:
 
 
 def published_comparison(
-    task: TaskData, first: Group, second: Group
+    task: TaskData,
+    first: Group,
+    second: Group,
 ) -> Mapping[str, Any]:
     """Return the published F value and changes in joint angles of two agents; empty if none."""
     return _find(task, "comparisons", first=first.agent, second=second.agent) or {}

@@ -57,7 +57,9 @@ def _origin(run: RunData) -> Row:
 
 
 def summary_blocks(
-    study: StudyData, decided: Claims, understood: Sequence[Finding]
+    study: StudyData,
+    decided: Claims,
+    understood: Sequence[Finding],
 ) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
     findings: list[Finding] = []

@@ -56,7 +56,10 @@ def training_blocks(task: TaskData) -> list[Block]:
 
 
 def curve_figure(
-    task: TaskData, measures: Mapping[str, Axis], name: str, title: str
+    task: TaskData,
+    measures: Mapping[str, Axis],
+    name: str,
+    title: str,
 ) -> Figure:
     """Draw columns of ``evaluations.csv``, names of measures by axis, over the steps."""
     lines = curve_lines(task, measures)

@@ -161,7 +161,10 @@ def claims(study: StudyData) -> list[Claim]:
 
 
 def claims_on(
-    decided: Claims, task: TaskData, subject: Group | None, outcome: str
+    decided: Claims,
+    task: TaskData,
+    subject: Group | None,
+    outcome: str,
 ) -> list[Claim]:
     """Return the claims on one subject of a task."""
     topic = (task, subject, outcome)

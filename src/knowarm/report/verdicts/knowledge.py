@@ -23,7 +23,9 @@ UNTESTED = ("nothing to compare", "too few seeds")
 
 
 def findings(
-    task: TaskData, decided: Claims, outcome: str = "success"
+    task: TaskData,
+    decided: Claims,
+    outcome: str = "success",
 ) -> list[Finding]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
     subjects = task.subjects or (None,)

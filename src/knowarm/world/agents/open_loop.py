@@ -180,7 +180,9 @@ class _Tour:
 
 
 def _search_tours(
-    score: OpenLoopScore, waypoints: Floats, budget: int
+    score: OpenLoopScore,
+    waypoints: Floats,
+    budget: int,
 ) -> tuple[list[Actions], int]:
     """Search lists by a beam over the number of steps, extended by straight moves to waypoints.
 

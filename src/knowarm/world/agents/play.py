@@ -80,7 +80,9 @@ class EpisodeResults:
 
 
 def play_steps(
-    agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes
+    agent: AgentProtocol,
+    env: ArmVectorEnv,
+    episodes: Episodes,
 ) -> Iterator[PlayedStep]:
     """Play 1 to n episodes to their end, one per environment, and yield after every step.
 

@@ -113,7 +113,10 @@ class TargetColours:
         self._resting = resting_colours(scene, 1)[0]
 
     def __call__(
-        self, target: Integers, colour: Integers, marked: bool = False
+        self,
+        target: Integers,
+        colour: Integers,
+        marked: bool = False,
     ) -> Floats32:
         """Return the colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
 
@@ -152,7 +155,10 @@ class AppearanceSource:
     """Computes the appearance of episodes; ``marked`` as in ``TargetColours``."""
 
     def __init__(
-        self, scene: Scene, randomization: VisualRandomization, marked: bool = False
+        self,
+        scene: Scene,
+        randomization: VisualRandomization,
+        marked: bool = False,
     ) -> None:
         self._scene = scene
         self._config = randomization
@@ -160,7 +166,11 @@ class AppearanceSource:
         self._colours = TargetColours(scene)
 
     def __call__(
-        self, target: Integers, colour: Integers, position: Floats, look: Floats
+        self,
+        target: Integers,
+        colour: Integers,
+        position: Floats,
+        look: Floats,
     ) -> Shown:
         """Compute the appearance of k episodes.
 

@@ -78,7 +78,10 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def attach_target(
-    spec: mujoco.MjSpec, robot: Robot, target: Target, targets: Sequence[Target]
+    spec: mujoco.MjSpec,
+    robot: Robot,
+    target: Target,
+    targets: Sequence[Target],
 ) -> None:
     """Attach one of the targets as a mocap body without physics, at its yaw.
 
@@ -163,7 +166,9 @@ side of an object is black."""
 
 
 def compose(
-    robot: Robot, targets: Sequence[Target], distractors: int = 0
+    robot: Robot,
+    targets: Sequence[Target],
+    distractors: int = 0,
 ) -> mujoco.MjSpec:
     """Compose floor, table, lights, camera, robot with servos, and targets as mocap bodies.
 

@@ -97,7 +97,10 @@ def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
 
 
 def set_range(
-    part: mujoco.MjSpec, joint: mujoco.MjsJoint, low: float, high: float
+    part: mujoco.MjSpec,
+    joint: mujoco.MjsJoint,
+    low: float,
+    high: float,
 ) -> None:
     """Limit a joint of a file to a range [rad] (slides: [m])."""
     joint.range = [low, high]

@@ -156,7 +156,10 @@ def compiling(robot: Robot, targets: Sequence[Target]) -> Iterator[None]:
 
 
 def describe_model(
-    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target], distractors: int
+    model: mujoco.MjModel,
+    robot: Robot,
+    targets: Sequence[Target],
+    distractors: int,
 ) -> Scene:
     """Look up the joints, sites and geoms of a compiled scene, and turn its grasp frames."""
     _turn_grasps(model, robot, targets)
@@ -242,7 +245,9 @@ LARGEST_M = 3.0
 
 
 def _check_sizes(
-    model: mujoco.MjModel, targets: Sequence[Target], geom_target: Indices
+    model: mujoco.MjModel,
+    targets: Sequence[Target],
+    geom_target: Indices,
 ) -> None:
     """Refuse objects that no arm grasps, as of a mesh in millimetres."""
     for k, target in enumerate(targets):
@@ -262,7 +267,9 @@ def target_places(scene: Scene, position: Floats) -> Floats:
 
 
 def project(
-    scene: Scene, points: Floats, view: NDArray[np.floating] | None = None
+    scene: Scene,
+    points: Floats,
+    view: NDArray[np.floating] | None = None,
 ) -> Floats:
     """Project world points (n, 3) [m] into the square image, (n, 2).
 
@@ -284,7 +291,9 @@ def _grasp_site(model: mujoco.MjModel, target: Target) -> int:
 
 
 def _turn_grasps(
-    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]
+    model: mujoco.MjModel,
+    robot: Robot,
+    targets: Sequence[Target],
 ) -> None:
     """Turn grasp frames about their z axis by the robot's ``grasp_turns_deg``."""
     for target in targets:
