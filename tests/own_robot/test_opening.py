@@ -402,11 +402,11 @@ NO_FINGERS = {
             "</body></body></body></body></body></body></body></worldbody>",
             THIRD + "</body>" * 7 + "</worldbody>",
         ),
-        "3 of them close, and lifting moves two",
+        "3 of them close, and a grip is of two",
     ),
     "one jaw": (
         ARM.replace(RIGHT, ""),
-        "left moves alone across the hand, and lifting moves two",
+        "left moves alone across the hand, and a grip is of two",
     ),
     "joints without ranges": (
         hinged(("", ""), ("", ""), ALONG + TIPS),

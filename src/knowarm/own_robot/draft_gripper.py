@@ -252,7 +252,7 @@ def _open_fingers(
     names = ", ".join(joint_names(model, drivers))
     if len(pair) < 2:
         alone = model.body(model.geom_bodyid[fingers[0][0]]).name
-        raise UserError(f"{alone} moves alone across the hand, and lifting moves two")
+        raise UserError(f"{alone} moves alone across the hand, and a grip is of two")
     if len(drivers) > MOST_DRIVERS:
         raise UserError(
             f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "
@@ -263,7 +263,7 @@ def _open_fingers(
     ends = np.flatnonzero(is_end & is_moved)
     count = len({motion.root(groups[k]) for k in ends})
     if count > 2:
-        raise UserError(f"{count} of them close, and lifting moves two")
+        raise UserError(f"{count} of them close, and a grip is of two")
     opening = widest_opening(motion, drivers, fingers, frame)
     if opening is None:
         raise UserError(f"{names} reach no end, as loops do not close")
