@@ -260,8 +260,8 @@ def _open_fingers(
         )
     is_end = reach > reach[pair].min() - FINGERTIP_M
     is_moved = (np.abs(shifts) > SAME_M).any(axis=0)
-    ends = np.flatnonzero(is_end & is_moved)
-    count = len({motion.root(groups[k]) for k in ends.tolist()})
+    ends = np.flatnonzero(is_end & is_moved).tolist()
+    count = len({motion.root(groups[k]) for k in ends})
     if count > 2:
         raise UserError(f"{count} of them close, and a grip is of two")
     opening = widest_opening(motion, drivers, fingers, frame)
