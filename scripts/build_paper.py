@@ -320,7 +320,7 @@ def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
         [
             "The constant learning rate may be why (6)",
             "no run without",
-            "study `paper-a3c-decay`, not run",
+            "study `paper-a3c-decay`, begun",
             "open",
         ],
         [
