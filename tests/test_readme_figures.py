@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from knowarm.report.collect import collect
+from knowarm.statistics import wilson
 from knowarm.study.pack import unpack_study
 from scripts.build_paper import PACK, state
 from tests.test_answer_page import CELLS, agents_of
@@ -157,9 +158,51 @@ def test_the_answers_are_those_of_the_packs(file):
     assert pick == (
         "By seeing, then solving: the right one of four is picked in "
         f"{span(picked('choose-lift'))} %, put on a tray in {span(picked('choose-place'))} %, on "
-        f"that of the place where it belongs in {span(picked('choose-sort'))} % "
-        "(one network per robot)"
+        f"that of the place where it belongs in {span(picked('choose-sort'))} %"
+        "; two and three objects are tidied up in "
+        f"{tidied('tiago')} and {tidied('irb120')} % of "
+        "scenes (one network per robot)"
     )
+
+
+def tidied(robot):
+    """Return the share of scenes that are wholly tidy in percent."""
+    (row,) = (
+        row for row in tidy_rows() if (row["robot"], row["places"]) == (robot, "graph")
+    )
+    return round(100 * int(row["tidy_scenes"]) / int(row["scenes"]))
+
+
+def tidy_rows():
+    """Read what tidying counts."""
+    text = (RESULTS / "tidy.csv").read_text("utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
+def test_the_page_shows_what_was_tidied_as_it_is_in_the_table():
+    page = (RESULTS / "pick-and-place.md").read_text("utf-8")
+    lines = {}
+    for line in page.split("## A plan from the graph")[1].splitlines():
+        if line.startswith("| "):
+            name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+            lines[name] = cells
+    counts = {
+        "scenes wholly tidy": ("tidy_scenes", "scenes"),
+        "objects in their places": ("in_place", "objects"),
+        "scenes with an object on a wrong tray": ("on_a_wrong_tray", "scenes"),
+        "scenes in which what should stay was moved": ("moved_scenes", "scenes"),
+    }
+    checked = 0
+    for row in tidy_rows():
+        for name, (count, total) in counts.items():
+            title = name if row["places"] == "graph" else f"shuffled graph: {name}"
+            if title not in lines:
+                continue
+            share = wilson(int(row[count]), int(row[total]))
+            shown = f"{100 * share.estimate:.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+            assert lines[title][row["robot"] == "irb120"] == shown, title
+            checked += 1
+    assert checked == 12
 
 
 def test_the_worst_split_of_each_pack_is_named():
