@@ -18,6 +18,7 @@ from tests.snippets.test_snippets import PAGES
 from tests.tiny import ALGORITHM, flags, short
 
 ROOT = Path(__file__).parents[2]
+LEARNING = "docs/results/learning.md"
 TOTAL = re.compile(r"total[-_]steps[\s=]+(\d[\d_,]*)")
 STEPS = re.compile(r"\b\d{2,3},\d{3}\b")
 SCALE, MOST = 1_000, 100
@@ -45,12 +46,12 @@ def documented_trainings() -> dict[str, set[int]]:
     found: dict[str, set[int]] = {
         name: {entry.total_steps} for name, entry in algorithms().items()
     }
-    for page in PAGES:
+    for page in (*PAGES, LEARNING):
         text = (ROOT / page).read_text()
-        named = [
-            (line, TOTAL.findall(line))
-            for line in text.replace("\\\n", " ").splitlines()
-        ]
+        lines = text.replace("\\\n", " ").splitlines()
+        if page == LEARNING:  # a command in a paragraph
+            lines = [part.replace("\n", " ") for part in text.split("\n\n")]
+        named = [(line, TOTAL.findall(line)) for line in lines]
         if page.endswith("choose-an-algorithm.md"):  # a table row per algorithm
             named += [
                 (row, STEPS.findall(row)) for row in re.findall(r"^\| .*", text, re.M)

@@ -222,7 +222,7 @@ def test_thresholds_that_are_given_stay_and_the_robots_follow_the_robot(
 @pytest.mark.parametrize("name", [*STATED][:2])
 def test_thresholds_of_a_description_are_positive(name: str, tmp_path: Path) -> None:
     robot = write_robot(tmp_path, **{name: "0.0"})
-    with pytest.raises(UserError, match=f"{name} must be positive, got 0"):
+    with pytest.raises(UserError, match=f"{name} must be larger than 0, got 0"):
         read_description(robot, Robot)
 
 

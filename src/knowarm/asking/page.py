@@ -212,15 +212,14 @@ def make_server(
                 self.send_error(403, reason)
                 return
             url = urlsplit(self.path)
-            pages = {"/": self._page}
-            if asker.has_chores:
-                pages["/tidy"] = self._tidy_page
-            if url.path not in pages:
+            answer = self._page
+            if url.path == "/tidy" and asker.has_chores:
+                answer = self._tidy_page
+            elif url.path != "/":
                 self.send_error(404)
                 return
             with answering:
-                fields = parse_qs(url.query, keep_blank_values=True)
-                body = pages[url.path](fields).encode()
+                body = answer(parse_qs(url.query, keep_blank_values=True)).encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))

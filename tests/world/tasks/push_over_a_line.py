@@ -23,8 +23,9 @@ class PushGuide(LiftGuide):
     """Takes hold of the object as for lifting, and slides it to the other side of the line."""
 
     def _after_grip(
-        self, sight: Sight, grasp: Floats, surroundings: Surroundings
+        self, sight: Sight, path: Floats, surroundings: Surroundings
     ) -> list[Leg]:
+        grasp = path[:, -1]
         line = self._scene.robot.rectangle_centre_m[1]
         offset = line - sight.places[:, 0, 1]
         way = offset + np.sign(offset) * SURELY_M
