@@ -55,6 +55,10 @@ def facets_that_answer(graph, text, facets=FACETS):
         ("usedFor", "not_used_for"),
         ("isUsedFor", "never used for"),
         ("http://x.org/k#usedFor", "http://x.org/k#notUsedFor"),
+        ("http://x.org/usedFor", "http://x.org/not/usedFor"),
+        ("http://x.org/k#usedFor", "http://x.org/negative#used_for"),
+        ("urn:usedFor", "urn:Not:usedFor"),
+        ("usedFor", "denied:isUsedFor"),
         ("contains", "doesNotContain"),
         ("contains", "doesn't contain"),
         ("locatedIn", "neverLocatedIn"),
@@ -99,6 +103,18 @@ def test_a_relation_that_denies_never_answers_what_it_denies(affirming, denying)
 def test_names_that_only_look_like_a_negation_deny_nothing(name):
     assert not stance(name).denies
     assert not negative_words([name.lower()])
+
+
+@pytest.mark.parametrize("space", ["http://x.org/no/", "http://x.org/knot#", "x:"])
+def test_namespaces_that_only_look_like_a_negation_deny_nothing(space):
+    assert not stance(f"{space}usedFor").denies
+
+
+def test_a_short_name_is_no_relation_that_its_namespace_denies():
+    graph = graph_of([("mug", "http://x.org/not/usedFor", "water")])
+    assert names(graph, "usedFor water") == set()
+    assert names(graph, "something for water") == set()
+    assert "mug" in names(graph, "not usedFor water")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from knowarm.knowledge.graph.terms import (
     RDF,
     RDF_TYPE,
     RDFS,
+    is_denied_by_namespace,
     label_of,
     local_name,
     name_key,
@@ -44,7 +45,8 @@ class Stance(NamedTuple):
 
 def stance(name: str, label: str = "") -> Stance:
     """Return the stance of a relation by its name, or by its label where it has one."""
-    return _stance(label or label_of(name, {}))
+    named = _stance(label or label_of(name, {}))
+    return named._replace(denies=named.denies or is_denied_by_namespace(name))
 
 
 def negative_words(words: Sequence[str]) -> set[str]:

@@ -14,6 +14,7 @@ from knowarm.knowledge.graph.derivations import Derivations
 from knowarm.knowledge.graph.names import Names, Spellings
 from knowarm.knowledge.graph.terms import (
     LABEL_RELATIONS,
+    is_denied_by_namespace,
     literal,
     local_name,
     name_key,
@@ -334,8 +335,13 @@ class KnowledgeGraph:
         return sorted(filter(self.has_node, ids))
 
     def find_relation(self, name: str) -> int | None:
-        """Return the id as `find_entity`."""
-        return self.relation_spellings.find(name, "relations", lambda relation: True)
+        """Return the id as `find_entity`; one that its namespace denies by its whole name only."""
+
+        def counts(relation: int) -> bool:
+            whole = self.relation_names[relation]
+            return whole == name or not is_denied_by_namespace(whole)
+
+        return self.relation_spellings.find(name, "relations", counts)
 
     def relation_id(self, name: str) -> int:
         """Return the id as `find_relation`; raise a `UserError` without."""

@@ -155,6 +155,18 @@ def local_name(name: str) -> str:
     return name
 
 
+_DENYING = frozenset(
+    ["not", "never", "neg", "negated", "negation", "negative", "denied", "denies"]
+)
+"""Last parts of namespaces that deny what they hold; "no" is Norwegian."""
+
+
+def is_denied_by_namespace(name: str) -> bool:
+    """Return whether the namespace of a relation denies it, as in ``http://a.org/not/usedFor``."""
+    space = name.removesuffix(local_name(name)).rstrip("#/:")
+    return local_name(space).casefold() in _DENYING
+
+
 def name_key(text: str) -> str:
     """Return what the spellings of a name share: the same for "Wine_Glasses" and "wineGlass.n.01".
 
