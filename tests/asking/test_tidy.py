@@ -161,12 +161,14 @@ def test_command_tells_plan_and_end(tmp_path, capsys):
     page = tmp_path / "tidy.html"
     values = tmp_path / "tidy.json"
     change = "1: - bell isLocatedIn classroom"
+    late = "9: - mug isLocatedIn kitchen"
     code = main(
         [
             "tidy",
             str(RUN),
             "--after",
             change,
+            late,
             "--page",
             str(page),
             "--json",
@@ -180,6 +182,7 @@ def test_command_tells_plan_and_end(tmp_path, capsys):
     )
     assert plan < printed.index("The arm looks again: the cyan basket is gone")
     assert "The graph changes: - bell isLocatedIn classroom." in printed
+    assert "Not changed: fewer than 9 objects were brought away" in printed
     assert "The cyan basket stands on the tray of its place." in printed
     assert "The green bell stays where it was." in printed
     assert page.read_text(encoding="utf-8").count("<img ") == 2

@@ -147,6 +147,11 @@ def tell(
             if not tidying.is_left(0, which):
                 brought += 1
                 change(brought)
+        for count in graphs:
+            edits = "; ".join(changes[count])
+            story.add(
+                f"Not changed: fewer than {count} objects were brought away: {edits}."
+            )
         assert tidying.graph is not None
         end = tidying.judge(tidying.graph)
         story.is_tidy = bool(end.is_tidy[0])

@@ -1,6 +1,7 @@
 """Tidying: a plan from a graph and from what a network sees, done one object after another."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,7 +194,8 @@ class Tidying:
         count = seen.objects.shape[1]
         order = np.argsort(np.arange(count) != which[:, None], axis=1, kind="stable")
         rows = ids[:, None]
-        places = np.where(self._is_done[..., None], self._destination(), seen.places)
+        is_away = self._is_done & ~self._is_left
+        places = np.where(is_away[..., None], self._destination(), seen.places)
         sight = Sight(
             joints=self.env.joint_positions[ids],
             position=seen.position[ids, which],
@@ -286,10 +288,9 @@ def scenes_to_tidy(config: EnvConfig, seed: int = 0) -> Iterator[Episodes]:
     They are among the evaluation episodes of a sorting task, in their order.
     """
     episodes = evaluation_episodes(config, DRAWN, seed)
-    env = ArmVectorEnv(config, AT_ONCE)
-    for first in range(0, DRAWN, AT_ONCE):
-        some = episodes[first : first + AT_ONCE]
-        env.reset(options={"episodes": some})
-        for number in np.flatnonzero(chores_of(env).fits()):
-            yield some[number : number + 1]
-    env.close()
+    with closing(ArmVectorEnv(config, AT_ONCE)) as env:
+        for first in range(0, DRAWN, AT_ONCE):
+            some = episodes[first : first + AT_ONCE]
+            env.reset(options={"episodes": some})
+            for number in np.flatnonzero(chores_of(env).fits()):
+                yield some[number : number + 1]
