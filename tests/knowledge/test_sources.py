@@ -25,6 +25,7 @@ def test_kinds_are_the_keys_of_the_registry(kind):
     ("name", "source"),
     [
         ("wordnet-gloss-50", WordVectors()),
+        ("glove-6b-50", WordVectors(name="glove-6b-50")),
         ("vectors/glove.6B.50d.txt", WordVectors(file="vectors/glove.6B.50d.txt")),
         ("v.zip", WordVectors(file="v.zip")),
         ("complex", GraphEmbedding(model="complex")),

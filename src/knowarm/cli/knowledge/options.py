@@ -88,8 +88,9 @@ def _colours_in(
 class SceneOptions(TableCommand):
     """The objects of a scene and the embedding of their facts.
 
-    `--source NAME` takes a short name: wordnet-gloss-50, the path of a GloVe or .safetensors file,
-    a graph-embedding model (analogy, ...), a placebo (zeros, ...), sentence-transformers:PATH.
+    `--source NAME` takes a short name: wordnet-gloss-50, glove-6b-50, the path of a GloVe or
+    .safetensors file, a graph-embedding model (analogy, ...), a placebo (zeros, ...),
+    sentence-transformers:PATH.
     """
 
     objects: tuple[str, ...] = OBJECTS

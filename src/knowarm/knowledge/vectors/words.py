@@ -30,10 +30,16 @@ from knowarm.knowledge.vectors.source import (
 from knowarm.reading import reading
 
 DATA = Path(__file__).parent / "data"
-SHIPPED = {"wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors"}
-"""Files of the shipped vectors: float16 `vectors` (n, dim), uint8 `words` (UTF-8, one per line).
+SHIPPED = {
+    "wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors",
+    "glove-6b-50": DATA / "glove-6b-50.safetensors",
+}
+"""Files of the shipped vectors: `vectors` (n, dim), uint8 `words` (UTF-8, one per line), and of a
+part of a larger table the `ranks` of its words there (n,), and the `size` of that table (1,).
 
-`wordnet-gloss-50` is made by scripts/build_wordnet_vectors.py from WordNet's glosses.
+`wordnet-gloss-50` is made by scripts/build_wordnet_vectors.py from WordNet's glosses. `glove-6b-50`
+are the words of the shipped graphs from GloVe (the paper's vectors), by
+scripts/build_glove_vectors.py.
 """
 _HEADER = re.compile(rb"\d+ \d+ *")
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
@@ -245,12 +251,13 @@ def shipped_vectors(name: str) -> WordTable:
     tensors = load_file(SHIPPED[name])
     words = tuple(tensors["words"].tobytes().decode().split("\n"))
     vectors = tensors["vectors"].astype(np.float32)
+    ranks = tensors.get("ranks", np.arange(1, len(words) + 1))
     return WordTable(
         name=name,
         words=words,
         vectors=vectors,
-        ranks=np.arange(1, len(words) + 1),
-        size=len(words),
+        ranks=ranks,
+        size=int(tensors.get("size", ranks).max()),
         length=float(np.median(np.linalg.norm(vectors, axis=1))),
     )
 
