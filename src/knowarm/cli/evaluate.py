@@ -38,6 +38,7 @@ from knowarm.experiment.evaluation import (
     FilmsProbe,
     GraphTest,
     HeldOutTest,
+    PairsProbe,
     Places,
     Reasoning,
     ReasoningTest,
@@ -165,6 +166,8 @@ class RecordOptions:
     """Keep joint angles, action, distance and angle of every step."""
     record_films: int = 6
     """Number of episodes, from the first, whose images are kept."""
+    pairs: bool = False
+    """Play each episode again with one fact edited: does the agent act on it?"""
 
     def probes(self) -> list[BaseProbe]:
         """Return the probes."""
@@ -175,6 +178,8 @@ class RecordOptions:
             probes.append(FilmsProbe(episodes=self.record_films))
         if self.blind_episodes:
             probes.append(BlindProbe(episodes=self.blind_episodes))
+        if self.pairs:
+            probes.append(PairsProbe())
         probes.extend(probe() for probe in task_probes() if getattr(self, probe.kind))
         return probes
 

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,10 +31,12 @@ from knowarm.experiment.summary import (
     write_film,
     write_table,
 )
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.perception.calibration import covered
 from knowarm.perception.solving import SolvingAgent
 from knowarm.policy import PolicyAgent
+from knowarm.questions import Query
 from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
@@ -183,7 +186,10 @@ def evaluate(
         report(f"Playing {len(fixed):,} episodes.")
         result = play(agent, env, fixed, record_images=config.films, report=report)
         columns = episode_columns(subject, result, env, config)
-        played = Played(agent, env, fixed, result, config.seed, is_trained, report)
+        know = None if trained is None else partial(_told_by, trained, subject)
+        played = Played(
+            agent, env, fixed, result, config.seed, is_trained, report, know
+        )
         findings = Findings(columns)
         for probe in config.probes:
             probe.measure(played, findings)
@@ -271,6 +277,14 @@ def agent_for_test(
     return informed
 
 
+def _told_by(
+    trained: TrainedAgent, subject: Subject, graph: KnowledgeGraph, query: Query
+) -> Any:
+    """Return the row of a query, (D,), of an agent in a test that knows another graph."""
+    told = replace(subject, graph=graph, queries=(query,))
+    return known_in_test(trained, told).told[0]
+
+
 def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     """Return a trained agent with what it knows in a test."""
     config = subject.trained
@@ -295,6 +309,7 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
         table=table,
         graph=subject.graph,
         trained=config.env,
+        queries=subject.queries,
         network=trained.network,
         reasoning=reasoning,
     )

@@ -20,6 +20,11 @@ from knowarm.config import (
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning, read_known_graph
+from knowarm.experiment.minimal_pairs import (
+    PairsProbe,
+    check_pairs,
+    other_questions,
+)
 from knowarm.experiment.other_graphs import (
     answers_before_edit,
     check_graph,
@@ -32,13 +37,14 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Columns
 from knowarm.perception.config import LEVEL, Unclear
+from knowarm.questions import Query
 from knowarm.reading import read_toml
 from knowarm.seeding import derive_seed
 from knowarm.statistics import Interval, bootstrap, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene
@@ -60,6 +66,8 @@ class Subject:
     """What the agent was trained with; None for one that was not trained."""
     graph: KnowledgeGraph | None = None
     """The graph that the agent knows; None for that of its training."""
+    queries: tuple[Query, ...] | None = None
+    """What alone it is told of, a row each; None for all queries of the task."""
     reasoning: Reasoning | None = None
     """What it answers queries by; None for what it was trained with."""
     unclear: Unclear = "guess"
@@ -333,6 +341,9 @@ class Played:
     """Whether it is a trained agent, and not that of its initial weights."""
     report: Callable[[str], None]
     """Receives lines on the progress."""
+    know: Callable[[KnowledgeGraph, Query], Any] | None = None
+    """Returns the row, (D,), of a query that the agent has if it knows a graph; None for an agent
+    that was not trained."""
 
     @property
     def scene(self) -> Scene:
@@ -464,25 +475,9 @@ def share_of(is_so: np.ndarray) -> Interval:
     return wilson(int(np.count_nonzero(is_so)), len(is_so))
 
 
-def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> np.ndarray:
-    """Draw a question that exactly one visible object answers, another than the right one, (n,).
-
-    It is one that the task asks; empty where the visible objects allow none.
-    """
-    table = questions_of(env.config)
-    assert table is not None
-    visible = env.running.first_facet[episodes.objects] + episodes.colours
-    answers = table.satisfies[:, visible]  # (Q, n, m)
-    asked = np.asarray(table.askable.any(axis=1))
-    fits = (answers.sum(2) == 1) & ~answers[..., 0] & asked[:, None]
-    drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
-    names = np.array([query.name for query in table.queries])
-    return np.where(fits.any(0), names[drawn], "")
-
-
 def probe_types() -> list[type[BaseProbe]]:
     """List the probes: those of every evaluation, and those that parts of tasks bring."""
-    return [StepsProbe, FilmsProbe, BlindProbe, *task_probes()]
+    return [StepsProbe, FilmsProbe, BlindProbe, PairsProbe, *task_probes()]
 
 
 DISTANCE_M = 0.10
@@ -580,6 +575,8 @@ class EvaluationConfig:
                     "pass a run folder."
                 )
             subject = condition.prepare(subject)
+        if any(isinstance(probe, PairsProbe) for probe in self.probes):
+            check_pairs(subject)
         judged = replace(
             subject.env,
             success_distance_m=self.distance_m,

@@ -133,6 +133,7 @@ class _Embedded(KnowledgeConfig):
         table: np.ndarray | None = None,
         graph: KnowledgeGraph | None = None,
         trained: EnvConfig | None = None,
+        queries: tuple[Query, ...] | None = None,
         **of_network: Any,
     ) -> Knowledge:
         """Embed what is known in a task.
@@ -143,12 +144,13 @@ class _Embedded(KnowledgeConfig):
             table: in place of embedding anything, the knowledge table of the task.
             graph: in place of the own graph.
             trained: the task of the training, if another one is tested.
+            queries: what alone is asked, a row each; None: all queries of the task.
             of_network: arguments of `Grounded.known`, which do not matter here.
         """
         if table is not None:
             return Knowledge(table)
         if self.scope == "query":
-            queries = asked(env).queries
+            queries = queries or asked(env).queries
             trained_on = asked(trained or env).queries
             of_queries = query_embedding(
                 self, queries, run_seed=run_seed, graph=graph, trained_on=trained_on
@@ -221,7 +223,8 @@ class Grounded(_Embedded):
             return replace(knowledge, recognition=recognition)
         graph = sources.get("graph")
         facets = network.spec.facets
-        answers = self.answers(env, run_seed, facets, graph=graph, reasoning=reasoning)
+        options = {"graph": graph, "queries": sources.get("queries")}
+        answers = self.answers(env, run_seed, facets, reasoning=reasoning, **options)
         return replace(knowledge, recognition=AnswerGrounding(network, answers))
 
     def answers(
@@ -231,9 +234,10 @@ class Grounded(_Embedded):
         facets: tuple[ObjectColour, ...],
         *,
         graph: KnowledgeGraph | None = None,
+        queries: tuple[Query, ...] | None = None,
         reasoning: Reasoning | None = None,
     ) -> np.ndarray:
-        """Return the probability that each of F facets answers each query of a task.
+        """Return the probability that each of F facets answers each query of a task, or some.
 
         It is 0 or 1, but for triples with a confidence. Objects that the graph does not describe
         never answer.
@@ -245,7 +249,7 @@ class Grounded(_Embedded):
             graph = read_graph(self.graph)
         draw_seed = self.source.draw_seed(self.seed, run_seed)
         graph = self.source.change_graph(graph, draw_seed)
-        queries = asked(env).queries
+        queries = queries or asked(env).queries
         if reasoning == "graph-shuffled":
             graph = shuffle_tails(graph, derive_seed(run_seed, "placebos"))
         elif reasoning == "colours":  # no facts are known: only a colour restricts

@@ -114,7 +114,7 @@ def measure(name: str) -> Measure:
     return find_measure(name) or Measure(name, name.replace("_", " "))
 
 
-GROUPS = ("target", "facet", "query_type", "query")
+GROUPS = ("target", "facet", "query_type", "query", "fact_kind")
 """Columns by whose values episodes are grouped, where they have them."""
 
 

@@ -3,8 +3,9 @@
 It needs what a policy does without: joint angles and a kinematic model of the arm.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -88,6 +89,17 @@ class SolvingAgent:
     def depends_on_rows(self) -> bool:
         """Whether episodes of different queries differ."""
         return self._agent.depends_on_rows
+
+    @property
+    def told(self) -> Tensor:
+        """As `PolicyAgent.told`."""
+        return self._agent.told
+
+    def telling(self, rows: Sequence[Tensor]) -> Self:
+        """As `PolicyAgent.telling`."""
+        agent = copy.copy(self)
+        agent._agent = self._agent.telling(rows)
+        return agent
 
     @property
     def moves(self) -> Mask:

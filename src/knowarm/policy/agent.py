@@ -1,7 +1,8 @@
 """Policy agent: plays batches of episodes with a policy."""
 
-from collections.abc import Mapping
-from typing import Any, Protocol, cast
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 import torch
@@ -82,6 +83,24 @@ class PolicyAgent:
         if self.recognition is not None:
             return bool(self.recognition.depends_on_rows)
         return self.table is not None and bool((self.table != self.table[:1]).any())
+
+    @property
+    def told(self) -> Tensor:
+        """What it knows in the episodes of each row, (rows, D): numbers, or what it looks for."""
+        if self.recognition is not None:
+            return cast(Tensor, self.recognition.knowledge)
+        assert self.table is not None
+        return self.table
+
+    def telling(self, rows: Sequence[Tensor]) -> Self:
+        """Return the same agent with other rows, (D,) each."""
+        agent = copy.copy(self)
+        if self.recognition is None:
+            agent.table = torch.stack(list(rows))
+        else:
+            agent.recognition = copy.deepcopy(self.recognition)
+            agent.recognition.knowledge = torch.stack(list(rows))
+        return agent
 
     def recognize(self, images: Tensor) -> Tensor:
         """Return the knowledge of episodes that start with images (n, H, W, 3), (n, K) float32."""

@@ -1,0 +1,284 @@
+"""Minimal pairs: whether an agent acts on a fact, by episodes that differ in one triple only."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice, repeat
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from knowarm.arrays import Integers, Mask, Names
+from knowarm.errors import UserError
+from knowarm.experiment.knows import asked
+from knowarm.experiment.other_graphs import check_graph, target_names
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.queries.minimal_pairs import MinimalPair, Question
+from knowarm.measures import Columns, Measure
+from knowarm.world.agents import Batch
+from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.agents.scripted import InformedAgent
+from knowarm.world.config import facets_of
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.tasks.probe import BaseProbe, Findings, ReportTable
+from knowarm.world.tasks.sampling import Episodes
+
+VERSIONS = {
+    "true": "the graph as it is",
+    "deciding": "the fact is another visible object's",
+    "placebo": "a fact of the same relation and value moved between objects out of sight",
+    "removal": "the fact is removed",
+    "foreign": "the question of another visible object",
+}
+"""What the agent is told in the versions of an episode; image and question are the same."""
+
+_MEASURES = (
+    Measure("pair_right", "right", "pair_right", among="has_pair"),
+    Measure(
+        "flips",
+        "flips",
+        "goes_to_new",
+        among="has_pair",
+        about="goes to the object that answers after the deciding edit",
+    ),
+    Measure(
+        "false_flips",
+        "false flips",
+        "false_flip",
+        among="has_pair",
+        about="ends elsewhere after the placebo edit than by the true graph",
+    ),
+    Measure(
+        "stays",
+        "stays",
+        "stays",
+        among="has_pair",
+        about="does not move after the removal, when no visible object answers",
+    ),
+    Measure(
+        "follows",
+        "follows",
+        "follows",
+        among="has_foreign",
+        about="goes to the object whose question it is told",
+    ),
+    Measure(
+        "acts",
+        "acts on the fact",
+        "acts",
+        among="has_pair",
+        about="right, flips, and is right after the placebo edit",
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairsProbe(BaseProbe):
+    """Play each episode again with one triple edited, removed, or another question told.
+
+    Only episodes count whose question allows all edits (`Question.minimal_pair`).
+    """
+
+    label = "pairs"
+    about = "Play each episode again with one fact edited: minimal pairs."
+    measures = _MEASURES
+    column_meanings: ClassVar[dict[str, str]] = {
+        "fact_kind": "whether an image shows the fact that decides; empty without a minimal pair",
+        "fact": "the triple that decides",
+        "new_answer": "object that answers after the deciding edit",
+        "told_answer": "object whose question the version foreign tells; empty without one",
+        "has_pair": "whether the episode has a minimal pair",
+        "has_foreign": "whether it has one, and another question",
+        "pair_right": "whether it ends at the right object by the true graph",
+        "goes_to_new": "whether it ends at new_answer after the deciding edit",
+        "false_flip": "whether it ends elsewhere after the placebo edit than by the true graph",
+        "stays": "whether it does not move after the removal",
+        "follows": "whether it ends at told_answer in the version foreign",
+        "acts": "whether it is right, goes to the new answer, and is right after the placebo edit",
+    } | {
+        f"chosen_{name}": f"object at which it ends, empty if it never moves: {about}"
+        for name, about in VERSIONS.items()
+    }
+    table = ReportTable(
+        name="minimal-pairs",
+        title="Does it act on the fact?",
+        measures=tuple(measure.name for measure in _MEASURES),
+        note="Episodes with the same image and question, in which one triple of the graph that the "
+        "agent knows is edited: flips, the fact that decides given to another visible object; "
+        "false flips, a triple of the same relation and value moved between objects out of sight; "
+        "stays, the fact removed; follows, told the question of another visible object.",
+    )
+    kind: Literal["pairs"] = "pairs"
+
+    def measure(self, played: Any, findings: Findings) -> None:
+        """Add where the agent ends in each version, and the outcomes, (n,) each."""
+        env = played.env
+        episodes = played.episodes
+        graph = env.config.task.asked.answering_graph(env.facets)
+        queries = asked(env.config).queries
+        numbers = {query.name: number for number, query in enumerate(queries)}
+        pairs = dict(_minimal_pairs(env, episodes, graph, played.seed))
+        if not pairs:
+            raise UserError(
+                f"None of the {len(episodes)} episodes has a minimal pair: a fact that decides, "
+                "and that another visible object could have. Play more episodes."
+            )
+        foreign = other_questions(env, episodes, played.seed)
+        told = np.where(foreign == "", episodes.question, foreign)
+        names = np.array([target.name for target in env.scene.targets])
+        columns = {"chosen_true": _chosen(played.result, names)}
+        rows = np.array(list(pairs))
+        for version in list(VERSIONS)[1:]:
+            played.report(f"Minimal pairs, {version}: {len(pairs):,} episodes.")
+            known = []
+            for row, pair in pairs.items():
+                if version in pair.edits:
+                    query = queries[numbers[episodes.question[row]]]
+                    edited = pair.edits[version].apply(graph)
+                    known.append(played.know(edited, query))
+                else:
+                    known.append(played.agent.told[numbers[told[row]]])
+            agent = _by_episode(played.agent.telling(known), len(pairs))
+            chosen = _chosen(play(agent, env, episodes[rows]), names)
+            columns[f"chosen_{version}"] = _at(rows, chosen, len(episodes))
+        visible = names[episodes.objects]
+        kinds = ["shown" if pair.is_shown else "not shown" for pair in pairs.values()]
+        heirs = np.array([pair.heir for pair in pairs.values()])
+        facts = [" ".join(map(local_name, pair.fact)) for pair in pairs.values()]
+        columns["fact_kind"] = _at(rows, np.array(kinds), len(episodes))
+        columns["fact"] = _at(rows, np.array(facts), len(episodes))
+        columns["new_answer"] = _at(rows, visible[rows, heirs], len(episodes))
+        means = _answer(env, episodes, [numbers[name] for name in told])
+        told_answer = np.where(foreign == "", "", visible[np.arange(len(means)), means])
+        columns["told_answer"] = told_answer
+        findings.columns |= columns | outcomes(columns, visible[:, 0])
+
+
+def outcomes(columns: Columns, right: Names) -> dict[str, Mask]:
+    """Return the outcomes, (n,) bool each, from where an agent ends; ``right`` (n,) is the answer.
+
+    They are False without a minimal pair.
+    """
+    has_pair = columns["fact_kind"] != ""
+    chosen = {name: columns[f"chosen_{name}"] for name in VERSIONS}
+    is_right = has_pair & (chosen["true"] == right)
+    goes_to_new = has_pair & (chosen["deciding"] == columns["new_answer"])
+    has_foreign = has_pair & (columns["told_answer"] != "")
+    return {
+        "has_pair": has_pair,
+        "has_foreign": has_foreign,
+        "pair_right": is_right,
+        "goes_to_new": goes_to_new,
+        "false_flip": has_pair & (chosen["placebo"] != chosen["true"]),
+        "stays": has_pair & (chosen["removal"] == ""),
+        "follows": has_foreign & (chosen["foreign"] == columns["told_answer"]),
+        "acts": is_right & goes_to_new & (chosen["placebo"] == right),
+    }
+
+
+def check_pairs(subject: Any) -> None:
+    """Refuse what has no facts to edit, before anything is played.
+
+    Raises:
+        UserError: an agent that was not trained, a task without a graph that answers its queries,
+            or an agent that knows another graph.
+    """
+    if subject.config is None:
+        raise UserError(
+            "Only what trained agents know can be edited for minimal pairs. Leave them out, or "
+            "pass a run folder."
+        )
+    asked(subject.env)
+    graph = subject.env.task.asked.answering_graph(facets_of(subject.env))
+    if graph is None:
+        raise UserError(
+            "The questions of this task are names, which no graph answers, so no fact can be "
+            "edited. Leave minimal pairs out, or take a run of the choose task."
+        )
+    check_graph(subject.config, subject.env)
+    if subject.graph is not None and subject.graph != graph:
+        raise UserError(
+            "Minimal pairs edit the graph that answers the questions, and here the agent knows "
+            "another one. Leave out damage and repair."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Numbered(Batch):
+    """Episodes that have rows of their own."""
+
+    numbers: Integers
+
+    @property
+    def rows(self) -> Integers:
+        """Number of each episode in a list, (n,)."""
+        return self.numbers
+
+
+def _by_episode(agent: Any, count: int) -> InformedAgent:
+    """Return an agent whose rows are those of ``count`` episodes, which are played in order."""
+    numbers = chain(range(count), repeat(count - 1))  # `play` repeats the last one
+
+    def number(batch: Batch) -> Batch:
+        own = np.fromiter(islice(numbers, batch.size), np.int64)
+        return _Numbered(**vars(batch), numbers=own)
+
+    return InformedAgent(agent, number)
+
+
+def _minimal_pairs(
+    env: ArmVectorEnv, episodes: Episodes, graph: KnowledgeGraph, seed: int
+) -> Iterator[tuple[int, MinimalPair]]:
+    """Yield the minimal pairs with the numbers of their episodes."""
+    table = asked(env.config)
+    queries = {query.name: query for query in table.queries}
+    targets = target_names(env.config)
+    for row, visible in enumerate(_visible(env, episodes).tolist()):
+        facets = [env.facets[number] for number in visible]
+        seen = {name for name, _ in facets}
+        others = [name for name in targets if name not in seen]
+        question = Question(graph, queries[episodes.question[row]], facets, others)
+        pair = question.minimal_pair(np.random.default_rng([seed, row]))
+        if pair is not None:
+            yield row, pair
+
+
+def _visible(env: ArmVectorEnv, episodes: Episodes) -> Integers:
+    """Return the numbers of the visible facets, (n, m)."""
+    return np.asarray(env.running.first_facet[episodes.objects] + episodes.colours)
+
+
+def _answer(env: ArmVectorEnv, episodes: Episodes, queries: Sequence[int]) -> Integers:
+    """Return which visible object answers the query of each episode first, (n,)."""
+    satisfies = asked(env.config).satisfies[np.array(queries)[:, None]]
+    visible = _visible(env, episodes)[:, None]
+    return np.take_along_axis(satisfies, visible, axis=2)[:, 0].argmax(axis=1)
+
+
+def _at(rows: Integers, values: Names, count: int) -> Names:
+    """Return ``count`` texts: the values at their rows, and nothing elsewhere."""
+    texts = np.full(count, "", values.dtype)
+    texts[rows] = values
+    return texts
+
+
+def _chosen(result: EpisodeResults, names: Names) -> Names:
+    """Return the object at which each episode ends; nothing where no joint was ever moved."""
+    steps = result.steps
+    moved = np.zeros(len(result.length), bool)
+    moved[steps.episode[steps.actions.any(axis=1)]] = True
+    return np.where(moved, names[result.infos["reached_object"]], "")
+
+
+def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> Names:
+    """Draw a question that exactly one visible object answers, another than the right one, (n,).
+
+    It is one that the task asks; empty where the visible objects allow none.
+    """
+    table = asked(env.config)
+    answers = table.satisfies[:, _visible(env, episodes)]  # (Q, n, m)
+    is_asked = np.asarray(table.askable.any(axis=1))
+    fits = (answers.sum(2) == 1) & ~answers[..., 0] & is_asked[:, None]
+    drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
+    names = np.array([query.name for query in table.queries])
+    return np.where(fits.any(0), names[drawn], "")
