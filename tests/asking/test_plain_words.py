@@ -89,14 +89,15 @@ def test_wordings_written_before_the_grammar_read_them(file):
 
 
 @pytest.mark.filterwarnings("ignore::knowarm.errors.DataWarning")
-def test_wordings_kept_outside_when_their_kinds_were_mended():
-    """81 % of the answerable were read when they were written, and none wrongly."""
-    rows = rows_of("asked.tsv")
+@pytest.mark.parametrize(("file", "most"), [("asked.tsv", 17), ("hundred.tsv", 8)])
+def test_wordings_kept_outside_when_their_kinds_were_mended(file, most):
+    """81 and 74 % of the answerable were read when they were written, and none or one wrongly."""
+    rows = rows_of(file)
     answerable = [row for row in rows if row["expected"] != "-"]
     found = Counter(map(outcome, answerable))
     assert found["right"] >= 0.9 * len(answerable)
     others = [row for row in rows if row["expected"] == "-"]
-    assert len(others) == 17
+    assert len(others) == most
     assert set(map(outcome, others)) == {"right"}
     assert found["wrong"] == 0
 
@@ -348,12 +349,12 @@ def test_near_conditions_are_near_in_meaning():
         ("put the mug on the tray", "'mug' fits nothing here"),
         ("do you like red?", "only questions for an object"),
         ("is the mug red?", "only questions for an object"),
-        ("where is the mug", "only questions for an object"),
+        ("where does the mug live", "only questions for an object"),
         ("something to drink from that is turquoise", "'turquoise' fits nothing here"),
         ("the cheapest mug left of the jar", "'cheapest' fits nothing here"),
         ("something in turquoise", "'turquoise' fits nothing here"),
         ("hasColor turquoise", "blue"),
-        ("where is something red", "only questions for an object"),
+        ("where does something red stand", "only questions for an object"),
         ("I want to decorate the living room", "'living' fits nothing here"),
         (
             "something round and brown or cylindrical and red",
@@ -644,3 +645,55 @@ def test_what_is_put_away_is_asked_for(text, question):
     names = ("mug", "kettle", "bell", "mallet", "vase", "wine_glass")
     facets = [(name, colour) for name in names for colour in ("red", "blue")]
     assert reading(read_graph("objects"), facets, text) == question
+
+
+@pytest.mark.parametrize(
+    ("graph", "question", "text"),
+    [
+        ("objects", "Where are the bottles?", "is bottle"),
+        ("objects", "where’s the pan", "is pan"),
+        ("objects", "please tell me where the kettle is", "is kettle"),
+        ("objects", "tell me where the red mug is, please", "is mug and hasColor red"),
+        ("objects", "where is something to drink from", "usedFor drinking"),
+        ("objects", "where is the left mug", "leftmost and is mug"),
+        ("objects", "Where is the mug? It is red.", "is mug and hasColor red"),
+        ("flat", "maria's", "belongsTo maria"),
+        ("flat", "Maria’s mug", "belongsTo maria and is mug"),
+        ("flat", "the mug of maria", "belongsTo maria and is mug"),
+        ("flat", "a book that is not Tom's", "is book and not belongsTo tom"),
+        ("flat", "that's a mug", "is mug"),
+        ("flat", "from sweden or switzerland", "comesFrom Sweden or comesFrom Switzerland"),
+        ("flat", "milk-filled", "contains milk"),
+        ("flat", "it smells of lavender", "smellsLike lavender"),
+        ("flat", "on the window sill", "isOn window_sill_1"),
+        ("flat", "what is next to the sofa?", "isNextTo sofa_1"),
+        ("objects", "anything beside the garage thing", "nearest (isLocatedIn garage)"),
+        ("objects", "something of cylindrical form", "hasShape cylindrical"),
+        ("objects", "red-coloured mug", "hasColor red and is mug"),
+        ("workshop", "something driven by a battery", "poweredBy Battery"),
+        ("workshop", "that causes fire", "hasHazard Fire"),
+    ],
+)  # fmt: skip
+def test_places_owners_and_origins_are_said(graph, question, text):
+    assert meaning(reading(graph_named(graph), FACETS, question)) == meaning(text)
+
+
+@pytest.mark.parametrize(
+    ("graph", "question"),
+    [
+        ("objects", "where is the mug from"),
+        ("objects", "where is the mug kept?"),
+        ("objects", "where is the mug made?"),
+        ("objects", "where is it?"),
+        ("objects", "where does the mug go"),
+        ("objects", "where is the screwdriver"),
+        ("objects", "move the mug over there"),
+        ("objects", "the object next to the kitchen"),
+        ("flat", "the mug's handle"),
+        ("flat", "is it tom's"),
+        ("flat", "Anna's mug"),
+    ],
+)
+def test_questions_for_a_place_or_an_unknown_owner_are_refused(graph, question):
+    with pytest.raises(UserError, match="is not understood"):
+        reading(graph_named(graph), FACETS, question)

@@ -265,7 +265,7 @@ def test_a_relation_renamed_to_its_negation_never_answers_the_positive_question(
     rng = np.random.default_rng(8)
     affirmed = {"usedFor": "notUsedFor", "contains": "doesNotContain", "isA": "isNotA"}
     answered = 0
-    for _ in range(500):
+    for _ in range(2_000):
         graph = random_graph(rng)
         relation = str(rng.choice(sorted(affirmed)))
         positive = [(h, r, t) for h, r, t in graph if r == relation]
@@ -281,7 +281,7 @@ def test_a_relation_renamed_to_its_negation_never_answers_the_positive_question(
         question = f"{relation} {value}"
         answered += bool(names(graph, question))
         assert names(graph_of(renamed), question) == set()
-    assert answered > 100
+    assert answered > 400
 
 
 def test_confidence_decides_as_in_an_evaluation():

@@ -155,7 +155,10 @@ class Reader:
                 if name.isalpha():  # "the mug left of the red one"
                     words = [name if word == "one" else word for word in words]
                 other = Reader(self.text, words, self.vocabulary).best()
-                if not any(map(attrgetter("best"), other.done)):
+                last = other.done[-1]
+                is_place = last.is_bare and last.relation.family is FAMILIES["location"]
+                is_place &= not last.is_whole  # "next to the sofa" is not what is on it
+                if not is_place and not any(map(attrgetter("best"), other.done)):
                     left_out = [start + position for position in other.left_out]
                     reached = replace(state, left_out=(*state.left_out, *left_out))
                     text = f"{relation} ({joined(other.done)})"

@@ -74,7 +74,7 @@ class Relation:
     def is_named_by(self, word: str) -> bool:
         """Return whether a word is one of its own, or its name: "nearestto" of nextTo."""
         if word in BESIDE:
-            return tokens(self.name.replace("_", " ")) == [word]
+            return tokens(self.name.replace("_", " "))[-1:] == [word]
         words = set(self.words) - _EMPTY
         return any(near(form, words, DERIVED) for form in (word, *verbs_of(word)))
 

@@ -28,6 +28,7 @@ from knowarm.asking.relations import IS, Relation, is_colour, kind_relations
 from knowarm.knowledge.graph.denials import Stance, negative_words, opposed, stance
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.individuals import classes_of_value
+from knowarm.knowledge.graph.owl import OWL
 from knowarm.knowledge.graph.terms import RDFS, label_of, local_name, name_key
 from knowarm.knowledge.vectors.words import shipped_vectors
 from knowarm.questions import COLOUR_RELATION
@@ -123,7 +124,12 @@ class Vocabulary:
         """Yield the relations of entities and what they lead to."""
         pairs = set(map(itemgetter(1, 2), self._facts(heads)))
         for relation, tail in sorted(pairs):
-            yield self._relation(relation), tail
+            if not self._is_axiom(relation):
+                yield self._relation(relation), tail
+
+    def _is_axiom(self, relation: int) -> bool:
+        """Return whether a relation is of OWL, as ``onProperty``: nothing that people say."""
+        return self.graph.relation_names[relation].startswith(OWL)
 
     def _relation(self, index: int) -> Relation:
         """Return a relation, which can be said from now on.
@@ -190,12 +196,15 @@ class Vocabulary:
         entry = Entry(words, relation, text, inner)
         self._add(entry)
         if not inner:
-            for role, other_words in self._roles(entry):
+            for role, other_words in self._roles(entry, tail):
                 self._add(entry._replace(words=other_words, role=role))
 
-    def _roles(self, entry: Entry) -> Iterator[tuple[str, Words]]:
+    def _roles(self, entry: Entry, tail: int) -> Iterator[tuple[str, Words]]:
         """Yield how else a value is said: HAS_SWITCH by "switch", CAN_OPEN by "open"."""
         words = entry.words
+        is_numbered = len(words) > 1 and words[-1].isdecimal()
+        if is_numbered and not classes_of_value(self.graph, tail):
+            yield "", words[:-1]  # "on the table" of what is on table_3
         family = entry.relation.family
         if len(words) > 1 and words[0] in _ROLES:
             yield _ROLES[words[0]], words[1:]
@@ -244,7 +253,7 @@ class Vocabulary:
             rows = graph.in_rows(tail)
             for relation in np.unique(graph.relations[rows]).tolist():
                 stating = self._relation(relation)
-                if stating.turning is None:
+                if stating.turning is None and not self._is_axiom(relation):
                     self._learn(stating, tail)
         self.elsewhere.update(islice(self.entries, known, None))
 
