@@ -20,14 +20,14 @@ from scripts.answer_cells import (
 ROWS = 100
 """Rows of the metrics whose mean is the success of the last training episodes."""
 
-TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
-workers of 32 environments instead of 17 of one, seed 0, {total} million steps. {progress} An update
-learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates:,} updates instead
-of 1.4 million."""
+TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's numbers, but two workers of
+32 environments instead of 17 of one, so {updates:,} updates of {batch:,} steps instead of 1.4
+million of at most 50; seed 0, {total} million steps; 1,000 episodes after training (10 cm, 17
+degrees). {progress}"""
 
-TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds}.
-{progress} The preset [differs](../reference/algorithms.md#a3c) from the paper's numbers. Interim
-evaluations every {every:,} steps."""
+TUNED = """**Protocol.** Study `a3c-tuned`, whose numbers
+[differ](../reference/algorithms.md#a3c) from the paper's: IRB120, {total} million steps, training
+{seeds}, interim evaluations every {every:,} steps. {progress}"""
 
 
 def tuned_section(study: Path, progress: str) -> tuple[str, list[str]]:
@@ -125,10 +125,7 @@ def conclusion(task: TaskData) -> str:
             share = f"{100 * np.nanmean(trained):.1f} %"
             line = f"- `{group.name}`: {share} of its last training episodes"
             if final:
-                success = f"{100 * final.summary['success']:.1f} %"
-                line += (
-                    f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
-                )
+                line += f", {100 * final.summary['success']:.1f} % after training"
             lines.append(f"{line}.")
     lines.append(f"- Blind, at most: {blind_agents(task.groups)}.")
     if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:

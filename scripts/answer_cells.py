@@ -147,27 +147,12 @@ def never(agent: Agent) -> str:
 
 
 def agents_table(cell: "Cell") -> str:
-    """Return the table of the agents of a cell, each compared with full knowledge."""
+    """Return the table of the agents of a cell."""
     rows = []
     for name, agent in cell.agents.items():
-        row = [
-            f"`{name}`",
-            str(len(agent.seeds)),
-            thousands(agent.steps) + never(agent),
-            percent(agent.success),
-        ]
-        difference = cell.of("full", name)
-        if difference:
-            compared, p_value = difference
-            row += [signed(compared.steps, 1e-3), f"{p_value:.2g}"]
-        else:
-            row += ["", ""]
-        rows.append(row)
-    columns = [
-        *("agent", "seeds", "steps to 80 % [thousands]", "success"),
-        *("`full` minus it [thousands]", "p"),
-    ]
-    return table(columns, rows)
+        steps = thousands(agent.steps) + never(agent)
+        rows.append([f"`{name}`", str(len(agent.seeds)), steps, percent(agent.success)])
+    return table(["agent", "seeds", "steps to 80 % [thousands]", "success"], rows)
 
 
 def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:

@@ -25,8 +25,8 @@ from scripts.answer_cells import (
 
 TEXT = """**Protocol.** Study `size`: IRB120, randomized colours, no knowledge, training seeds
 {seeds}; outcomes and comparisons were fixed before the runs. {progress} 278 and 428 are the sizes
-of the paper's network with 150 and 300 numbers of knowledge. Speed: the median of {rounds}
-measurements on one core of an {processor} (`KNOWARM_CORES=1 python -m benchmarks.sizes`)."""
+of the paper's network with 150 and 300 numbers of knowledge. Speed: one core of an {processor},
+median of {rounds} (`KNOWARM_CORES=1 python -m benchmarks.sizes`)."""
 
 
 def speeds(path: Path) -> tuple[dict[str, list[float]], str]:

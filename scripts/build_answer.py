@@ -79,7 +79,7 @@ def main_page(cells: Sequence[Cell], known: Decided, progress: str) -> list[str]
             progress=progress,
         ),
     ]
-    return [*parts, *outcomes_section(known, tasks), *anova_section(tasks), BOTTOM]
+    return [*parts, *outcomes_section(known), *anova_section(tasks), BOTTOM]
 
 
 def cells_page(cells: Sequence[Cell]) -> list[str]:
@@ -94,25 +94,23 @@ def cells_page(cells: Sequence[Cell]) -> list[str]:
 HEAD = "<!-- Written by scripts/build_answer.py from the packs; do not edit. -->\n"
 
 CELLS = """**`full` needs fewer steps to 80 % success than `bm` in {count} of {cells} cells.**
-Protocol, outcomes and controls: [answer](answer.md)."""
+Protocol, outcomes and controls: [answer](answer.md); every comparison, with intervals and p:
+`answer-comparisons.csv`."""
 
 TOP = """**Protocol.** {runs} runs with `fast`: 1.5 million steps, one process, up to {seeds}
 training seeds; studies `answer` (IRB120), `answer-tiago`, and `paper` (TIAGo with randomized
 colours, and its `partial` with fixed ones, compared with the `bm` of `paper`). {progress} The
 outcomes of `answer` were fixed when seeds 0 to 2 of `bm`, `partial` and `full` were known, those of
 `answer-tiago` before its runs. Primary: environment steps until 80 % of the 40 interim episodes
-succeed (5 cm, 15 degrees); a run that never does counts as 1.5 million, and as censored. Secondary:
-success of 1,000 episodes after training (10 cm, 17 degrees); mean success during training (*area*).
-Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below about
-ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of a
-cell. Data: `answer-runs.csv`, `answer-comparisons.csv`.
+succeed (5 cm, 15 degrees), every 50,000 steps; a run that never does counts as 1.5 million, and as
+censored. Secondary: success of 1,000 episodes after training (10 cm, 17 degrees); mean success
+during training (*area*). Brackets: 95 % intervals over training seeds (bootstrap of means, too
+narrow below about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over a
+cell's comparisons. [Every cell and agent](answer-cells.md); `answer-runs.csv`.
 
 Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` has
 random numbers in place of each slot, `shuffled` a graph whose tails are permuted within each
-relation. An effect of what the knowledge says must exceed all of them.
-
-Further pages: [every cell and agent](answer-cells.md), [the size of the network](answer-size.md),
-[the paper's algorithm](answer-a3c.md), [where the knowledge enters](answer-fusions.md)."""
+relation. An effect of what the knowledge says must exceed all of them."""
 
 FIGURE = (
     "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
@@ -123,11 +121,9 @@ BOTTOM = """## What this cannot say
 - The vector of this task names what the image shows anyway. Where the graph decides what to do, it
   matters: [choose](choose.md), [answers](answers.md).
 - `fast` uses the simulator's state in the critic and an auxiliary loss.
-- The runs used several kinds of processors, which round differently.
-- Interim evaluations are 50,000 steps apart: smaller differences are not seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps and the area can differ.
 
-Repeat: `knowarm study run` with the studies that these pages name; pack them, then `python -m
+Repeat: `knowarm study run` with the studies named above; pack them; `python -m
 scripts.build_answer`."""
 
 

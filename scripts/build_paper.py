@@ -7,7 +7,6 @@ learner that of `docs/results/answer.md`.
 """
 
 import argparse
-import csv
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -36,7 +35,6 @@ from scripts.paper_claims import Row, fast_claims
 
 ROOT = Path(__file__).parents[1]
 PACK = RESULTS / "paper-a3c.tar.xz"
-BEFORE = RESULTS / "paper-a3c-before.csv"
 JOINTS_BOX = Box(width=320, height=190, left=40, top=26)
 FRAMES, SIDE = 8, 96
 """Images of a film strip, and their size [px]."""
@@ -57,25 +55,23 @@ LEAD = """**The paper's algorithm has not come to its end here: {state}. Nothing
 follows from them. By the fast learner, with five to ten seeds per agent, no sentence of the paper
 on learning time or final score is found.**"""
 
-SENTENCES = """Each sentence of the paper (section) on what the knowledge does, beside the runs of
-the [fast learner](answer.md); steps are those to 80 % success. Statements of method: [line by
+SENTENCES = """What the paper says of the knowledge (section), beside the runs of the [fast
+learner](answer.md); steps are those to 80 % success. Statements of method: [line by
 line](../reference/paper.md)."""
 
 PROTOCOL = """**Protocol.** *A3C*: `knowarm study run paper-a3c`, the paper's numbers, 17 workers of
 one environment, {total:g} million steps, [near start](../reference/world.md#near-start), one
-training seed; 1,000 new episodes by the best model so far, that with the highest mean return of the
-interim evaluations (40 episodes every 50,000 steps). *Fast*: studies `answer`, `answer-tiago`,
-`paper`, far start, 1.5 million steps, means over seeds with 95 % intervals. Accuracy counts the
-distance alone (10 cm), success the angle, too (17 degrees). *List*: the best fixed list of actions,
-which sees nothing; *frozen*: the network on the first image alone. One network says nothing about
-the next, so no difference of two is a result."""
+training seed, so no difference of two agents is a result; 1,000 new episodes by the best model so
+far, that with the highest mean return of the interim evaluations (40 episodes every 50,000 steps).
+*Fast*: the protocol of the [answer](answer.md), far start. Accuracy counts the distance alone (10
+cm), success the angle, too (17 degrees). [Outcomes were declared before the first
+run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run)."""
 
-CURVES = """Mean return of the last {count} interim evaluations (a million steps), its largest fall
-so far, and where it stands. No run is stopped for what it shows; complete or not, a cell is
-published as it stands."""
-
-EARLIER = """Two earlier trainings (fixed colours, actor with gain .01) were stopped in the drop,
-which a rule of today forbids: {runs} (`paper-a3c-before.csv`; no curves were kept)."""
+CURVES = """Begun cells: percent of the best model; *list*, the best fixed list of actions, which
+sees nothing; *frozen*, the network on the first image alone; mean return of the last {count}
+interim evaluations (a million steps). No run is stopped for what it shows; complete or not, a cell
+is published as it stands. Two earlier trainings that were stopped in the drop: [lab
+notes](../lab-notes/a3c.md)."""
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
@@ -89,9 +85,6 @@ OUTCOMES = {
 """Outcomes that the study declares before its first run, the primary one first: evaluation and rate
 of the best model, and the evaluation whose thresholds its fixed list of actions is searched for.
 Within 10 cm at any angle an episode of that list ends, so its success is its accuracy."""
-
-OUTCOMES_TEXT = """Outcomes were [declared before the first
-run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run)."""
 
 ANOVA = """30 evaluation seeds of 100 episodes of each network, success, as the paper's. F compares
 two trained networks. It cannot tell the knowledge from the training seed: two seeds of one and the
@@ -207,20 +200,21 @@ def cells_table(sources: Sources) -> str:
             else:
                 row.append("no control")
             if own and own.best_run:
-                scores = [own.scores(key)[0] for key in ("accuracy", "success")]
-                row += [steps_of(own.best_run), *map(share, scores), *blind(own)]
+                row.append(steps_of(own.best_run))
             else:
-                steps = steps_of(begun[0].runs[0]) if begun else "not begun"
-                row += [steps, "", "", "", ""]
-            if quick:
-                count = len(quick.evaluations)
-                row += [percent(quick.scores("accuracy")), str(count), *blind(quick)]
-            else:
-                row += ["", "", "", ""]
+                row.append(steps_of(begun[0].runs[0]) if begun else "not begun")
+            row.append(percent(quick.scores("accuracy")) if quick else "")
             rows.append(row)
-    columns = ["cell", "agent", "paper: accuracy", "A3C: steps", "accuracy", "success"]
-    columns += ["list", "frozen", "fast: accuracy", "seeds", "list", "frozen"]
+    columns = ["cell", "agent", "paper: accuracy", "A3C: steps", "fast: accuracy"]
     return table(columns, rows)
+
+
+def played(group: Group) -> Row:
+    """Return accuracy and success of the best model, and the success of two blind agents."""
+    if not group.best:
+        return [""] * (2 + len(BLIND))
+    scores = [group.scores(key)[0] for key in ("accuracy", "success")]
+    return [*map(share, scores), *blind(group)]
 
 
 @dataclass(frozen=True)
@@ -265,37 +259,16 @@ def courses(tasks: Sequence[TaskData]) -> str:
                     [
                         title_of(task),
                         f"`{group.name}`",
-                        str(run.config.seed),
-                        steps_of(run),
+                        *played(group),
                         f"{(run.best_step or 0) / 1e6:.1f} M",
                         f"{plus(course.means[highest])} at {course.steps[highest] / 1e6:.1f} M",
                         f"{fallen:.0f}, {before / 1e6:.1f} to {after / 1e6:.1f} M",
                         plus(course.means[-1]),
                     ]
                 )
-    columns = [
-        "cell",
-        "agent",
-        "seed",
-        "steps",
-        "best model at",
-        "highest",
-        "largest fall",
-    ]
-    return table([*columns, "now"], rows)
-
-
-def earlier() -> str:
-    """Return the paragraph on the trainings that were stopped before this study."""
-    runs = []
-    for row in csv.DictReader(BEFORE.read_text(encoding="utf-8").splitlines()):
-        part = float(row["steps_million"]) / float(row["of_million"])
-        runs.append(
-            f"`{row['experiment']}` after {row['steps_million']} million steps, at "
-            f"{100 * part:.0f} %, where the mean return had fallen from {row['best_return']} to "
-            f"{row['last_return']}"
-        )
-    return EARLIER.format(runs="; ".join(runs))
+    columns = ["cell", "agent", "accuracy", "success", "list", "frozen"]
+    columns += ["best model at", "highest", "largest fall", "now"]
+    return table(columns, rows)
 
 
 def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
@@ -484,8 +457,6 @@ def page(sources: Sources, images: Path) -> str:
         "![Interim returns of A3C](../images/paper-curves.svg)",
         CURVES.format(count=SMOOTHED),
         courses(tasks),
-        earlier(),
-        OUTCOMES_TEXT,
     ]
     outcomes = outcome_rows(tasks)
     if outcomes:
